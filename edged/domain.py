@@ -1,0 +1,249 @@
+"""The values that travel through edged: frozen, and complete once built.
+
+Conventions (README, "Frames and units"): lengths in mm, angles in rad, pixels (x, y)
+with an integer at the centre of a pixel, times in ns UTC. Frame `rig` is the left camera
+as calibrated (x right, y down, z forward); `robot` is the robot base. A transform is a
+(4, 4) float64 named `to_from_from`, so that chains cancel:
+`robot_from_rig @ rig_from_part`.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+
+class Status(enum.StrEnum):
+    """How a cycle ended."""
+
+    OK = "OK"
+    NO_TARGET = "NO_TARGET"
+    LOW_QUALITY = "LOW_QUALITY"
+    CAPTURE_FAULT = "CAPTURE_FAULT"
+
+
+class Reject(enum.IntFlag):
+    """Why a target is not good enough; bits of the reject register."""
+
+    NONE = 0
+    FEW_EDGES = 1 << 0
+    RESIDUAL = 1 << 1
+    SIGMA_LIMIT = 1 << 2
+    LEFT_RIGHT_MISMATCH = 1 << 3
+    OUT_OF_VOLUME = 1 << 4
+    TOLERANCE = 1 << 5
+    AMBIGUOUS_ROTATION = 1 << 6
+    LOW_SCORE = 1 << 7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image of one camera.
+
+    image : (H, W) uint8, owned by the frame (never a view of a driver's buffer).
+    frame_id : the camera's own counter.
+    device_ns : the camera's time stamp, its own epoch.
+    exposed_ns : host UTC ns of the exposure, as well as it is known.
+    """
+
+    camera: str
+    frame_id: int
+    image: Image
+    device_ns: int
+    exposed_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePair:
+    """The two frames of one exposure."""
+
+    left: Frame
+    right: Frame
+
+    @property
+    def exposed_ns(self) -> int:
+        """The earlier of both exposures, UTC ns."""
+        return min(self.left.exposed_ns, self.right.exposed_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Where the shape was found.
+
+    x_px, y_px : the model's origin in the left image as the camera delivers it (not rectified).
+    angle_rad : rotation against the taught view, positive from x to y (clockwise on screen).
+    scale_x, scale_y : size against the taught view, along the model's own axes.
+    score : visible share of the model that agrees, [0, 1].
+    """
+
+    x_px: float
+    y_px: float
+    angle_rad: float
+    scale_x: float
+    scale_y: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle3D:
+    """A measured circle in the rig frame.
+
+    centre_mm (3,), normal (3,) unit and towards the cameras (normal z < 0), radius_mm,
+    covariance (4, 4) of (centre x, y, z, radius) in mm².
+    """
+
+    name: str
+    centre_mm: FloatArray
+    normal: FloatArray
+    radius_mm: float
+    covariance: FloatArray
+
+    @property
+    def sigma_centre_mm(self) -> FloatArray:
+        """(3,) one sigma of the centre."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+    @property
+    def sigma_radius_mm(self) -> float:
+        """One sigma of the radius."""
+        return float(np.sqrt(self.covariance[3, 3]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """One located part.
+
+    rig_from_part (4, 4): the part frame has its origin at the job's reference point, z along
+    the normal of the part's face away from the cameras, x the rig's x axis projected into
+    that face as it lay at teaching.
+    covariance (6, 6): of (x, y, z in mm, rotation vector in rad), rig frame, small rotation
+    applied on the left (rig axes).
+    epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
+    """
+
+    job: str
+    match: Match
+    rig_from_part: FloatArray
+    covariance: FloatArray
+    circles: tuple[Circle3D, ...]
+    epipolar_rms_px: float
+    reject: Reject = Reject.NONE
+
+    @property
+    def position_mm(self) -> FloatArray:
+        """(3,) reference point in the rig frame."""
+        return self.rig_from_part[:3, 3]
+
+    @property
+    def sigma_mm(self) -> FloatArray:
+        """(3,) one sigma of the position."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What the pipeline says of one pair: pure result, no time, no identity."""
+
+    status: Status
+    targets: tuple[Target, ...] = ()
+
+
+class CommandKind(enum.IntEnum):
+    """Command register values."""
+
+    LOCATE = 1
+    CHANGE_JOB = 2
+    GRAB = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A request to measure, or to change the job.
+
+    source : who asks ("modbus", "zenoh", ...); sequence : that source's own number.
+    job : job number, 0 for the active one.
+    """
+
+    kind: CommandKind
+    source: str
+    sequence: int
+    job: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureDone:
+    """Both images of a cycle are in memory: the part may move."""
+
+    cycle: int
+    command: Command | None
+
+
+@dataclass(frozen=True, slots=True)
+class JobChanged:
+    """The job with this number and name is loaded, warm and active."""
+
+    number: int
+    name: str
+    command: Command | None
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFailed:
+    """A command that was accepted and then could not be carried out."""
+
+    command: Command
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Everything that is published of one cycle; immutable.
+
+    exposed_ns : UTC ns of the exposure; 0 if there was none.
+    published_ns : UTC ns when the result was complete.
+    timing_ms : stage name to duration.
+    error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
+    robot_from_rig (4, 4), or None where the rig is not registered to a robot.
+    """
+
+    cycle: int
+    status: Status
+    command: Command | None
+    job: str
+    job_number: int
+    calibration_id: str
+    fingerprint: str
+    simulated: bool
+    exposed_ns: int
+    published_ns: int
+    targets: tuple[Target, ...] = ()
+    timing_ms: dict[str, float] = field(default_factory=dict)
+    error: str = ""
+    error_code: int = 0
+    robot_from_rig: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """The daemon's own state, published on change.
+
+    state : "STARTING", "READY", "BUSY", "FAULT" or "STOPPING".
+    """
+
+    state: str
+    ready: bool
+    cameras_ok: bool
+    job: str
+    job_number: int
+    missed_triggers: int
+    error: str = ""
+    error_code: int = 0
+
+
+Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState

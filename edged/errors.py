@@ -1,0 +1,118 @@
+"""Every error that edged raises on purpose.
+
+    EdgedError
+    ├── UserError                 wrong usage or input: exit code 2, no stack trace
+    │   ├── ConfigError           a configuration file; carries every mistake at once
+    │   ├── FileFormatError       a rig, job, model or recording that cannot be used
+    │   ├── ImageError            an image that cannot be read or does not fit
+    │   ├── CalibrationError      calibration images that cannot give a calibration
+    │   └── TeachError            a region that cannot give a job
+    ├── CaptureError              a camera did not deliver: a fault, the daemon goes on
+    │   ├── CameraUnreachable     not found, or not answering
+    │   ├── CameraBusy            another host controls it
+    │   ├── CameraSetupError      it refuses a setting
+    │   ├── FrameTimeout          no image in time
+    │   ├── FrameIncomplete       packets lost, short or scrambled data
+    │   └── PairingError          two frames that are not one exposure
+    ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
+    └── ListenError               a port or socket that cannot be opened
+
+An expected miss (no target, low quality) is a `domain.Status`, never an exception.
+"""
+
+from __future__ import annotations
+
+
+class EdgedError(Exception):
+    """Root of the tree."""
+
+
+class UserError(EdgedError):
+    """Wrong usage or input. The message names the place and what was expected."""
+
+
+class ConfigError(UserError):
+    """A configuration that cannot be used.
+
+    problems : one line each, `dotted.path: what is wrong, what was expected`.
+    """
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        self.source = source
+        self.problems = problems
+        lines = "\n".join(f"  {problem}" for problem in problems)
+        super().__init__(f"{source}: {len(problems)} problem{'s' if len(problems) != 1 else ''}\n{lines}")
+
+
+class FileFormatError(UserError):
+    """A file that is missing, damaged or of another kind."""
+
+
+class ImageError(UserError):
+    """An image that cannot be read or has the wrong size, depth or channels."""
+
+
+class CalibrationError(UserError):
+    """Calibration input that cannot give a trustworthy calibration."""
+
+
+class TeachError(UserError):
+    """A teaching image or region that cannot give a job."""
+
+
+class CaptureError(EdgedError):
+    """A camera did not deliver.
+
+    camera : name of the camera ("left", "right", or "both").
+    code : stable number for the PLC's error register.
+    """
+
+    code = 100
+
+    def __init__(self, camera: str, message: str) -> None:
+        self.camera = camera
+        super().__init__(f"camera {camera}: {message}")
+
+
+class CameraUnreachable(CaptureError):
+    """Not found on the network, or not answering."""
+
+    code = 101
+
+
+class CameraBusy(CaptureError):
+    """Another host holds the control privilege."""
+
+    code = 102
+
+
+class CameraSetupError(CaptureError):
+    """The camera refuses a setting."""
+
+    code = 103
+
+
+class FrameTimeout(CaptureError):
+    """No image before the deadline."""
+
+    code = 104
+
+
+class FrameIncomplete(CaptureError):
+    """Lost packets, short or scrambled data."""
+
+    code = 105
+
+
+class PairingError(CaptureError):
+    """Two frames that do not belong to one exposure."""
+
+    code = 106
+
+
+class CommandRefused(EdgedError):
+    """A command that cannot be accepted now; the reason is the message."""
+
+
+class ListenError(EdgedError):
+    """A server socket that cannot be opened (port in use, no permission)."""

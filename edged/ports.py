@@ -1,0 +1,63 @@
+"""What the core asks of the world: small protocols, implemented in `adapters` and `sim`."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from edged.domain import Command, Event, Frame
+
+
+class Camera(Protocol):
+    """One camera that takes a picture when told.
+
+    Every method is bounded in time by its implementation and raises only `CaptureError`s.
+    """
+
+    @property
+    def name(self) -> str:
+        """ "left" or "right"."""
+        ...
+
+    async def open(self) -> None:
+        """Connect and arm; may be called again after `close` or after a fault."""
+        ...
+
+    async def trigger(self) -> None:
+        """Start one exposure; frames that were not fetched before are dropped."""
+        ...
+
+    async def frame(self) -> Frame:
+        """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
+        ...
+
+    async def close(self) -> None:
+        """Release everything; safe to call twice and on a camera that never opened."""
+        ...
+
+
+class Publisher(Protocol):
+    """Somewhere results go."""
+
+    async def start(self) -> None:
+        """Open sockets. Raises `ListenError`."""
+        ...
+
+    def announce(self, event: Event) -> None:
+        """Take note of an event on the event loop; must not block or raise."""
+        ...
+
+    async def close(self) -> None:
+        """Stop and leave nothing behind."""
+        ...
+
+
+class Commander(Protocol):
+    """Where publishers that also take commands hand them in."""
+
+    def submit(self, command: Command) -> None:
+        """Accept a command for the cycle, or raise `CommandRefused`.
+
+        Every accepted command ends in exactly one event that carries it: a `Snapshot`,
+        a `JobChanged` or a `CommandFailed`.
+        """
+        ...

@@ -1,0 +1,1 @@
+"""The virtual cell: cameras, scenes and their exact truth."""

@@ -1,0 +1,257 @@
+"""Files: rigs and array containers, written atomically, read with suspicion, never pickled."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.errors import FileFormatError, ImageError
+from edged.vision.camera import DISTORTION_NAMES, CameraModel, StereoRig
+
+RIG_FORMAT = "edged-rig"
+RIG_VERSION = 1
+MAX_FILE_BYTES = 64 * 1024 * 1024  # a rig is kilobytes, a model is megabytes: more is a wrong file
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that after a power cut either the old or the new content is there."""
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)  # noqa: PTH101  (mkstemp makes it private; other users read rigs)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    directory = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Read a file of sane size, or raise `FileFormatError` that names it."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
+        return path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error
+
+
+def load_image(path: Path) -> Image:
+    """Read an 8-bit grey image (H, W) uint8; colour files are converted when all channels agree.
+
+    Raises `ImageError` for what is no image, has another depth, or is really coloured.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ImageError(f"{path}: no such file")
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
+    if image is None:
+        raise ImageError(f"{path}: not an image that can be read (PNG, TIFF, BMP and JPEG are)")
+    if image.dtype != np.uint8:
+        raise ImageError(f"{path}: {image.dtype} pixels, expected 8-bit grey")
+    if image.ndim == 3:
+        colour = image[..., :3]
+        if np.ptp(colour.astype(np.int16), axis=2).max() > 0:
+            raise ImageError(f"{path}: a colour image, expected 8-bit grey")
+        image = colour[..., 0]
+    return np.ascontiguousarray(image, dtype=np.uint8)
+
+
+# --- rig.json ---------------------------------------------------------------------------------
+
+
+def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = None) -> None:
+    """Write a rig as JSON. quality : figures of the calibration, kept for people."""
+    document = {
+        "format": RIG_FORMAT,
+        "version": RIG_VERSION,
+        "calibration_id": rig.calibration_id,
+        "units": "mm, px (integer = pixel centre), distortion in normalised coordinates; x_right = right_from_left x_left",
+        "left": _camera_to_json(rig.left),
+        "right": _camera_to_json(rig.right),
+        "right_from_left": rig.right_from_left.tolist(),
+        "robot_from_rig": None if rig.robot_from_rig is None else rig.robot_from_rig.tolist(),
+        "covariance": None
+        if rig.covariance is None
+        else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
+        "quality": dict(quality or {}),
+    }
+    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def load_rig(path: Path) -> StereoRig:
+    """Read a rig; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
+    path = Path(path)
+    try:
+        document = json.loads(read_bytes(path, "a rig"))
+    except ValueError as error:
+        raise FileFormatError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != RIG_FORMAT:
+        raise FileFormatError(f'{path}: not a rig file (expected "format": "{RIG_FORMAT}")')
+    if document.get("version") != RIG_VERSION:
+        raise FileFormatError(f"{path}: version {document.get('version')!r}, this edged reads {RIG_VERSION}")
+    reader = _Fields(path, document)
+    left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
+    right_from_left = reader.transform("right_from_left")
+    if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:
+        raise FileFormatError(f"{path}: right_from_left: both cameras are in one place")
+    robot = None if document.get("robot_from_rig") is None else reader.transform("robot_from_rig")
+    identity = document.get("calibration_id")
+    if not isinstance(identity, str) or not identity:
+        raise FileFormatError(f"{path}: calibration_id: expected a name, got {identity!r}")
+    rig = StereoRig(left, right, right_from_left, identity, robot)
+    stored = document.get("covariance")
+    if stored is None:
+        return rig
+    size = len(rig.parameter_names)
+    covariance = reader.sub("covariance").array("matrix", (size, size))
+    if stored.get("parameters") != list(rig.parameter_names):
+        raise FileFormatError(f"{path}: covariance.parameters: expected {list(rig.parameter_names)}")
+    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or (np.diag(covariance) < 0).any():
+        raise FileFormatError(f"{path}: covariance.matrix: not a covariance (symmetric, positive)")
+    return StereoRig(left, right, right_from_left, identity, robot, covariance)
+
+
+def _camera_to_json(camera: CameraModel) -> dict[str, Any]:
+    return {
+        "model": camera.model,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "distortion": dict(zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=True)),
+    }
+
+
+def _camera_from_json(reader: _Fields) -> CameraModel:
+    model = reader.document.get("model")
+    if model not in DISTORTION_NAMES:
+        raise reader.error("model", f"expected one of {sorted(DISTORTION_NAMES)}, got {model!r}")
+    distortion = reader.sub("distortion")
+    fx, fy = reader.number("fx"), reader.number("fy")
+    if fx <= 0 or fy <= 0:
+        raise reader.error("fx", f"focal lengths must be positive, got {fx}, {fy}")
+    return CameraModel(
+        model,
+        reader.integer("width"),
+        reader.integer("height"),
+        fx,
+        fy,
+        reader.number("cx"),
+        reader.number("cy"),
+        tuple(distortion.number(name) for name in DISTORTION_NAMES[model]),
+    )
+
+
+class _Fields:
+    """Reads typed fields of a JSON object and names the place when one is wrong."""
+
+    def __init__(self, path: Path, document: dict[str, Any], prefix: str = "") -> None:
+        self.path, self.document, self.prefix = path, document, prefix
+
+    def error(self, name: str, problem: str) -> FileFormatError:
+        return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
+
+    def sub(self, name: str) -> _Fields:
+        value = self.document.get(name)
+        if not isinstance(value, dict):
+            raise self.error(name, f"expected an object, got {type(value).__name__}")
+        return _Fields(self.path, value, f"{self.prefix}{name}.")
+
+    def number(self, name: str) -> float:
+        value = self.document.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise self.error(name, f"expected a number, got {value!r}")
+        return float(value)
+
+    def integer(self, name: str) -> int:
+        value = self.document.get(name)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 100_000:
+            raise self.error(name, f"expected a size in pixels, got {value!r}")
+        return value
+
+    def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
+        try:
+            value = np.array(self.document.get(name), dtype=np.float64)
+        except (TypeError, ValueError):
+            raise self.error(name, f"expected numbers in the shape {shape}") from None
+        if value.shape != shape or not np.isfinite(value).all():
+            raise self.error(name, f"expected finite numbers in the shape {shape}, got {value.shape}")
+        return value
+
+    def transform(self, name: str) -> FloatArray:
+        value = self.array(name, (4, 4))
+        rotation = value[:3, :3]
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+        if not rigid or not np.allclose(value[3], (0, 0, 0, 1)):
+            raise self.error(name, "expected a rigid 4x4 transform (rotation and translation)")
+        return value
+
+
+# --- array containers ---------------------------------------------------------------------------
+
+
+def save_arrays(path: Path, kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
+    buffer = io.BytesIO()
+    header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
+    np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
+    write_atomically(Path(path), buffer.getvalue())
+
+
+def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
+    """Read what `save_arrays` wrote; damage, another kind or version is a `FileFormatError`."""
+    path = Path(path)
+    data = read_bytes(path, f"a {kind}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(member.file_size for member in archive.infolist())
+            if unpacked > MAX_FILE_BYTES:
+                raise FileFormatError(f"{path}: unpacks to {unpacked} bytes, too many for a {kind}")
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(str(arrays.pop("__header__")[()]))
+        found = (header["kind"], header["version"], header["sha256"])
+    except FileFormatError:
+        raise
+    except Exception as error:  # noqa: BLE001  (zip, zlib, npy and JSON each raise their own on damage)
+        raise FileFormatError(f"{path}: not a {kind} file, or damaged: {error}") from error
+    if found[0] != kind:
+        raise FileFormatError(f"{path}: a {found[0]!r} file, expected {kind!r}")
+    if found[1] != version:
+        raise FileFormatError(f"{path}: {kind} version {found[1]!r}, this edged reads {version}")
+    if found[2] != _digest(arrays):
+        raise FileFormatError(f"{path}: checksum does not match: the file is damaged")
+    return arrays
+
+
+def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

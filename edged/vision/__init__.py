@@ -1,0 +1,1 @@
+"""The numerical core: arrays in, values out; no clock, no I/O, no globals."""
