@@ -87,7 +87,8 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
         "calibration_id": rig.calibration_id,
-        "units": "mm, px (integer = pixel centre), distortion in normalised coordinates; x_right = right_from_left x_left",
+        "units": "mm, px (integer = pixel centre), distortion in normalised coordinates; "
+        "x_right = right_from_left x_left",
         "left": _camera_to_json(rig.left),
         "right": _camera_to_json(rig.right),
         "right_from_left": rig.right_from_left.tolist(),
