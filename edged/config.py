@@ -1,0 +1,175 @@
+"""The configuration file: one TOML, checked as a whole.
+
+`load` reports every mistake at once, each with its dotted path. Unknown keys are mistakes: a
+misspelt limit that is silently ignored is worse than a daemon that does not start. People write
+degrees and milliseconds here; everything is converted once, where the values leave this module.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
+
+from edged.errors import ConfigError
+
+MAX_CONFIG_BYTES = 1024 * 1024
+
+
+def _beside_the_file(value: object, info: ValidationInfo) -> object:
+    """Relative paths mean: beside the configuration file, whatever the working directory is."""
+    if isinstance(value, str) and value and info.context is not None:
+        return Path(info.context["directory"]) / Path(value).expanduser()
+    return value
+
+
+FilePath = Annotated[Path, BeforeValidator(_beside_the_file)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+
+
+class CellSection(_Section):
+    """What is measured, and with which rig."""
+
+    name: Name = Field(description="name of the cell; part of every Zenoh key")
+    rig: FilePath = Field(description="calibrated rig, written by `edged calibrate`")
+    jobs: FilePath = Field(description="folder with one folder for each taught job")
+    job: Name = Field(description="the job that is active after start")
+
+
+class CycleSection(_Section):
+    """When it is measured."""
+
+    mode: Literal["free", "command"] = Field(
+        "command", description='"free": every period; "command": when asked over Modbus or Zenoh'
+    )
+    period_s: float = Field(0.5, ge=0.0, le=3600, description="time from trigger to trigger in free mode")
+
+
+class CameraSection(_Section):
+    """One camera. Values that are left out stay as the camera has them."""
+
+    device: str = Field("", description="serial number or IP address")
+    exposure_us: float | None = Field(None, gt=0, le=10_000_000)
+    gain_db: float | None = Field(None, ge=-10, le=60)
+    packet_size: int | None = Field(
+        None, ge=220, le=65_000, description="GVSP packet size in bytes; negotiated when left out"
+    )
+    features: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="GenICam nodes by name"
+    )
+
+
+class CamerasSection(_Section):
+    """Where images come from."""
+
+    source: Literal["aravis", "replay", "virtual", "virtual-inprocess"] = "aravis"
+    folder: FilePath | None = Field(None, description='for "replay": pairs NAME_left.png, NAME_right.png')
+    timeout_s: float = Field(1.0, gt=0, le=60, description="from trigger to both images")
+    max_skew_ms: float = Field(5.0, gt=0, le=1000, description="limit for two frames to be one exposure")
+    left: CameraSection = CameraSection()
+    right: CameraSection = CameraSection()
+
+    @model_validator(mode="after")
+    def _complete(self) -> CamerasSection:
+        if self.source == "replay" and self.folder is None:
+            raise ValueError('source "replay" needs `folder`')
+        if self.source == "aravis":
+            if not self.left.device or not self.right.device:
+                raise ValueError('source "aravis" needs left.device and right.device (serial number or IP)')
+            if self.left.device == self.right.device:
+                raise ValueError(f"left and right are the same device {self.left.device!r}")
+        return self
+
+
+class ModbusSection(_Section):
+    """The Modbus/TCP server for the PLC."""
+
+    enabled: bool = True
+    host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
+    port: Port = Field(1502, description="502 is the standard port and needs CAP_NET_BIND_SERVICE")
+    unit_id: int = Field(1, ge=1, le=247)
+    word_order: Literal["high", "low"] = Field("high", description="which word of a 32-bit value comes first")
+    base_address: int = Field(0, ge=0, le=60_000, description="added to every address of the map")
+    validity_s: float = Field(2.0, gt=0, le=3600, description="a result older than this is not VALID")
+    max_clients: int = Field(16, ge=1, le=256)
+
+
+class ZenohSection(_Section):
+    """Publication to other processes."""
+
+    enabled: bool = True
+    listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
+    connect: list[str] = Field(default_factory=list)
+    config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
+
+
+class Config(_Section):
+    """The whole file."""
+
+    cell: CellSection
+    cycle: CycleSection = CycleSection()
+    cameras: CamerasSection
+    modbus: ModbusSection = ModbusSection()
+    zenoh: ZenohSection = ZenohSection()
+
+
+def load(path: Path) -> Config:
+    """Read and check a configuration file.
+
+    Raises `ConfigError` with one line for each mistake. Files that the configuration names are
+    not opened here; `edged check` and the daemon do that.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
+        data = tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(path), [f"not TOML: {error}"]) from error
+    try:
+        return Config.model_validate(data, context={"directory": path.resolve().parent})
+    except ValidationError as error:
+        raise ConfigError(str(path), [_problem(detail) for detail in error.errors()]) from error
+
+
+def _problem(detail: Any) -> str:
+    """One line of `edged check`: dotted path, what is wrong, what was found."""
+    # a union such as `features.X: bool | int | ...` adds its branch to the path; people never wrote that
+    place = ".".join(str(part) for part in detail["loc"]) or "(file)"
+    if detail["type"] == "extra_forbidden":
+        return f"{place}: unknown key"
+    if detail["type"] == "missing":
+        return f"{place}: missing"
+    message = detail["msg"].removeprefix("Value error, ")
+    shown = repr(detail["input"])
+    if isinstance(detail["input"], dict) or len(shown) > 60:
+        return f"{place}: {message}"
+    return f"{place}: {message}, got {shown}"
+
+
+def fingerprint(config: Config, files: dict[str, bytes]) -> str:
+    """Short digest (8 hex digits) of the configuration and of the rig and job files it stands on."""
+    digest = hashlib.sha256(config.model_dump_json().encode())
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
+    return digest.hexdigest()[:8]

@@ -1,0 +1,325 @@
+"""The loop: wait for a tick or a command, capture, locate, announce.
+
+Responsible for: order and exclusivity of cycles, the command queue, the active job, the daemon's
+state. Not responsible for: how images arrive (`capture`), what is measured (`pipeline`), who is
+told (`Publisher`s). An expected miss is a status, a fault of the cameras is a status, a bug in
+the pipeline propagates: systemd restarts the daemon.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+from edged.domain import (
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    Event,
+    ExposureDone,
+    FloatArray,
+    FramePair,
+    JobChanged,
+    Outcome,
+    Snapshot,
+    Status,
+)
+from edged.errors import CaptureError, CommandRefused
+from edged.ports import Publisher
+
+log = logging.getLogger(__name__)
+
+QUEUE_LENGTH = 8
+"""Commands that wait; one more is refused (the PLC sees OVERRUN)."""
+
+IDLE_CHECK_S = 1.0
+"""Waiting for commands, look after the cameras this often: a dead one must show before the PLC asks."""
+
+
+class Head(Protocol):
+    """What the loop needs of the stereo head."""
+
+    async def open(self) -> None:
+        """Connect both cameras; nothing to do for those that are connected and well."""
+        ...
+
+    async def capture(self) -> FramePair:
+        """One exposure of both cameras, bounded in time; raises `CaptureError`."""
+        ...
+
+    async def close(self) -> None:
+        """Release both cameras."""
+        ...
+
+
+Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
+"""The pipeline with job and rig bound; calls the second argument at the end of each stage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedJob:
+    """A job that is in memory and warm."""
+
+    name: str
+    number: int
+    locate: Locate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """Everything that a reload may exchange between two cycles.
+
+    jobs : by number. period_s : None means "only on command".
+    """
+
+    jobs: Mapping[int, LoadedJob]
+    active_job: int
+    period_s: float | None
+    calibration_id: str
+    fingerprint: str
+    simulated: bool
+    robot_from_rig: FloatArray | None
+
+
+class Cycle:
+    """The measuring loop of one cell; also the `Commander` of its publishers."""
+
+    def __init__(self, head: Head, setup: Setup, utc_ns: Callable[[], int] = time.time_ns) -> None:
+        self._head = head
+        self._setup = setup
+        self._active = setup.jobs[setup.active_job]
+        self._utc_ns = utc_ns
+        self._publishers: tuple[Publisher, ...] = ()
+        self._commands: deque[Command] = deque()
+        self._wake = asyncio.Event()
+        self._stopping = False
+        self._number = 0
+        self._missed = 0
+        self._state: CellState | None = None
+        self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
+
+    # --- used by app -----------------------------------------------------------------------
+
+    def set_publishers(self, publishers: Iterable[Publisher]) -> None:
+        """Who is told from now on; a newcomer hears the present state at once."""
+        newcomers = tuple(publishers)
+        for publisher in newcomers:
+            if publisher not in self._publishers and self._state is not None:
+                publisher.announce(self._state)
+        self._publishers = newcomers
+
+    def exchange(self, setup: Setup, head: Head | None = None) -> None:
+        """Take a new setup from the next cycle on (SIGHUP). A job that is gone falls back to the default."""
+        self._setup = setup
+        number = self._active.number if self._active.number in setup.jobs else setup.active_job
+        self._active = setup.jobs[number]
+        if head is not None:
+            self._head = head
+        if self._state is not None:
+            self._tell_state(self._state.state, error=self._state.error, code=self._state.error_code)
+        self._wake.set()
+
+    def stop(self) -> None:
+        """Let the running cycle end, then leave `run`."""
+        self._stopping = True
+        self._wake.set()
+
+    # --- Commander -------------------------------------------------------------------------
+
+    def submit(self, command: Command) -> None:
+        """Queue a command. Raises `CommandRefused` when stopping, full, or the job is unknown."""
+        if self._stopping:
+            raise CommandRefused("the daemon is stopping")
+        if command.job and command.job not in self._setup.jobs:
+            known = ", ".join(f"{job.number} ({job.name})" for job in self._setup.jobs.values())
+            raise CommandRefused(f"unknown job {command.job}, there are {known}")
+        if command.kind is CommandKind.CHANGE_JOB and not command.job:
+            raise CommandRefused("a job change needs a job number")
+        if len(self._commands) >= QUEUE_LENGTH:
+            self._missed += 1
+            raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
+        self._commands.append(command)
+        self._wake.set()
+
+    # --- the loop --------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Measure until `stop`; every accepted command has been answered when this returns."""
+        self._tell_state("STARTING")
+        try:
+            await self._check_cameras()
+            due_s = time.monotonic()
+            while not self._stopping:
+                command, due_s = await self._next_start(due_s)
+                if self._stopping:
+                    if command is not None:
+                        self._announce(CommandFailed(command, "the daemon is stopping"))
+                    break
+                await self._serve(command)
+        finally:
+            self._tell_state("STOPPING")
+            while self._commands:
+                self._announce(CommandFailed(self._commands.popleft(), "the daemon is stopping"))
+            await self._head.close()
+            self._vision.shutdown()
+
+    async def _check_cameras(self) -> None:
+        """Open what is closed. When it fails the daemon runs on without, and tries again later."""
+        try:
+            await self._head.open()
+        except CaptureError as error:
+            self._tell_state("FAULT", error=str(error), code=error.code)
+        else:
+            self._tell_state("READY")
+
+    async def _next_start(self, due_s: float) -> tuple[Command | None, float]:
+        """Wait for a command or for the tick that is due; return it and the tick after.
+
+        A tick that comes late moves all later ones (slip); missed ticks are counted, never made up for.
+        """
+        while True:
+            self._wake.clear()
+            if self._stopping:
+                return None, due_s
+            if self._commands:
+                return self._commands.popleft(), due_s
+            period_s, now_s = self._setup.period_s, time.monotonic()
+            if period_s is not None and now_s >= due_s:
+                late = int((now_s - due_s) / period_s) if period_s > 0 else 0
+                self._missed += late
+                return None, (now_s if late else due_s) + period_s
+            # a shorter period counts from now; after "only on command" the first tick is due at once
+            due_s = now_s if period_s is None else min(due_s, now_s + period_s)
+            wait_s = IDLE_CHECK_S if period_s is None else due_s - now_s
+            try:
+                await asyncio.wait_for(self._wake.wait(), wait_s)
+            except TimeoutError:
+                if period_s is None:
+                    await self._check_cameras()
+
+    async def _serve(self, command: Command | None) -> None:
+        if command is not None and command.kind is CommandKind.CHANGE_JOB:
+            self._change_job(command)
+            return
+        self._number += 1
+        self._tell_state("BUSY", keep_error=True)
+        snapshot = await self._measure(command)
+        self._announce(snapshot)
+        if snapshot.status is Status.CAPTURE_FAULT:
+            self._tell_state("FAULT", error=snapshot.error, code=snapshot.error_code)
+        else:
+            self._tell_state("READY")
+        # a free-running loop at full speed must still let every other task run
+        await asyncio.sleep(0)
+
+    def _change_job(self, command: Command) -> None:
+        job = self._setup.jobs.get(command.job)
+        if job is None:  # it was there when the command was accepted; a reload took it away
+            self._announce(CommandFailed(command, f"job {command.job} is no longer there"))
+            return
+        self._active = job
+        log.info("job %d (%s) is active", job.number, job.name)
+        self._announce(JobChanged(job.number, job.name, command))
+        if self._state is not None:
+            self._tell_state(self._state.state, keep_error=True)
+
+    async def _measure(self, command: Command | None) -> Snapshot:
+        """One cycle. A miss or a fault is a status; a bug propagates."""
+        setup = self._setup
+        job = (
+            setup.jobs.get(command.job, self._active) if command is not None and command.job else self._active
+        )
+        stopwatch = _Stopwatch()
+        try:
+            pair = await self._head.capture()
+        except CaptureError as error:
+            return self._snapshot(setup, job, command, Status.CAPTURE_FAULT, stopwatch, error=error)
+        stopwatch("capture")
+        self._announce(ExposureDone(self._number, command))
+        if command is not None and command.kind is CommandKind.GRAB:
+            return self._snapshot(setup, job, command, Status.NO_TARGET, stopwatch, pair=pair)
+        loop = asyncio.get_running_loop()
+        outcome = await loop.run_in_executor(self._vision, job.locate, pair, stopwatch)
+        return self._snapshot(setup, job, command, outcome.status, stopwatch, pair=pair, outcome=outcome)
+
+    def _snapshot(
+        self,
+        setup: Setup,
+        job: LoadedJob,
+        command: Command | None,
+        status: Status,
+        stopwatch: _Stopwatch,
+        *,
+        pair: FramePair | None = None,
+        outcome: Outcome | None = None,
+        error: CaptureError | None = None,
+    ) -> Snapshot:
+        return Snapshot(
+            cycle=self._number,
+            status=status,
+            command=command,
+            job=job.name,
+            job_number=job.number,
+            calibration_id=setup.calibration_id,
+            fingerprint=setup.fingerprint,
+            simulated=setup.simulated,
+            exposed_ns=pair.exposed_ns if pair is not None else 0,
+            published_ns=self._utc_ns(),
+            targets=outcome.targets if outcome is not None else (),
+            timing_ms=stopwatch.timing_ms(),
+            error=str(error) if error is not None else "",
+            error_code=error.code if error is not None else 0,
+            robot_from_rig=setup.robot_from_rig,
+        )
+
+    # --- telling ---------------------------------------------------------------------------
+
+    def _announce(self, event: Event) -> None:
+        for publisher in self._publishers:
+            publisher.announce(event)
+
+    def _tell_state(self, state: str, *, error: str = "", code: int = 0, keep_error: bool = False) -> None:
+        if keep_error and self._state is not None:
+            error, code = self._state.error, self._state.error_code
+        new = CellState(
+            state=state,
+            ready=state in ("READY", "BUSY") and not error,
+            cameras_ok=state in ("READY", "BUSY") and not error,
+            job=self._active.name,
+            job_number=self._active.number,
+            missed_triggers=self._missed,
+            error=error,
+            error_code=code,
+        )
+        if new == self._state:
+            return
+        if self._state is not None and error != self._state.error:
+            if error:
+                log.error("%s", error)
+            else:
+                log.info("recovered from: %s", self._state.error)
+        self._state = new
+        self._announce(new)
+
+
+class _Stopwatch:
+    """Collects stage times; called at the end of each stage."""
+
+    def __init__(self) -> None:
+        self._start_s = self._last_s = time.perf_counter()
+        self._stages: dict[str, float] = {}
+
+    def __call__(self, stage: str) -> None:
+        now_s = time.perf_counter()
+        self._stages[stage] = self._stages.get(stage, 0.0) + (now_s - self._last_s) * 1e3
+        self._last_s = now_s
+
+    def timing_ms(self) -> dict[str, float]:
+        return {**self._stages, "total": (time.perf_counter() - self._start_s) * 1e3}

@@ -1,0 +1,87 @@
+# Sourced by tools/demo and tools/test: brings a fresh Debian or Ubuntu to where edged runs.
+# Idempotent and quick the second time. Usage: . tools/setup.sh [run|test]
+#
+# Leaves an activated environment in .venv and NUMBA_CACHE_DIR set.
+
+set -euo pipefail
+EDGED_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+EDGED_FOR=${1:-run}
+cd "$EDGED_ROOT"
+
+say() { printf '\033[1m==>\033[0m %s\n' "$*" >&2; }
+
+apt_install() { # apt_install PACKAGE... ; what is missing, if we may
+    local missing=() package
+    for package in "$@"; do
+        [ "$(dpkg-query -W -f '${Status}' "$package" 2>/dev/null)" = "install ok installed" ] || missing+=("$package")
+    done
+    [ ${#missing[@]} -gt 0 ] || return 0
+    local as_root=()
+    if [ "$(id -u)" -ne 0 ]; then
+        if command -v sudo >/dev/null && { sudo -n true 2>/dev/null || [ -t 0 ]; }; then
+            as_root=(sudo)
+        else
+            say "not installed, because neither root nor sudo is there: ${missing[*]}"
+            return 1
+        fi
+    fi
+    say "installing with apt: ${missing[*]}"
+    local apt=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o Dpkg::Use-Pty=0)
+    { "${apt[@]}" install -y --no-install-recommends "${missing[@]}" ||
+        { "${apt[@]}" update && "${apt[@]}" install -y --no-install-recommends "${missing[@]}"; }; } >/dev/null 2>"$EDGED_ROOT/.apt.log" ||
+        { say "apt could not install them: $(tail -n 1 "$EDGED_ROOT/.apt.log")"; return 1; }
+    rm -f "$EDGED_ROOT/.apt.log"
+}
+
+is_recent() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; }
+
+# The distribution's own Python, because python3-gi (and with it Aravis) belongs to it.
+find_python() {
+    local python
+    for python in /usr/bin/python3 /usr/bin/python3.13 /usr/bin/python3.12 /usr/bin/python3.11 "$(command -v python3 || true)"; do
+        if [ -n "$python" ] && [ -x "$python" ] && is_recent "$python"; then
+            printf '%s\n' "$python"
+            return
+        fi
+    done
+    return 1
+}
+
+if command -v apt-get >/dev/null; then
+    packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
+    [ "$EDGED_FOR" != test ] || packages+=(mbpoll)
+    apt_install "${packages[@]}" || true
+    if ! find_python >/dev/null; then # Ubuntu 22.04 comes with 3.10; its PyGObject must be built for 3.11
+        apt_install python3.11 python3.11-venv python3.11-dev gcc pkg-config libgirepository1.0-dev libcairo2-dev || true
+    fi
+else
+    say "no apt-get on this machine: Aravis (gir1.2-aravis-0.8) and PyGObject are left to you"
+fi
+EDGED_PYTHON=$(find_python) || { say "edged needs Python 3.11 or newer, and none was found"; exit 2; }
+
+wanted=$({ cat pyproject.toml constraints.txt; "$EDGED_PYTHON" -V; pwd; } | sha256sum | cut -c1-16)
+if [ ! -e ".venv/$wanted" ]; then
+    if ! .venv/bin/python -c 'import sys' 2>/dev/null || [ "$(readlink -f .venv/bin/python)" != "$(readlink -f "$EDGED_PYTHON")" ]; then
+        rm -rf .venv
+        say "making .venv from $EDGED_PYTHON"
+        "$EDGED_PYTHON" -m venv --system-site-packages .venv
+    fi
+    say "installing the Python packages of pyproject.toml into .venv (versions of constraints.txt)"
+    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+    rm -f .venv/????????????????
+    touch ".venv/$wanted"
+fi
+if ! .venv/bin/python -c 'import gi' 2>/dev/null && command -v gcc >/dev/null && pkg-config --exists gobject-introspection-1.0 2>/dev/null; then
+    say "building PyGObject for $EDGED_PYTHON"
+    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt '.[aravis]' || say "PyGObject could not be built"
+fi
+.venv/bin/python - <<'PY' || say "Aravis is not here: real and GigE Vision cameras are unavailable, in-process cameras stand in"
+import gi
+gi.require_version("Aravis", "0.8")
+PY
+
+# shellcheck disable=SC1091
+. .venv/bin/activate
+export NUMBA_CACHE_DIR="$EDGED_ROOT/.venv/numba-cache"
+mkdir -p "$NUMBA_CACHE_DIR"
+edged warm --if-needed
