@@ -99,10 +99,11 @@ class Cycle:
         self._publishers: tuple[Publisher, ...] = ()
         self._commands: deque[Command] = deque()
         self._wake = asyncio.Event()
-        self._stopping = False
+        self.stopping = asyncio.Event()
         self._number = 0
         self._missed = 0
         self._state: CellState | None = None
+        self._pending: tuple[Setup, Head | None] | None = None
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
     # --- used by app -----------------------------------------------------------------------
@@ -116,26 +117,20 @@ class Cycle:
         self._publishers = newcomers
 
     def exchange(self, setup: Setup, head: Head | None = None) -> None:
-        """Take a new setup from the next cycle on (SIGHUP). A job that is gone falls back to the default."""
-        self._setup = setup
-        number = self._active.number if self._active.number in setup.jobs else setup.active_job
-        self._active = setup.jobs[number]
-        if head is not None:
-            self._head = head
-        if self._state is not None:
-            self._tell_state(self._state.state, error=self._state.error, code=self._state.error_code)
+        """Take a new setup, and new cameras if given, between this cycle and the next (SIGHUP)."""
+        self._pending = (setup, head)
         self._wake.set()
 
     def stop(self) -> None:
         """Let the running cycle end, then leave `run`."""
-        self._stopping = True
+        self.stopping.set()
         self._wake.set()
 
     # --- Commander -------------------------------------------------------------------------
 
     def submit(self, command: Command) -> None:
         """Queue a command. Raises `CommandRefused` when stopping, full, or the job is unknown."""
-        if self._stopping:
+        if self.stopping.is_set():
             raise CommandRefused("the daemon is stopping")
         if command.job and command.job not in self._setup.jobs:
             known = ", ".join(f"{job.number} ({job.name})" for job in self._setup.jobs.values())
@@ -156,13 +151,13 @@ class Cycle:
         try:
             await self._check_cameras()
             due_s = time.monotonic()
-            while not self._stopping:
-                command, due_s = await self._next_start(due_s)
-                if self._stopping:
-                    if command is not None:
-                        self._announce(CommandFailed(command, "the daemon is stopping"))
-                    break
-                await self._serve(command)
+            while not self.stopping.is_set():
+                if self._pending is not None:
+                    await self._apply(*self._pending)
+                elif self._commands:
+                    await self._serve(self._commands.popleft())
+                else:
+                    due_s = await self._tick_or_wait(due_s)
         finally:
             self._tell_state("STOPPING")
             while self._commands:
@@ -179,30 +174,37 @@ class Cycle:
         else:
             self._tell_state("READY")
 
-    async def _next_start(self, due_s: float) -> tuple[Command | None, float]:
-        """Wait for a command or for the tick that is due; return it and the tick after.
+    async def _apply(self, setup: Setup, head: Head | None) -> None:
+        """Exchange setup and cameras; a job that is gone falls back to the default."""
+        self._pending = None
+        self._setup = setup
+        number = self._active.number if self._active.number in setup.jobs else setup.active_job
+        self._active = setup.jobs[number]
+        if head is not None:
+            await self._head.close()
+            self._head = head
+        await self._check_cameras()
+
+    async def _tick_or_wait(self, due_s: float) -> float:
+        """Measure when the tick is due, else wait until something happens; returns the next tick.
 
         A tick that comes late moves all later ones (slip); missed ticks are counted, never made up for.
         """
-        while True:
-            self._wake.clear()
-            if self._stopping:
-                return None, due_s
-            if self._commands:
-                return self._commands.popleft(), due_s
-            period_s, now_s = self._setup.period_s, time.monotonic()
-            if period_s is not None and now_s >= due_s:
-                late = int((now_s - due_s) / period_s) if period_s > 0 else 0
-                self._missed += late
-                return None, (now_s if late else due_s) + period_s
-            # a shorter period counts from now; after "only on command" the first tick is due at once
-            due_s = now_s if period_s is None else min(due_s, now_s + period_s)
-            wait_s = IDLE_CHECK_S if period_s is None else due_s - now_s
-            try:
-                await asyncio.wait_for(self._wake.wait(), wait_s)
-            except TimeoutError:
-                if period_s is None:
-                    await self._check_cameras()
+        period_s, now_s = self._setup.period_s, time.monotonic()
+        if period_s is not None and now_s >= due_s:
+            late = int((now_s - due_s) / period_s) if period_s > 0 else 0
+            self._missed += late
+            await self._serve(None)
+            return (now_s if late else due_s) + period_s
+        # a shorter period counts from now; after "only on command" the first tick is due at once
+        due_s = now_s if period_s is None else min(due_s, now_s + period_s)
+        self._wake.clear()
+        try:
+            await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S if period_s is None else due_s - now_s)
+        except TimeoutError:
+            if period_s is None:
+                await self._check_cameras()
+        return due_s
 
     async def _serve(self, command: Command | None) -> None:
         if command is not None and command.kind is CommandKind.CHANGE_JOB:

@@ -1,0 +1,183 @@
+"""The command line: parses, calls `commands`, and turns errors into exit codes.
+
+0: done. 1: ran, and the answer is "no" (no target, check failed). 2: wrong usage or input; the
+message goes to stderr and names the file, the field and what was expected.
+
+Each command imports what it needs when it runs, so that `edged --help` stays quick.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edged import __version__
+
+app = typer.Typer(
+    name="edged",
+    help="Where is the workpiece? Two GenICam cameras in, coordinates with a sigma out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+RigOption = Annotated[Path, typer.Option("--rig", help="calibrated rig, written by `edged calibrate`")]
+JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else on stdout")]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"edged {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="show the version")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    config: Annotated[Path, typer.Argument(help="configuration file, see config/cell.toml")],
+) -> None:
+    """Run the daemon until SIGTERM; SIGHUP reloads the configuration."""
+    from edged.commands.run import run as command
+
+    raise typer.Exit(command(config))
+
+
+@app.command()
+def demo(
+    cycles: Annotated[int, typer.Option(min=0, help="stop after so many cycles; 0: until ctrl-C")] = 0,
+    period_s: Annotated[
+        float, typer.Option("--period", min=0, max=60, help="seconds from trigger to trigger")
+    ] = 0.25,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="cameras inside the process instead of GigE Vision over UDP")
+    ] = False,
+    modbus_port: Annotated[int, typer.Option(min=1, max=65535, help="Modbus/TCP port")] = 1502,
+    zenoh_port: Annotated[int, typer.Option(min=1, max=65535, help="Zenoh TCP port")] = 7447,
+    folder: Annotated[
+        Path | None, typer.Option(help="where rig, job and config go; default: a temporary folder")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a virtual cell and the daemon on this machine; shows measured against true position."""
+    from edged.commands.demo import DemoOptions
+    from edged.commands.demo import demo as command
+
+    raise typer.Exit(
+        command(DemoOptions(cycles, period_s, in_process, modbus_port, zenoh_port, folder, as_json))
+    )
+
+
+@app.command()
+def check(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    as_json: JsonOption = False,
+) -> None:
+    """Validate configuration, rig and jobs; report every mistake in one go."""
+    from edged.commands.check import check as command
+
+    raise typer.Exit(command(config, as_json=as_json))
+
+
+@app.command()
+def calibrate(
+    directory: Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")],
+    board: Annotated[str, typer.Option(help="for example chessboard:11x8:4.0 (inner corners, square in mm)")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    model: Annotated[str, typer.Option(help="lens model: brown or division")] = "brown",
+    report: Annotated[Path | None, typer.Option(help="HTML report to write")] = None,
+) -> None:
+    """Calibrate a stereo rig from pairs of pictures of a board."""
+    from rich.console import Console
+
+    from edged.commands.calibrate import calibrate as command
+
+    raise typer.Exit(command(directory, board, output, model, report, Console(stderr=True)))
+
+
+@app.command()
+def teach(
+    rig: RigOption,
+    left: Annotated[Path, typer.Option(help="left image")],
+    right: Annotated[Path, typer.Option(help="right image")],
+    roi: Annotated[str, typer.Option(help="X,Y,W,H around the part, pixels of the left image")],
+    name: Annotated[str, typer.Option(help="name of the job")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="job folder to write")],
+    number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
+) -> None:
+    """Teach a job from one stereo pair: shape model and metric features."""
+    from rich.console import Console
+
+    from edged.commands.teach import teach as command
+
+    raise typer.Exit(command(rig, left, right, roi, name, output, Console(stderr=True), number=number))
+
+
+@app.command()
+def locate(
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job folder, written by `edged teach`")],
+    left: Annotated[Path, typer.Argument(help="left image")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    as_json: JsonOption = False,
+    overlay: Annotated[
+        Path | None, typer.Option(help="picture to write: the pair with what was measured")
+    ] = None,
+) -> None:
+    """Locate the part in one stereo pair, offline."""
+    from rich.console import Console
+
+    from edged.commands.locate import locate as command
+
+    raise typer.Exit(command(rig, job, left, right, as_json, Console(), overlay=overlay))
+
+
+@app.command()
+def registers(
+    format: Annotated[str, typer.Option("--format", help="md, csv or json")] = "md",
+) -> None:
+    """Print the Modbus map, generated from the schema that encodes it."""
+    from edged.commands.registers import registers as command
+
+    raise typer.Exit(command(format))
+
+
+@app.command()
+def watch(
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(help="Zenoh endpoint, for example tcp/192.168.1.10:7447; may be repeated"),
+    ] = None,
+    cell: Annotated[str | None, typer.Option(help="only this cell")] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="stop after so many results")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print one JSON object per result, one a line")
+    ] = False,
+) -> None:
+    """Show live results of every cell that is reachable over Zenoh."""
+    from rich.console import Console
+
+    from edged.commands.watch import watch as command
+
+    raise typer.Exit(command(connect or ["tcp/127.0.0.1:7447"], cell, as_json, count, Console()))
+
+
+@app.command()
+def warm(
+    if_needed: Annotated[
+        bool, typer.Option("--if-needed", help="do nothing when the kernels are cached")
+    ] = False,
+) -> None:
+    """Compile the numerical kernels once, so that the daemon starts quickly."""
+    from edged.commands.warm import warm as command
+
+    raise typer.Exit(command(only_if_needed=if_needed))

@@ -1,0 +1,110 @@
+"""The configuration file: every mistake named at once, with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from edged.config import fingerprint, load
+from edged.errors import ConfigError
+
+GOOD = """
+[cell]
+name = "cell1"
+rig = "rig.json"
+jobs = "jobs"
+job = "flange"
+
+[cameras]
+source = "aravis"
+left.device = "192.0.2.1"
+right.device = "192.0.2.2"
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    """Make a configuration file."""
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    return path
+
+
+def problems(tmp_path: Path, text: str) -> list[str]:
+    """Load a text that must be refused; return its problems."""
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, text))
+    assert str(tmp_path / "cell.toml") in str(caught.value)
+    return caught.value.problems
+
+
+def test_a_minimal_file_gets_defaults_and_paths_beside_it(tmp_path: Path) -> None:
+    """Relative paths are relative to the file, not to the working directory."""
+    config = load(write(tmp_path, GOOD))
+
+    assert tmp_path / "rig.json" == config.cell.rig
+    assert ("command", 1502) == (config.cycle.mode, config.modbus.port)
+
+
+def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -> None:
+    """Unknown keys, wrong types, limits, missing fields: one line each."""
+    text = (
+        GOOD.replace('job = "flange"', "") + '[cycle]\nperiod_s = -1\nmod = "free"\n[modbus]\nport = 70000\n'
+    )
+
+    found = problems(tmp_path, text)
+
+    assert {"cell.job", "cycle.period_s", "cycle.mod", "modbus.port"} == {
+        line.split(":")[0] for line in found
+    }
+    assert "cycle.mod: unknown key" in found
+
+
+@pytest.mark.parametrize(
+    "change, place",
+    [
+        (('"192.0.2.2"', '"192.0.2.1"'), "cameras"),
+        (('left.device = "192.0.2.1"', ""), "cameras"),
+        (('source = "aravis"', 'source = "replay"'), "cameras"),
+        (('name = "cell1"', 'name = "a/b*"'), "cell.name"),
+        (('name = "cell1"', "name = 7"), "cell.name"),
+        (("[cameras]", "[cycle]\nperiod_s = nan\n[cameras]"), "cycle.period_s"),
+        (("[cameras]", "[cycle]\nperiod_s = inf\n[cameras]"), "cycle.period_s"),
+    ],
+)
+def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], place: str) -> None:
+    """Same device twice, missing devices, names that break keys, NaN and infinity."""
+    (problem,) = problems(tmp_path, GOOD.replace(*change))
+
+    assert problem.startswith(f"{place}: ")
+
+
+@pytest.mark.parametrize(
+    "content, message",
+    [(b"[cell\n", "not TOML"), (b"\xff\xfe", "not UTF-8"), (b"#" * 2_000_000, "larger than")],
+)
+def test_files_that_are_no_configuration_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    """Broken TOML says where, binary and huge files are not read further."""
+    path = tmp_path / "cell.toml"
+    path.write_bytes(content)
+
+    with pytest.raises(ConfigError, match=message):
+        load(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    """No stack trace for a typo."""
+    with pytest.raises(ConfigError, match=r"nowhere\.toml"):
+        load(tmp_path / "nowhere.toml")
+
+
+def test_the_fingerprint_changes_with_every_input(tmp_path: Path) -> None:
+    """Config, rig and job content each change it; the order of files does not."""
+    config = load(write(tmp_path, GOOD))
+    other = load(write(tmp_path, GOOD + "[cycle]\nperiod_s = 0.1\n"))
+    files = {"rig": b"1", "job": b"2"}
+
+    base = fingerprint(config, files)
+
+    assert fingerprint(config, dict(reversed(files.items()))) == base
+    assert len({base, fingerprint(other, files), fingerprint(config, {**files, "rig": b"x"})}) == 3

@@ -1,0 +1,305 @@
+"""The loop's promises: order, one answer per command, slipping ticks, faults as statuses."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from edged.cycle import QUEUE_LENGTH, Cycle, LoadedJob, Setup
+from edged.domain import (
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    Event,
+    ExposureDone,
+    Frame,
+    FramePair,
+    JobChanged,
+    Outcome,
+    Snapshot,
+    Status,
+)
+from edged.errors import CommandRefused, FrameTimeout
+
+
+class Head:
+    """A stereo head in memory; `broken` makes every capture fail."""
+
+    def __init__(self) -> None:
+        self.captures = 0
+        self.closed = 0
+        self.broken = False
+        self.capture_s = 0.0
+
+    async def open(self) -> None:
+        if self.broken:
+            raise FrameTimeout("left", "unplugged")
+
+    async def capture(self) -> FramePair:
+        await asyncio.sleep(self.capture_s)
+        if self.broken:
+            raise FrameTimeout("left", "unplugged")
+        self.captures += 1
+        image = np.zeros((4, 4), np.uint8)
+        now_ns = time.time_ns()
+        left, right = (Frame(side, self.captures, image, now_ns, now_ns) for side in ("left", "right"))
+        return FramePair(left, right)
+
+    async def close(self) -> None:
+        self.closed += 1
+
+
+class Ear:
+    """A publisher that remembers."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    async def start(self) -> None:
+        pass
+
+    def announce(self, event: Event) -> None:
+        self.events.append(event)
+
+    async def close(self) -> None:
+        pass
+
+    def snapshots(self) -> list[Snapshot]:
+        return [event for event in self.events if isinstance(event, Snapshot)]
+
+    def answers(self, command: Command) -> list[Event]:
+        kinds = (Snapshot, JobChanged, CommandFailed)
+        return [event for event in self.events if isinstance(event, kinds) and event.command == command]
+
+
+def found_nothing(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+    """A pipeline that never finds anything."""
+    lap("find")
+    return Outcome(Status.NO_TARGET)
+
+
+def make_setup(
+    period_s: float | None = None, locate=found_nothing, numbers: tuple[int, ...] = (1, 2)
+) -> Setup:
+    """Jobs "job1", "job2", ... with the given pipeline."""
+    jobs = {number: LoadedJob(f"job{number}", number, locate) for number in numbers}
+    return Setup(jobs, numbers[0], period_s, "cal", "f00d", simulated=False, robot_from_rig=None)
+
+
+def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
+    """Run a cycle beside `script(cycle, ear, head)`, then stop it."""
+    head, ear = head or Head(), Ear()
+
+    async def main() -> None:
+        cycle = Cycle(head, setup)
+        cycle.set_publishers([ear])
+        task = asyncio.create_task(cycle.run())
+        try:
+            await script(cycle, ear, head)
+        finally:
+            cycle.stop()
+            await asyncio.wait_for(task, 5)
+
+    asyncio.run(main())
+    return ear, head
+
+
+async def until(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
+    """Wait for a condition on the event loop."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "condition not met in time"
+        await asyncio.sleep(0.001)
+
+
+def locate_command(sequence: int, job: int = 0) -> Command:
+    """A request to measure."""
+    return Command(CommandKind.LOCATE, "test", sequence, job)
+
+
+def test_every_accepted_command_gets_exactly_one_answer() -> None:
+    """Locate, grab and job change are each answered once, in order."""
+    commands = [
+        locate_command(1),
+        Command(CommandKind.GRAB, "test", 2),
+        Command(CommandKind.CHANGE_JOB, "test", 3, 2),
+        locate_command(4),
+    ]
+
+    async def script(cycle, ear, head):
+        for command in commands:
+            cycle.submit(command)
+        await until(lambda: ear.answers(commands[-1]))
+
+    ear, _ = drive(make_setup(), script)
+
+    assert [1, 1, 1, 1] == [len(ear.answers(command)) for command in commands]
+    kinds = [type(ear.answers(command)[0]) for command in commands]
+    assert [Snapshot, Snapshot, JobChanged, Snapshot] == kinds
+    assert ("job1", "job2") == (ear.answers(commands[0])[0].job, ear.answers(commands[3])[0].job)
+
+
+def test_exposure_done_comes_before_the_result() -> None:
+    """The robot may move as soon as both images are in memory."""
+
+    async def script(cycle, ear, head):
+        cycle.submit(locate_command(1))
+        await until(ear.snapshots)
+
+    ear, _ = drive(make_setup(), script)
+
+    order = [type(event) for event in ear.events if isinstance(event, ExposureDone | Snapshot)]
+    assert [ExposureDone, Snapshot] == order
+
+
+def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
+    """The ninth waiting command is refused; none of the eight is lost."""
+    release = threading.Event()
+
+    def slow(pair, lap):
+        release.wait(5)
+        return Outcome(Status.NO_TARGET)
+
+    async def script(cycle, ear, head):
+        cycle.submit(locate_command(0))
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        for sequence in range(1, QUEUE_LENGTH + 1):
+            cycle.submit(locate_command(sequence))
+        with pytest.raises(CommandRefused, match="wait already"):
+            cycle.submit(locate_command(99))
+        release.set()
+        await until(lambda: len(ear.snapshots()) == QUEUE_LENGTH + 1)
+
+    ear, _ = drive(make_setup(locate=slow), script)
+
+    assert list(range(QUEUE_LENGTH + 1)) == [shot.command.sequence for shot in ear.snapshots()]
+
+
+def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
+    """Nothing that was accepted stays without an answer."""
+    head = Head()
+    head.capture_s = 0.05
+    commands = [locate_command(1), locate_command(2)]
+
+    async def script(cycle, ear, head):
+        for command in commands:
+            cycle.submit(command)
+        await until(
+            lambda: any(isinstance(event, CellState) and event.state == "BUSY" for event in ear.events)
+        )
+
+    ear, _ = drive(make_setup(), script, head)
+
+    assert [1, 1] == [len(ear.answers(command)) for command in commands]
+    assert isinstance(ear.answers(commands[1])[0], CommandFailed)
+
+
+@pytest.mark.parametrize(
+    "command, reason",
+    [
+        (locate_command(1, job=7), "unknown job 7"),
+        (Command(CommandKind.CHANGE_JOB, "test", 1), "needs a job number"),
+    ],
+)
+def test_a_command_that_makes_no_sense_is_refused_with_the_reason(command: Command, reason: str) -> None:
+    """The refusal names what is wrong."""
+
+    async def script(cycle, ear, head):
+        with pytest.raises(CommandRefused, match=reason):
+            cycle.submit(command)
+
+    drive(make_setup(), script)
+
+
+def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
+    """While a camera is gone every cycle says CAPTURE_FAULT without numbers; then results return."""
+
+    async def script(cycle, ear, head):
+        await until(ear.snapshots)
+        head.broken = True
+        await until(lambda: ear.snapshots()[-1].status is Status.CAPTURE_FAULT)
+        head.broken = False
+        await until(lambda: ear.snapshots()[-1].status is Status.NO_TARGET)
+
+    ear, _ = drive(make_setup(period_s=0.005), script)
+
+    faults = [shot for shot in ear.snapshots() if shot.status is Status.CAPTURE_FAULT]
+    assert faults
+    assert all(shot.targets == () and shot.exposed_ns == 0 and shot.error_code == 104 for shot in faults)
+    states = [event.state for event in ear.events if isinstance(event, CellState)]
+    assert "FAULT" in states
+    assert states.index("FAULT") < len(states) - 1 - states[::-1].index("READY")
+
+
+def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
+    """Idle in command mode, the loop looks after the cameras."""
+    monkeypatch.setattr("edged.cycle.IDLE_CHECK_S", 0.01)
+
+    async def script(cycle, ear, head):
+        await until(lambda: any(isinstance(event, CellState) and event.ready for event in ear.events))
+        head.broken = True
+        await until(lambda: ear.events[-1].state == "FAULT")
+        head.broken = False
+        await until(lambda: ear.events[-1].state == "READY")
+
+    drive(make_setup(), script)
+
+
+def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
+    """A cycle of four periods is followed by the next tick, not by a burst of the missed ones."""
+    starts: list[float] = []
+
+    def slow_once(pair, lap):
+        starts.append(time.monotonic())
+        if len(starts) == 1:
+            time.sleep(0.2)
+        return Outcome(Status.NO_TARGET)
+
+    async def script(cycle, ear, head):
+        await until(lambda: len(starts) >= 4)
+
+    ear, _ = drive(make_setup(period_s=0.05, locate=slow_once), script)
+
+    gaps = np.diff(starts)
+    assert gaps[1:].min() > 0.025, "missed ticks were made up for in a burst"
+    assert max(event.missed_triggers for event in ear.events if isinstance(event, CellState)) >= 3
+
+
+def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
+    """An exception that is no fault of the cameras ends the loop, with cameras closed."""
+
+    def broken(pair, lap):
+        raise ZeroDivisionError("a bug")
+
+    async def main() -> Head:
+        head = Head()
+        cycle = Cycle(head, make_setup(period_s=0.0, locate=broken))
+        with pytest.raises(ZeroDivisionError):
+            await asyncio.wait_for(cycle.run(), 5)
+        return head
+
+    assert asyncio.run(main()).closed == 1
+
+
+def test_a_new_setup_is_taken_between_two_cycles() -> None:
+    """After an exchange results carry the new fingerprint; a vanished job falls back to the default."""
+    new = Setup(make_setup(numbers=(2,)).jobs, 2, 0.005, "cal2", "beef", simulated=True, robot_from_rig=None)
+    second_head = Head()
+
+    async def script(cycle, ear, head):
+        await until(ear.snapshots)
+        cycle.exchange(new, second_head)
+        await until(lambda: ear.snapshots()[-1].fingerprint == "beef")
+
+    ear, head = drive(make_setup(period_s=0.005), script)
+
+    last = ear.snapshots()[-1]
+    assert ("job2", 2, "cal2", True) == (last.job, last.job_number, last.calibration_id, last.simulated)
+    assert head.closed >= 1
+    assert second_head.captures >= 1

@@ -1,0 +1,165 @@
+"""Files: what was written comes back; everything else is refused by name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from edged.errors import FileFormatError, ImageError
+from edged.store import load_arrays, load_image, load_rig, save_arrays, save_rig, write_atomically
+from edged.vision.camera import CameraModel, StereoRig
+
+CAMERA = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))
+
+
+@pytest.fixture
+def rig() -> StereoRig:
+    """A rig with every optional part."""
+    right_from_left = np.eye(4)
+    right_from_left[:3, 3] = (-95, -1.4, 55)
+    rig = StereoRig(CAMERA, CAMERA, right_from_left, "demo")
+    size = len(rig.parameter_names)
+    return StereoRig(CAMERA, CAMERA, right_from_left, "demo", np.eye(4), np.diag(np.arange(1.0, size + 1)))
+
+
+def test_a_rig_comes_back_as_it_was_written(tmp_path: Path, rig: StereoRig) -> None:
+    """Every number survives bit by bit, covariance included."""
+    save_rig(tmp_path / "rig.json", rig, {"rms_px": 0.03})
+
+    back = load_rig(tmp_path / "rig.json")
+
+    assert (rig.left, rig.right, rig.calibration_id) == (back.left, back.right, back.calibration_id)
+    for name in ("right_from_left", "robot_from_rig", "covariance"):
+        assert np.array_equal(getattr(rig, name), getattr(back, name))
+
+
+@pytest.mark.parametrize(
+    "field, value, place",
+    [
+        ("left", None, "left"),
+        ("left.fx", "wide", "left.fx"),
+        ("left.fx", -1, "left.fx"),
+        ("left.width", 0, "left.width"),
+        ("left.model", "fisheye", "left.model"),
+        ("left.distortion.kappa", None, "left.distortion.kappa"),
+        ("right_from_left", [[1, 2], [3, 4]], "right_from_left"),
+        ("right_from_left", (2 * np.eye(4)).tolist(), "right_from_left"),
+        ("right_from_left", np.eye(4).tolist(), "one place"),
+        ("right_from_left", "\u00e9", "right_from_left"),
+        ("calibration_id", 7, "calibration_id"),
+        ("covariance.matrix", [[1.0]], "covariance.matrix"),
+        ("version", 99, "version"),
+        ("format", "other", "not a rig"),
+    ],
+)
+def test_each_flaw_of_a_rig_file_is_named(
+    tmp_path: Path, rig: StereoRig, field: str, value, place: str
+) -> None:
+    """File, field and expectation are in the message."""
+    path = tmp_path / "rig.json"
+    save_rig(path, rig)
+    document = json.loads(path.read_text())
+    *parents, last = field.split(".")
+    node = document
+    for parent in parents:
+        node = node[parent]
+    node[last] = value
+    path.write_text(json.dumps(document))
+
+    with pytest.raises(FileFormatError, match=place) as caught:
+        load_rig(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\x00", b'{"format": NaN}'])
+def test_garbage_is_no_rig(tmp_path: Path, content: bytes) -> None:
+    """No traceback for a truncated or foreign file."""
+    (tmp_path / "rig.json").write_bytes(content)
+
+    with pytest.raises(FileFormatError, match=r"rig\.json"):
+        load_rig(tmp_path / "rig.json")
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path, monkeypatch) -> None:
+    """The old content stays until the new one is complete."""
+    target = tmp_path / "file"
+    target.write_bytes(b"old")
+    monkeypatch.setattr("os.fsync", lambda _fd: (_ for _ in ()).throw(OSError("disk full")))
+
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(target, b"new")
+
+    assert ([b"old"], ["file"]) == ([target.read_bytes()], [path.name for path in tmp_path.iterdir()])
+
+
+def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    """A damaged container is refused, never half loaded."""
+    path = tmp_path / "a.npz"
+    arrays = {"points": np.arange(600.0).reshape(300, 2), "n": np.array(7, np.int32)}
+    save_arrays(path, "shape", 1, arrays)
+    back = load_arrays(path, "shape", 1)
+    assert all(np.array_equal(arrays[name], back[name]) for name in arrays)
+
+    data = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        damaged = bytearray(data)
+        damaged[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            loaded = load_arrays(path, "shape", 1)
+        except FileFormatError as error:
+            assert str(path) in str(error)
+        else:  # a bit that carries nothing, such as a time stamp of the zip
+            assert all(np.array_equal(arrays[name], loaded[name]) for name in arrays)
+    for size in range(0, len(data), 97):
+        path.write_bytes(data[:size])
+        with pytest.raises(FileFormatError):
+            load_arrays(path, "shape", 1)
+
+
+def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> None:
+    """The message says what was found and what is read."""
+    path = tmp_path / "a.npz"
+    save_arrays(path, "shape", 1, {"a": np.zeros(3)})
+
+    with pytest.raises(FileFormatError, match="expected 'recording'"):
+        load_arrays(path, "recording", 1)
+    with pytest.raises(FileFormatError, match="version 1, this edged reads 2"):
+        load_arrays(path, "shape", 2)
+
+
+def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
+    """An object array cannot smuggle code in."""
+    path = tmp_path / "a.npz"
+    np.savez(path, __header__=np.array({"kind": "shape"}, dtype=object))
+
+    with pytest.raises(FileFormatError):
+        load_arrays(path, "shape", 1)
+
+
+def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
+    """8-bit grey, also stored as three equal channels; colour, 16-bit and text are refused."""
+    grey = np.random.default_rng(2).integers(0, 255, (20, 30), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "grey.png"), grey)
+    cv2.imwrite(str(tmp_path / "three.png"), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    assert np.array_equal(grey, load_image(tmp_path / "grey.png"))
+    assert np.array_equal(grey, load_image(tmp_path / "three.png"))
+
+    cv2.imwrite(str(tmp_path / "colour.png"), np.dstack([grey, 255 - grey, grey]))
+    cv2.imwrite(str(tmp_path / "deep.png"), grey.astype(np.uint16) * 256)
+    (tmp_path / "text.png").write_text("no image")
+    (tmp_path / "empty.png").touch()
+    for name, message in [
+        ("colour.png", "colour image"),
+        ("deep.png", "uint16"),
+        ("text.png", "not an image"),
+        ("empty.png", "not an image"),
+        ("none.png", "no such file"),
+    ]:
+        with pytest.raises(ImageError, match=message):
+            load_image(tmp_path / name)
