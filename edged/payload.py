@@ -1,0 +1,213 @@
+"""The published JSON: the one place where its shape is decided (schema: config/edged.schema.json).
+
+Used by `edged locate --json`, by Zenoh and by everything else that writes results down. Units are in
+the names; lengths in mm, angles in degrees for people, times in ns UTC. JSON has no NaN: a number
+that is not known is null. What is not good enough to be used never stands where a good result
+stands: `targets` of a published snapshot are good, the others are under `rejected`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from edged.domain import (
+    CellState,
+    Circle3D,
+    Command,
+    FloatArray,
+    Match,
+    Outcome,
+    Reject,
+    Snapshot,
+    Status,
+    Target,
+)
+
+SCHEMA_VERSION = 1
+"""Raised when a field changes its meaning or goes away; new fields do not raise it."""
+
+Json = dict[str, Any]
+
+
+def target_to_json(target: Target, robot_from_rig: FloatArray | None) -> Json:
+    """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
+
+    `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
+    is given in, the small rotation applied on the left.
+    """
+    document: Json = {
+        "job": target.job,
+        "score": _number(target.match.score),
+        **_pose(target.rig_from_part, target.covariance),
+        "match": _match(target.match),
+        "circles": [_circle(circle) for circle in target.circles],
+        "epipolar_rms_px": _number(target.epipolar_rms_px),
+        "reject": reject_names(target.reject),
+    }
+    if robot_from_rig is not None:
+        document["pose_robot"] = _pose(
+            robot_from_rig @ target.rig_from_part, rotate_covariance(target.covariance, robot_from_rig)
+        )
+    return document
+
+
+def outcome_to_json(
+    outcome: Outcome,
+    *,
+    cycle: int = 0,
+    calibration: str,
+    timing_ms: Mapping[str, float],
+    robot_from_rig: FloatArray | None = None,
+) -> Json:
+    """The answer of `edged locate --json`; rejected targets are listed too and say why."""
+    return {
+        "status": str(outcome.status),
+        "cycle": cycle,
+        "calibration": calibration,
+        "timing_ms": _timing(timing_ms),
+        "targets": [target_to_json(target, robot_from_rig) for target in outcome.targets],
+    }
+
+
+def snapshot_to_json(snapshot: Snapshot) -> Json:
+    """Everything of one cycle. `targets` are usable; `rejected` are shown for diagnosis only."""
+    usable = [
+        target for target in snapshot.targets if snapshot.status is Status.OK and target.reject is Reject.NONE
+    ]
+    rejected = [target for target in snapshot.targets if target not in usable]
+    return {
+        "status": str(snapshot.status),
+        "cycle": snapshot.cycle,
+        "command": None if snapshot.command is None else command_to_json(snapshot.command),
+        "exposed_ns": snapshot.exposed_ns or None,
+        "published_ns": snapshot.published_ns,
+        "job": snapshot.job,
+        "job_number": snapshot.job_number,
+        "calibration": snapshot.calibration_id,
+        "fingerprint": snapshot.fingerprint,
+        "simulated": snapshot.simulated,
+        "timing_ms": _timing(snapshot.timing_ms),
+        "targets": [target_to_json(target, snapshot.robot_from_rig) for target in usable],
+        "rejected": [target_to_json(target, snapshot.robot_from_rig) for target in rejected],
+        "error": snapshot.error,
+        "error_code": snapshot.error_code,
+    }
+
+
+def state_to_json(state: CellState) -> Json:
+    """The daemon's own state."""
+    return {
+        "state": state.state,
+        "ready": state.ready,
+        "cameras_ok": state.cameras_ok,
+        "job": state.job,
+        "job_number": state.job_number,
+        "missed_triggers": state.missed_triggers,
+        "error": state.error,
+        "error_code": state.error_code,
+    }
+
+
+def command_to_json(command: Command) -> Json:
+    """Who asked for a result."""
+    return {
+        "kind": command.kind.name,
+        "source": command.source,
+        "sequence": command.sequence,
+        "job": command.job,
+    }
+
+
+def message(kind: str, cell: str, started_ns: int, sequence: int, body: Mapping[str, Any]) -> Json:
+    """What goes on the wire: the body, and where it comes from.
+
+    kind : "target", "state", ...; names the definition in the schema.
+    started_ns : when this publisher started, UTC ns. With `sequence`, which counts the messages of a
+    kind from 1, it tells a lost message (a gap) from a restart (another `started_ns`).
+    """
+    return {
+        "schema": f"edged/{kind}/{SCHEMA_VERSION}",
+        "cell": cell,
+        "started_ns": started_ns,
+        "sequence": sequence,
+        **body,
+    }
+
+
+def encode(document: Mapping[str, Any]) -> bytes:
+    """JSON as ASCII bytes. Raises `ValueError` for a NaN that got past the functions above."""
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def reject_names(reject: Reject) -> list[str]:
+    """Names of the bits that are set, lowest first."""
+    return [str(bit.name) for bit in Reject if bit & reject]
+
+
+def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> FloatArray:
+    """The (6, 6) covariance of a pose, seen in another frame.
+
+    covariance : of (translation, rotation vector applied on the left), axes of the old frame.
+    to_from_from : (4, 4) rigid transform. With new = T old, a small rotation w of the old axes is
+    R w in the new ones, and so is a small shift: J = diag(R, R), J C J^T. The translation of T does
+    not enter, because the rotation turns the part about its own origin.
+    """
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = jacobian[3:, 3:] = to_from_from[:3, :3]
+    return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)
+
+
+def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
+    return {
+        "position_mm": _numbers(pose[:3, 3]),
+        "sigma_mm": _numbers(_sigmas(covariance)[:3]),
+        "rotation": _numbers(pose[:3, :3]),
+        "covariance_6x6": _numbers(covariance),
+    }
+
+
+def _match(match: Match) -> Json:
+    return {
+        "x_px": _number(match.x_px),
+        "y_px": _number(match.y_px),
+        "angle_deg": _number(math.degrees(match.angle_rad)),
+        "scale_x": _number(match.scale_x),
+        "scale_y": _number(match.scale_y),
+    }
+
+
+def _circle(circle: Circle3D) -> Json:
+    sigmas_mm = _sigmas(circle.covariance)
+    return {
+        "name": circle.name,
+        "centre_mm": _numbers(circle.centre_mm),
+        "normal": _numbers(circle.normal),
+        "radius_mm": _number(circle.radius_mm),
+        "sigma_radius_mm": _number(sigmas_mm[3]),
+        "sigma_centre_mm": _numbers(sigmas_mm[:3]),
+    }
+
+
+def _timing(timing_ms: Mapping[str, float]) -> Json:
+    return {stage: _number(duration_ms) for stage, duration_ms in timing_ms.items()}
+
+
+def _sigmas(covariance: FloatArray) -> FloatArray:
+    """Square roots of the diagonal; NaN where it is negative (a covariance that is none)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)
+
+
+def _number(value: float | np.floating[Any]) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _numbers(values: FloatArray) -> list[Any]:
+    """Nested lists of a vector or matrix, null for what is not finite."""
+    return [_number(value) if np.ndim(value) == 0 else _numbers(value) for value in values]
