@@ -1,0 +1,153 @@
+"""Rotations and rigid transforms.
+
+A rotation vector is axis times angle (rad). A transform is a (4, 4) matrix named
+`to_from_from`. Small rotations are applied on the left: `R' = rotation_matrix(w) @ R`; every
+covariance of a pose in edged is meant that way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+
+
+def skew(vectors: FloatArray) -> FloatArray:
+    """The (..., 3, 3) cross product matrices of vectors (..., 3): skew(a) @ b = a x b."""
+    v = np.asarray(vectors, dtype=np.float64)
+    zero = np.zeros_like(v[..., 0])
+    rows = [zero, -v[..., 2], v[..., 1], v[..., 2], zero, -v[..., 0], -v[..., 1], v[..., 0], zero]
+    return np.stack(rows, axis=-1).reshape(*v.shape[:-1], 3, 3)
+
+
+def rotation_matrix(vectors_rad: FloatArray) -> FloatArray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3).
+
+    Source: Rodrigues' formula, with sinc so that it is exact at and near zero.
+    """
+    vectors = np.asarray(vectors_rad, dtype=np.float64)
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    cross = skew(vectors)
+    # np.sinc(x) is sin(pi x) / (pi x); (1 - cos a) / a² = sinc²(a / 2) / 2 without cancellation
+    sine = np.sinc(angle / np.pi)
+    cosine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + sine * cross + cosine * (cross @ cross))
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """The rotation vector (3,) of a rotation matrix (3, 3), of length in [0, pi].
+
+    Goes through the quaternion's largest component, so that it is exact at both 0 and pi.
+    Source: S. W. Shepperd, "Quaternion from Rotation Matrix", 1978.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    trace = float(np.trace(r))
+    choices = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
+    i = int(np.argmax(choices)) - 1
+    quaternion = np.empty(4)  # w, x, y, z, up to a common factor
+    if i < 0:
+        quaternion[0] = 1 + trace
+        quaternion[1:] = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        quaternion[0] = r[k, j] - r[j, k]
+        quaternion[1 + i] = 1 + r[i, i] - r[j, j] - r[k, k]
+        quaternion[1 + j] = r[j, i] + r[i, j]
+        quaternion[1 + k] = r[k, i] + r[i, k]
+    quaternion /= np.linalg.norm(quaternion)
+    if quaternion[0] < 0:
+        quaternion = -quaternion
+    half_sine = float(np.linalg.norm(quaternion[1:]))
+    if half_sine < 1e-150:
+        return np.zeros(3)
+    angle = 2 * np.arctan2(half_sine, quaternion[0])
+    return np.asarray(quaternion[1:] * (angle / half_sine))
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """The rotation (3, 3) nearest to a matrix (3, 3) in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
+def transform(rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
+    """The (4, 4) transform x -> R x + t."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = translation_mm
+    return result
+
+
+def invert(to_from_from: FloatArray) -> FloatArray:
+    """The inverse of a rigid (4, 4) transform; `invert(a_from_b)` is b_from_a."""
+    rotation = to_from_from[:3, :3]
+    return transform(rotation.T, -rotation.T @ to_from_from[:3, 3])
+
+
+def apply(to_from_from: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Points (..., 3) of the frame `from` in the frame `to`."""
+    points = np.asarray(points_mm, dtype=np.float64)
+    return np.asarray(points @ to_from_from[:3, :3].T + to_from_from[:3, 3])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidFit:
+    """A rigid transform fitted to corresponding points.
+
+    to_from_from (4, 4); scale : 1 for a rigid fit, the best scale for a similarity.
+    residuals_mm (N, 3) : to - fitted, in the frame `to`.
+    sigma_mm : residual per coordinate over the degrees of freedom; NaN where none are left.
+    covariance (6, 6) : of (translation in mm, rotation vector in rad applied on the left),
+    from sigma_mm; the scale is taken as known.
+    """
+
+    to_from_from: FloatArray
+    scale: float
+    residuals_mm: FloatArray
+    sigma_mm: float
+    covariance: FloatArray
+
+
+def fit_rigid(
+    from_mm: FloatArray, to_mm: FloatArray, weights: FloatArray | None = None, *, with_scale: bool = False
+) -> RigidFit:
+    """Fit `to = scale R from + t` in the least squares sense.
+
+    from_mm, to_mm (N, 3), N >= 3 and not on one line; weights (N,) positive, relative 1/sigma².
+    Raises `CalibrationError` for too few points or points on one line.
+    Source: S. Umeyama, "Least-squares estimation of transformation parameters between two
+    point patterns", PAMI 1991, doi:10.1109/34.88573.
+    """
+    source, target = np.asarray(from_mm, dtype=np.float64), np.asarray(to_mm, dtype=np.float64)
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
+        raise CalibrationError(
+            f"a rigid fit needs at least three point pairs (N, 3), got {source.shape} and {target.shape}"
+        )
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise CalibrationError("a rigid fit needs finite coordinates")
+    w = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != (len(source),) or not np.isfinite(w).all() or (w <= 0).any():
+        raise CalibrationError(f"a rigid fit needs one positive weight for each of {len(source)} points")
+    w = w / w.mean()
+    mean_source, mean_target = np.average(source, axis=0, weights=w), np.average(target, axis=0, weights=w)
+    centred_source, centred_target = source - mean_source, target - mean_target
+    for centred in (centred_source, centred_target):
+        spread = np.linalg.svd(centred, compute_uv=False)
+        if spread[1] <= 1e-6 * max(spread[0], 1e-300):
+            raise CalibrationError("a rigid fit needs points that are not all on one line")
+    u, singular, vt = np.linalg.svd((w[:, None] * centred_target).T @ centred_source)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    rotation = (u * signs) @ vt
+    scale = float(singular @ signs / (w @ np.sum(centred_source**2, axis=1))) if with_scale else 1.0
+    fitted = transform(rotation, mean_target - scale * rotation @ mean_source)
+    arms = scale * source @ rotation.T
+    residuals = target - arms - fitted[:3, 3]
+
+    freedom = 3 * len(source) - 6 - int(with_scale)
+    sigma = float(np.sqrt(w @ np.sum(residuals**2, axis=1) / freedom)) if freedom > 0 else float("nan")
+    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(source), 3, 3)), -skew(arms)], axis=2)
+    normal = np.einsum("n,nij,nik->jk", w, jacobian, jacobian)
+    return RigidFit(fitted, scale, residuals, sigma, sigma**2 * np.linalg.inv(normal))

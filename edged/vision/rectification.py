@@ -1,0 +1,250 @@
+"""Rectification: both views turned so that corresponding points lie on one row (paper, 3.2).
+
+The rectified frame has its x axis along the baseline and its z axis between both optical
+axes. Both rectified cameras share the rotation, the focal length and the principal row, but
+not the principal column: a strongly verged rig looks at one place from both sides, and a
+common principal column would push that place out of both images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.errors import CalibrationError, ImageError
+from edged.vision.camera import CameraModel, StereoRig
+
+Side = Literal["left", "right"]
+INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv2.INTER_LANCZOS4}
+Interpolation = Literal["linear", "cubic", "lanczos"]
+
+_BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
+_SIZE_MULTIPLE = 16  # four pyramid levels halve the image without a remainder
+_MAX_GROWTH = 4.0  # more pixels than this times the raw image: the views hardly overlap in direction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rectification:
+    """Two ideal cameras side by side, and the way from the raw images to theirs.
+
+    size (w, h) of both rectified images.  focal_px, for x and y.
+    centre_left_px, centre_right_px (cx, cy): principal points; cy is the same.
+    baseline_mm : the right camera lies at (baseline_mm, 0, 0) of the rectified frame.
+    rectified_from_left, rectified_from_right (3, 3): rotations.
+    maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel.
+    valid_left, valid_right (h, w) uint8 : 255 where the raw image has a value, else 0.
+
+    A point with rectified columns x_l, x_r on one row has the parallax
+    (x_l - cx_l) - (x_r - cx_r) = focal_px baseline_mm / Z_rectified.
+    """
+
+    rig: StereoRig
+    size: tuple[int, int]
+    focal_px: float
+    centre_left_px: tuple[float, float]
+    centre_right_px: tuple[float, float]
+    baseline_mm: float
+    rectified_from_left: FloatArray
+    rectified_from_right: FloatArray
+    maps_left: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+    maps_right: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+    valid_left: Image
+    valid_right: Image
+
+    def left_image(
+        self, image: Image, out: Image | None = None, interpolation: Interpolation = "linear"
+    ) -> Image:
+        """The rectified left image (h, w); pixels outside the raw image are 0."""
+        return self._remap(self.rig.left, self.maps_left, image, out, interpolation, "left")
+
+    def right_image(
+        self, image: Image, out: Image | None = None, interpolation: Interpolation = "linear"
+    ) -> Image:
+        """The rectified right image (h, w); pixels outside the raw image are 0."""
+        return self._remap(self.rig.right, self.maps_right, image, out, interpolation, "right")
+
+    def rectify_points(self, side: Side, pixels: FloatArray) -> FloatArray:
+        """Rectified points (..., 2) of raw image points (..., 2); exact, needs no image."""
+        camera, rotation, centre = self._view(side)
+        return _rays_to_pixels(rotation, camera.normalise(pixels)) * self.focal_px + centre
+
+    def raw_points(self, side: Side, rectified: FloatArray) -> FloatArray:
+        """Raw image points (..., 2) of rectified points (..., 2): the inverse of `rectify_points`.
+
+        NaN where the raw camera cannot see in that direction.
+        """
+        camera, rotation, centre = self._view(side)
+        ideal = (np.asarray(rectified, dtype=np.float64) - centre) / self.focal_px
+        return _lens_pixels(camera, _rays_to_pixels(rotation.T, ideal))
+
+    def disparity_px(self, depth_mm: float) -> float:
+        """x_left - x_right in rectified pixels of a point at this depth of the rectified frame."""
+        offset = self.centre_left_px[0] - self.centre_right_px[0]
+        return self.focal_px * self.baseline_mm / depth_mm + offset
+
+    def _view(self, side: Side) -> tuple[CameraModel, FloatArray, FloatArray]:
+        if side == "left":
+            return self.rig.left, self.rectified_from_left, np.array(self.centre_left_px)
+        return self.rig.right, self.rectified_from_right, np.array(self.centre_right_px)
+
+    @staticmethod
+    def _remap(
+        camera: CameraModel,
+        maps: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
+        image: Image,
+        out: Image | None,
+        interpolation: Interpolation,
+        side: Side,
+    ) -> Image:
+        if image.shape != (camera.height, camera.width) or image.dtype != np.uint8:
+            found = " x ".join(str(n) for n in reversed(image.shape))
+            raise ImageError(
+                f"{side} image: {found} {image.dtype}, the rig was calibrated for "
+                f"{camera.width} x {camera.height} uint8 grey"
+            )
+        result = cv2.remap(
+            image,
+            *maps,
+            INTERPOLATIONS[interpolation],
+            dst=out,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
+        )
+        return np.asarray(result, dtype=np.uint8)
+
+
+def make_rectification(rig: StereoRig) -> Rectification:
+    """Choose the rectified cameras of a rig and compute the maps.
+
+    The z axis halves the angle between both optical axes, the focal length keeps the mean
+    pixel area of the raw images at their centres, the rows are those that both views have,
+    and the columns hold each view completely, so that no point seen by both is lost.
+    Raises `CalibrationError` for a rig whose views cannot be put side by side (one camera
+    looks along the baseline, or both share no row).
+    """
+    left_axes = _rectified_axes(rig)
+    right_axes = left_axes @ rig.right_from_left[:3, :3].T
+    focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
+    bounds_left = _bounds(rig.left, left_axes) * focal
+    bounds_right = _bounds(rig.right, right_axes) * focal
+    top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
+    if not bottom - top >= _SIZE_MULTIPLE:
+        raise CalibrationError("this rig cannot be rectified: both cameras see no common row")
+    span = np.array([max(np.ptp(bounds_left[:, 0]), np.ptp(bounds_right[:, 0])), bottom - top])
+    # The multiple is rounded up, plus the half pixel on each side that a pixel centre needs.
+    width, height = (int(n) for n in np.ceil((span + 1) / _SIZE_MULTIPLE) * _SIZE_MULTIPLE)
+    if width * height > _MAX_GROWTH * max(
+        rig.left.width * rig.left.height, rig.right.width * rig.right.height
+    ):
+        raise CalibrationError(
+            f"this rig cannot be rectified: its views would need {width} x {height} px; "
+            "do both cameras look across the baseline?"
+        )
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    centre_y = float(middle[1] - 0.5 * (top + bottom))
+    centre_left = (float(middle[0] - bounds_left[:, 0].mean()), centre_y)
+    centre_right = (float(middle[0] - bounds_right[:, 0].mean()), centre_y)
+    maps_left, valid_left = _maps(rig.left, left_axes, focal, centre_left, (width, height))
+    maps_right, valid_right = _maps(rig.right, right_axes, focal, centre_right, (width, height))
+    return Rectification(
+        rig=rig,
+        size=(width, height),
+        focal_px=focal,
+        centre_left_px=centre_left,
+        centre_right_px=centre_right,
+        baseline_mm=rig.baseline_mm,
+        rectified_from_left=left_axes,
+        rectified_from_right=right_axes,
+        maps_left=maps_left,
+        maps_right=maps_right,
+        valid_left=valid_left,
+        valid_right=valid_right,
+    )
+
+
+def _rectified_axes(rig: StereoRig) -> FloatArray:
+    """Rows: the rectified x, y, z axes in the left camera's frame."""
+    left_from_right = rig.right_from_left[:3, :3].T
+    baseline = -left_from_right @ rig.right_from_left[:3, 3]
+    x_axis = baseline / np.linalg.norm(baseline)
+    forward = np.array([0.0, 0.0, 1.0]) + left_from_right[:, 2]
+    z_axis = forward - x_axis * (x_axis @ forward)
+    length = float(np.linalg.norm(z_axis))
+    if length < 0.2:  # of at most 2: the mean view is within 6° of the baseline
+        raise CalibrationError("this rig cannot be rectified: its cameras look along the baseline")
+    z_axis = z_axis / length
+    return np.stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+
+
+def _focal_keeping_area(camera: CameraModel, axes: FloatArray) -> float:
+    """The focal length in px at which the image centre keeps its pixel area."""
+    centre = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+    step = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+    mapped = _rays_to_pixels(axes, camera.normalise(centre + step))
+    area = np.linalg.det(np.stack([mapped[1] - mapped[0], mapped[3] - mapped[2]]))
+    if not area > 0:
+        raise CalibrationError("this rig cannot be rectified: a camera looks away from the common view")
+    return float(1 / np.sqrt(area))
+
+
+def _bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
+    """((x_min, y_min), (x_max, y_max)) of the raw image's border at focal length 1."""
+    u = np.linspace(0, camera.width - 1, _BORDER_POINTS)
+    v = np.linspace(0, camera.height - 1, _BORDER_POINTS)
+    border = np.concatenate(
+        [np.stack(np.broadcast_arrays(u, edge), axis=-1) for edge in (0.0, camera.height - 1.0)]
+        + [np.stack(np.broadcast_arrays(edge, v), axis=-1) for edge in (0.0, camera.width - 1.0)]
+    )
+    mapped = _rays_to_pixels(axes, camera.normalise(border))
+    if not np.isfinite(mapped).all():
+        raise CalibrationError(
+            "this rig cannot be rectified: a camera sees more than 90° off the common view"
+        )
+    return np.stack([mapped.min(axis=0), mapped.max(axis=0)])
+
+
+def _rays_to_pixels(rotation: FloatArray, normalised: FloatArray) -> FloatArray:
+    """Turn the rays (x, y, 1) of normalised points (..., 2); NaN for those that end up behind."""
+    rays = np.asarray(normalised) @ rotation[:, :2].T + rotation[:, 2]
+    depth = np.where(rays[..., 2:] > 1e-6, rays[..., 2:], np.nan)
+    return np.asarray(rays[..., :2] / depth)
+
+
+def _lens_pixels(camera: CameraModel, normalised: FloatArray) -> FloatArray:
+    """Pixels (..., 2); NaN beyond the radius where the lens polynomial would fold back."""
+    inside = np.sum(normalised**2, axis=-1, keepdims=True) < _fold_radius2(camera)
+    return camera.pixels(np.where(inside, normalised, np.nan))
+
+
+def _fold_radius2(camera: CameraModel) -> float:
+    """Squared undistorted radius up to which the Brown model's radius grows; inf if it always does."""
+    if camera.model != "brown":
+        return np.inf
+    k1, k2, _, _, k3 = camera.distortion
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
+    turning = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    return float(turning.min()) if turning.size else np.inf
+
+
+def _maps(
+    camera: CameraModel, axes: FloatArray, focal: float, centre: tuple[float, float], size: tuple[int, int]
+) -> tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], Image]:
+    width, height = size
+    ideal = np.empty((height, width, 2))
+    ideal[..., 0] = (np.arange(width) - centre[0]) / focal
+    ideal[..., 1] = (np.arange(height)[:, None] - centre[1]) / focal
+    raw = _lens_pixels(camera, _rays_to_pixels(axes.T, ideal))
+    x, y = raw[..., 0], raw[..., 1]
+    with np.errstate(invalid="ignore"):
+        valid = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
+    # Far outside instead of NaN, whose conversion to an integer is undefined in cv2.remap; and never
+    # beyond what its 16-bit coordinates hold.
+    outside = np.float32(-1e4)
+    map_x = np.where(np.isfinite(x), np.clip(x, -1e4, 3e4), outside).astype(np.float32)
+    map_y = np.where(np.isfinite(y), np.clip(y, -1e4, 3e4), outside).astype(np.float32)
+    return (np.ascontiguousarray(map_x), np.ascontiguousarray(map_y)), valid.astype(np.uint8) * np.uint8(255)
