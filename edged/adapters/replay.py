@@ -1,0 +1,155 @@
+"""Image pairs from a folder, behind the port of a camera.
+
+Files are `NAME_left.*` and `NAME_right.*` (PNG, TIFF, BMP or JPEG). `replay_cameras` checks the whole
+folder at once and gives both cameras; they go through the pairs in step, in the order of their names,
+and start again after the last one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from edged.domain import Frame, Image
+from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
+from edged.store import load_image
+
+SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayPair:
+    """Two files of one exposure."""
+
+    name: str
+    left: Path
+    right: Path
+
+
+def find_pairs(folder: Path) -> list[ReplayPair]:
+    """The pairs of a folder, sorted by name.
+
+    Raises `ImageError` that names every half without its other half, every doubled half, or the
+    folder that holds no pair at all.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ImageError(f"{folder}: no such folder")
+    halves: dict[str, dict[str, Path]] = {}
+    problems: list[str] = []
+    for file in sorted(folder.iterdir()):
+        name, _, side = file.stem.rpartition("_")
+        if side not in SIDES or file.suffix.lower() not in SUFFIXES:
+            continue
+        twin = halves.setdefault(name, {}).setdefault(side, file)
+        if twin != file:
+            problems.append(f"{twin.name} and {file.name} are the same half")
+    for name, files in sorted(halves.items()):
+        problems += [f"{name}_{side} is missing" for side in SIDES if side not in files]
+    if problems:
+        raise ImageError(f"{folder}: {'; '.join(problems)}")
+    if not halves:
+        raise ImageError(f"{folder}: no pairs NAME_left.png, NAME_right.png")
+    return [ReplayPair(name, files["left"], files["right"]) for name, files in sorted(halves.items())]
+
+
+class Reel:
+    """The film that two `ReplayCamera`s show in step.
+
+    An exposure begins when a side asks for one it already has, and is joined by the other side.
+    """
+
+    def __init__(self, pairs: Sequence[ReplayPair], shape: tuple[int, int]) -> None:
+        self.pairs = tuple(pairs)
+        self.shape = shape
+        self.number = 0
+        self.exposed_ns = 0
+        self._taken = set(SIDES)
+
+    def expose(self, side: str) -> None:
+        """Join the exposure the other side began, or begin the next one."""
+        if side in self._taken:
+            self.number += 1
+            self.exposed_ns = time.time_ns()
+            self._taken.clear()
+        self._taken.add(side)
+
+    def resynchronise(self) -> None:
+        """Whoever asks next begins a new exposure."""
+        self._taken = set(SIDES)
+
+    def load(self, side: str, number: int) -> Image:
+        """Read the image of exposure `number`, from 1. Raises `ImageError`."""
+        pair = self.pairs[(number - 1) % len(self.pairs)]
+        path = pair.left if side == "left" else pair.right
+        image = load_image(path)
+        if image.shape != self.shape:
+            raise ImageError(f"{path}: {_size(image.shape)}, expected {_size(self.shape)} as the first image")
+        return image
+
+
+class ReplayCamera:
+    """One side of a folder of pairs."""
+
+    def __init__(self, name: str, reel: Reel) -> None:
+        if name not in SIDES:
+            raise ValueError(f"a replay camera is left or right, not {name!r}")
+        self._name = name
+        self._reel = reel
+        self._is_open = False
+        self._exposure: tuple[int, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """ "left" or "right"."""
+        return self._name
+
+    async def open(self) -> None:
+        """Nothing to connect; the film goes on where it was."""
+        if not self._is_open:
+            self._is_open = True
+            self._reel.resynchronise()
+
+    async def trigger(self) -> None:
+        """Go to the next pair."""
+        if not self._is_open:
+            raise CameraUnreachable(self._name, "not open")
+        self._reel.expose(self._name)
+        self._exposure = (self._reel.number, self._reel.exposed_ns)
+
+    async def frame(self) -> Frame:
+        """Return the image of the last trigger; `FrameIncomplete` when the file went bad meanwhile."""
+        if self._exposure is None:
+            raise FrameTimeout(self._name, "no exposure was triggered")
+        (number, exposed_ns), self._exposure = self._exposure, None
+        try:
+            image = await asyncio.to_thread(self._reel.load, self._name, number)
+        except ImageError as error:
+            raise FrameIncomplete(self._name, str(error)) from error
+        return Frame(self._name, number, image, exposed_ns, exposed_ns)
+
+    async def close(self) -> None:
+        """Forget the exposure under way."""
+        self._is_open = False
+        self._exposure = None
+
+
+def replay_cameras(folder: Path) -> tuple[ReplayCamera, ReplayCamera]:
+    """Left and right camera of a folder of pairs.
+
+    Raises `ImageError` for a folder without complete pairs (see `find_pairs`) and for a first pair that
+    cannot be read or whose halves differ in size. Every later image must have the size of the first.
+    """
+    pairs = find_pairs(folder)
+    left = load_image(pairs[0].left)
+    reel = Reel(pairs, (left.shape[0], left.shape[1]))
+    reel.load("right", 1)
+    return ReplayCamera("left", reel), ReplayCamera("right", reel)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]}x{shape[0]} pixels"

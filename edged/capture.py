@@ -1,0 +1,320 @@
+"""The stereo head: two cameras that answer as one.
+
+Responsible for: opening both, triggering both at once, one deadline for everything, the proof
+that two frames are one exposure, and reopening what broke. Not responsible for: how a camera is
+reached (`adapters`, `sim`), when it is triggered (`cycle`).
+
+A fault is a `CaptureError` at once, never a wait: cameras are opened by a task beside the cycle,
+and between two attempts the last error is all there is to say.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+import numpy as np
+
+from edged.domain import Frame, FramePair, Image
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    FrameTimeout,
+    PairingError,
+)
+from edged.ports import Camera
+
+REOPEN_AFTER = 3
+"""Exposures in a row that one camera failed to deliver, before it is closed and opened again.
+
+A single lost frame is the network's; a camera that was switched off and on accepts triggers on the
+old connection for ever and never sends an image.
+"""
+
+CLOCK_DRIFT = 400e-6
+"""Two camera clocks run apart by no more than this: crystals of ±200 ppm over temperature and age."""
+
+Result = TypeVar("Result")
+
+
+async def both(
+    left: Coroutine[Any, Any, Result], right: Coroutine[Any, Any, Result], timeout_s: float
+) -> tuple[Result, Result]:
+    """Run two coroutines as one: both results, or one error and neither still running.
+
+    The first error wins, and the other task is cancelled and awaited before it is raised; so it is
+    when the caller is cancelled. Raises `TimeoutError` when either is not done within timeout_s.
+    `asyncio.gather` leaves the other task running, and a `TaskGroup` inside `asyncio.timeout` can
+    surface a CancelledError on Python 3.11: hence this.
+    """
+    tasks = (asyncio.ensure_future(left), asyncio.ensure_future(right))
+    try:
+        await asyncio.wait(tasks, timeout=timeout_s, return_when=asyncio.FIRST_EXCEPTION)
+        for task in tasks:
+            if task.done():
+                task.result()
+        if not all(task.done() for task in tasks):
+            raise TimeoutError
+        return tasks[0].result(), tasks[1].result()
+    finally:
+        await _cancel_and_await(*tasks)
+
+
+async def _cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
+    """End tasks and see them end, even while being cancelled oneself; their results are dropped."""
+    cancelled: asyncio.CancelledError | None = None
+    for task in tasks:
+        task.cancel()
+    while not all(task.done() for task in tasks):
+        try:
+            await asyncio.wait(tasks)
+        except asyncio.CancelledError as error:
+            cancelled = error
+    for task in tasks:
+        if not task.cancelled():
+            task.exception()  # seen: or asyncio complains that it was never retrieved
+    if cancelled is not None:
+        raise cancelled
+
+
+class _Side:
+    """One camera of the head, and what is known of it.
+
+    frame_id : of the last frame since it was opened. image : the last one ever, so that a camera
+    that still shows the same picture after it was opened again is caught. paired_device_ns : its
+    own time of the last good pair since it was opened.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.open = False
+        self.faults = 0
+        self.frame_id: int | None = None
+        self.image: Image | None = None
+        self.paired_device_ns: int | None = None
+
+    @property
+    def name(self) -> str:
+        return self.camera.name
+
+    def closed(self) -> None:
+        self.open = False
+        self.faults = 0
+        self.frame_id = None
+        self.paired_device_ns = None
+
+
+class StereoHead:
+    """Two cameras that are triggered together.
+
+    timeout_s : from trigger to both images.
+    max_skew_s : two frames whose exposures differ by more are not one exposure.
+    open_timeout_s : for one attempt to open both cameras.
+    min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
+        camera; doubles with each one until a pair has been captured.
+    detect_frozen : an image that equals the one before it in every pixel is a fault; False for
+        sources without noise that may repeat themselves (a folder with one pair).
+    """
+
+    def __init__(
+        self,
+        left: Camera,
+        right: Camera,
+        *,
+        timeout_s: float = 1.0,
+        max_skew_s: float = 0.005,
+        open_timeout_s: float = 15.0,
+        min_backoff_s: float = 0.5,
+        max_backoff_s: float = 10.0,
+        detect_frozen: bool = True,
+    ) -> None:
+        self._sides = (_Side(left), _Side(right))
+        self._timeout_s = timeout_s
+        self._max_skew_s = max_skew_s
+        self._open_timeout_s = open_timeout_s
+        self._min_backoff_s = min_backoff_s
+        self._max_backoff_s = max_backoff_s
+        self._detect_frozen = detect_frozen
+        self._backoff_s = min_backoff_s
+        self._retry_at_s = 0.0
+        self._error: CaptureError | None = None
+        self._attempt: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Connect both cameras, and look after those that are connected.
+
+        Raises the `CaptureError` that keeps a camera closed. The first time it waits for the attempt
+        to end; while there is a known fault, for one capture time-out at most: the attempt goes on.
+        """
+        await self._ready(look=True)
+
+    async def capture(self) -> FramePair:
+        """One exposure of both cameras. Raises `CaptureError`; takes two time-outs at most."""
+        await self._ready(look=False)
+        try:
+            pair = await self._expose()
+            self._check_pair(pair)
+        except CaptureError as error:
+            await self._note(error)
+            raise
+        for side, frame in zip(self._sides, (pair.left, pair.right), strict=True):
+            side.paired_device_ns, side.faults = frame.device_ns, 0
+        self._backoff_s = self._min_backoff_s
+        return pair
+
+    async def close(self) -> None:
+        """Release both cameras and end an attempt to open them; safe to call twice."""
+        attempt, self._attempt = self._attempt, None
+        if attempt is not None:
+            await _cancel_and_await(attempt)
+        self._error, self._retry_at_s = None, 0.0
+        await self._close(*self._sides)
+
+    # --- opening -----------------------------------------------------------------------------
+
+    async def _ready(self, *, look: bool) -> None:
+        """Return when both cameras are open, or raise why they are not.
+
+        look : ask open cameras as well (`Camera.open` of an open camera says whether it is alive).
+        """
+        if self._attempt is None:
+            if not look and all(side.open for side in self._sides):
+                return
+            if self._error is not None and time.monotonic() < self._retry_at_s:
+                raise self._error.with_traceback(None)  # or every raise would make it longer
+            self._attempt = asyncio.create_task(self._open_both(), name="open cameras")
+        attempt = self._attempt
+        wait_s = self._open_timeout_s + 1.0 if self._error is None else self._timeout_s
+        await asyncio.wait({attempt}, timeout=wait_s)
+        if not attempt.done():
+            error = self._error or CameraUnreachable("both", "still being opened")
+            raise error.with_traceback(None)
+        if self._attempt is attempt:
+            self._attempt = None
+        attempt.result()  # a bug in an adapter is not a fault of the camera
+        if self._error is not None:
+            raise self._error.with_traceback(None)
+
+    async def _open_both(self) -> None:
+        """One attempt; leaves its verdict in `_error`. A camera that is well stays open meanwhile."""
+        left, right = self._sides
+        limit_s = self._open_timeout_s + 5.0  # each side has its own limit: this one is never met
+        errors = [e for e in await both(self._open(left), self._open(right), limit_s) if e is not None]
+        if errors:
+            self._fail(_merge(errors))
+        else:
+            self._error = None
+
+    async def _open(self, side: _Side) -> CaptureError | None:
+        try:
+            async with asyncio.timeout(self._open_timeout_s):
+                await side.camera.open()
+        except TimeoutError:
+            error: CaptureError = CameraUnreachable(side.name, f"not open after {self._open_timeout_s:g} s")
+        except CaptureError as refused:
+            error = refused
+        else:
+            side.open = True
+            return None
+        await self._close(side)
+        return error
+
+    async def _close(self, *sides: _Side) -> None:
+        for side in sides:
+            side.closed()
+        await asyncio.gather(*(side.camera.close() for side in sides))
+
+    def _fail(self, error: CaptureError) -> None:
+        """No camera is touched before the back-off has passed."""
+        self._error = error
+        self._retry_at_s = time.monotonic() + self._backoff_s
+        self._backoff_s = min(2 * self._backoff_s, self._max_backoff_s)
+
+    # --- one exposure ------------------------------------------------------------------------
+
+    async def _expose(self) -> FramePair:
+        """Trigger and fetch both within `timeout_s`; both triggers leave in one turn of the event loop."""
+        waiting = [side.name for side in self._sides]
+
+        async def shoot(camera: Camera) -> Frame:
+            await camera.trigger()
+            frame = await camera.frame()
+            waiting.remove(camera.name)
+            return frame
+
+        left, right = (side.camera for side in self._sides)
+        try:
+            return FramePair(*await both(shoot(left), shoot(right), self._timeout_s))
+        except TimeoutError:
+            name = waiting[0] if len(waiting) == 1 else "both"
+            raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
+
+    def _check_pair(self, pair: FramePair) -> None:
+        """Raise `PairingError` unless both frames are new and show one instant."""
+        problems = [
+            self._look_at(side, frame)
+            for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
+        ]
+        for side, problem in zip(self._sides, problems, strict=True):
+            if problem:
+                raise PairingError(side.name, problem)
+        skew_s = abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-9
+        if skew_s > self._max_skew_s:
+            raise PairingError("both", self._skew_text("exposures", skew_s))
+        self._check_device_clocks(pair)
+
+    def _look_at(self, side: _Side, frame: Frame) -> str:
+        """Remember a frame; what is wrong with it after the one before, or nothing."""
+        last_id, last_image = side.frame_id, side.image
+        side.frame_id, side.image = frame.frame_id, frame.image
+        if last_id is not None and frame.frame_id <= last_id:
+            return f"frame {frame.frame_id} came after frame {last_id}: not a new image"
+        # a dark or saturated image has no pixel to tell it from the one before
+        if (
+            self._detect_frozen
+            and last_image is not None
+            and np.array_equal(frame.image, last_image)
+            and np.ptp(frame.image) > 0
+        ):
+            return f"frozen: frame {frame.frame_id} equals the one before in every pixel"
+        return ""
+
+    def _check_device_clocks(self, pair: FramePair) -> None:
+        """Both cameras must have counted the same time since the pair before.
+
+        This needs no common epoch, and it sees what host time cannot: a camera that took its trigger late.
+        """
+        left, right = (side.paired_device_ns for side in self._sides)
+        if left is None or right is None:
+            return
+        left_ns, right_ns = pair.left.device_ns - left, pair.right.device_ns - right
+        if left_ns <= 0 or right_ns <= 0:  # a camera without a clock, or one whose clock was set
+            return
+        skew_s = abs(left_ns - right_ns) * 1e-9
+        if skew_s > self._max_skew_s + CLOCK_DRIFT * 1e-9 * max(left_ns, right_ns):
+            raise PairingError("both", self._skew_text("exposures by the cameras' own clocks", skew_s))
+
+    def _skew_text(self, what: str, skew_s: float) -> str:
+        return f"{what} {skew_s * 1e3:.2f} ms apart, allowed {self._max_skew_s * 1e3:g} ms"
+
+    async def _note(self, error: CaptureError) -> None:
+        """Close the cameras that an error says are gone, or that failed too often."""
+        at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
+        for side in at_fault:
+            side.faults += 1
+        gone = isinstance(error, CameraUnreachable | CameraBusy | CameraSetupError)
+        broken = [side for side in at_fault if gone or side.faults >= REOPEN_AFTER]
+        if broken:
+            self._fail(error)
+            await self._close(*broken)
+
+
+def _merge(errors: list[CaptureError]) -> CaptureError:
+    """One error for what both cameras say; of two kinds, the left camera's."""
+    if len(errors) == 1:
+        return errors[0]
+    return type(errors[0])("both", "; ".join(str(error).removeprefix("camera ") for error in errors))

@@ -1,0 +1,154 @@
+"""Replay: pairs stay pairs, whatever is asked in which order; a bad folder is named."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from edged.adapters.replay import ReplayCamera, find_pairs, replay_cameras
+from edged.capture import StereoHead
+from edged.domain import Image
+from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
+
+
+def picture(value: int, shape: tuple[int, int] = (12, 16)) -> Image:
+    """An image that is known by its grey value."""
+    return np.full(shape, value, np.uint8)
+
+
+def write_pairs(folder: Path, names: list[str]) -> None:
+    """Pair k has grey 10 k + 1 left and 10 k + 2 right."""
+    for k, name in enumerate(names):
+        cv2.imwrite(str(folder / f"{name}_left.png"), picture(10 * k + 1))
+        cv2.imwrite(str(folder / f"{name}_right.png"), picture(10 * k + 2))
+
+
+def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: Path) -> None:
+    """Left and right are halves of one pair; ids and times rise; after the last comes the first."""
+    write_pairs(tmp_path, ["a", "b", "c"])
+    (tmp_path / "notes.txt").write_text("not an image")
+    (tmp_path / "a_left.json").write_text("{}")
+
+    async def main():
+        head = StereoHead(*replay_cameras(tmp_path))
+        pairs = [await head.capture() for _ in range(7)]
+        await head.close()
+        return pairs
+
+    pairs = asyncio.run(main())
+
+    assert [1, 11, 21, 1, 11, 21, 1] == [int(pair.left.image[0, 0]) for pair in pairs]
+    assert [2, 12, 22, 2, 12, 22, 2] == [int(pair.right.image[0, 0]) for pair in pairs]
+    assert list(range(1, 8)) == [pair.left.frame_id for pair in pairs]
+    assert all(pair.left.exposed_ns == pair.right.exposed_ns for pair in pairs)
+    assert (np.diff([pair.exposed_ns for pair in pairs]) > 0).all()
+
+
+def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None:
+    """After an exposure that only one camera took, and after reopening, both show one pair again."""
+    write_pairs(tmp_path, ["a", "b", "c", "d"])
+
+    async def shoot(*cameras: ReplayCamera) -> list[int]:
+        for camera in cameras:
+            await camera.trigger()
+        return [(await camera.frame()).frame_id for camera in cameras]
+
+    async def main():
+        left, right = replay_cameras(tmp_path)
+        await left.open()
+        await right.open()
+        both = await shoot(left, right)
+        alone = await shoot(left)
+        after = await shoot(left, right)
+        await shoot(left)
+        await right.close()
+        await right.open()
+        reopened = await shoot(right, left)
+        return both, alone, after, reopened
+
+    both, alone, after, reopened = asyncio.run(main())
+
+    assert ([1, 1], [2], [3, 3]) == (both, alone, after)
+    assert reopened[0] == reopened[1] > 3
+
+
+def test_a_camera_that_is_closed_or_was_not_triggered_says_so(tmp_path: Path) -> None:
+    """No image without open and trigger, and each trigger gives one image."""
+    write_pairs(tmp_path, ["a"])
+
+    async def main():
+        left, _ = replay_cameras(tmp_path)
+        with pytest.raises(CameraUnreachable, match="not open"):
+            await left.trigger()
+        await left.open()
+        await left.trigger()
+        await left.frame()
+        with pytest.raises(FrameTimeout, match="no exposure"):
+            await left.frame()
+        await left.close()
+        await left.close()
+
+    asyncio.run(main())
+
+
+def test_every_missing_half_is_named_at_once(tmp_path: Path) -> None:
+    """A folder with halves is refused with the list of what is missing."""
+    write_pairs(tmp_path, ["a", "b", "c"])
+    (tmp_path / "a_right.png").unlink()
+    (tmp_path / "c_left.png").unlink()
+    cv2.imwrite(str(tmp_path / "b_left.bmp"), picture(3))
+
+    with pytest.raises(ImageError) as caught:
+        find_pairs(tmp_path)
+
+    message = str(caught.value)
+    assert all(part in message for part in ("a_right is missing", "c_left is missing", "b_left.bmp"))
+
+
+@pytest.mark.parametrize("name", ["nowhere", ""])
+def test_a_folder_without_pairs_is_refused(tmp_path: Path, name: str) -> None:
+    """An empty folder and one that is not there are both named."""
+    with pytest.raises(ImageError, match=r"no such folder|no pairs"):
+        replay_cameras(tmp_path / name)
+
+
+def test_a_first_pair_of_two_sizes_is_refused(tmp_path: Path) -> None:
+    """Both halves of a pair must have one size, and the message tells both sizes."""
+    cv2.imwrite(str(tmp_path / "a_left.png"), picture(1))
+    cv2.imwrite(str(tmp_path / "a_right.png"), picture(2, (10, 16)))
+
+    with pytest.raises(ImageError, match=r"a_right\.png: 16x10 pixels, expected 16x12"):
+        replay_cameras(tmp_path)
+
+
+def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> None:
+    """Wrong size, colour and damage are `FrameIncomplete` that names the file; the next pair is served."""
+    write_pairs(tmp_path, ["a", "b", "c", "d", "e"])
+    cv2.imwrite(str(tmp_path / "b_left.png"), picture(7, (20, 20)))
+    (tmp_path / "c_right.png").write_bytes(b"\x89PNG broken")
+    colour = np.zeros((12, 16, 3), np.uint8)
+    colour[..., 2] = 200
+    cv2.imwrite(str(tmp_path / "d_right.png"), colour)
+
+    async def main():
+        head = StereoHead(*replay_cameras(tmp_path), min_backoff_s=0.0)
+        results = [(await head.capture()).left.frame_id]
+        for _ in range(3):
+            with pytest.raises(FrameIncomplete) as caught:
+                await head.capture()
+            results.append(str(caught.value))
+        results.append((await head.capture()).left.frame_id)
+        await head.close()
+        return results
+
+    first, size, damage, colours, last = asyncio.run(main())
+
+    assert (1, 5) == (first, last)
+    assert "b_left.png: 20x20 pixels, expected 16x12" in size
+    assert "camera right" in damage
+    assert "c_right.png" in damage
+    assert "d_right.png: a colour image" in colours
