@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 import numpy as np
@@ -118,6 +118,7 @@ class StereoHead:
         camera; doubles with each one until a pair has been captured.
     detect_frozen : an image that equals the one before it in every pixel is a fault; False for
         sources without noise that may repeat themselves (a folder with one pair).
+    clock : monotonic seconds, for the back-off.
     """
 
     def __init__(
@@ -131,6 +132,7 @@ class StereoHead:
         min_backoff_s: float = 0.5,
         max_backoff_s: float = 10.0,
         detect_frozen: bool = True,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._sides = (_Side(left), _Side(right))
         self._timeout_s = timeout_s
@@ -139,6 +141,7 @@ class StereoHead:
         self._min_backoff_s = min_backoff_s
         self._max_backoff_s = max_backoff_s
         self._detect_frozen = detect_frozen
+        self._clock = clock
         self._backoff_s = min_backoff_s
         self._retry_at_s = 0.0
         self._error: CaptureError | None = None
@@ -184,7 +187,7 @@ class StereoHead:
         if self._attempt is None:
             if not look and all(side.open for side in self._sides):
                 return
-            if self._error is not None and time.monotonic() < self._retry_at_s:
+            if self._error is not None and self._clock() < self._retry_at_s:
                 raise self._error.with_traceback(None)  # or every raise would make it longer
             self._attempt = asyncio.create_task(self._open_both(), name="open cameras")
         attempt = self._attempt
@@ -231,7 +234,7 @@ class StereoHead:
     def _fail(self, error: CaptureError) -> None:
         """No camera is touched before the back-off has passed."""
         self._error = error
-        self._retry_at_s = time.monotonic() + self._backoff_s
+        self._retry_at_s = self._clock() + self._backoff_s
         self._backoff_s = min(2 * self._backoff_s, self._max_backoff_s)
 
     # --- one exposure ------------------------------------------------------------------------
