@@ -20,8 +20,10 @@ from edged.errors import CalibrationError, ImageError
 from edged.vision.camera import CameraModel, StereoRig
 
 Side = Literal["left", "right"]
-INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv2.INTER_LANCZOS4}
-Interpolation = Literal["linear", "cubic", "lanczos"]
+# Not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moved by up to 0.05 px,
+# against 0.02 px with either of these (tests/test_rectification.py holds them to it).
+INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "lanczos": cv2.INTER_LANCZOS4}
+Interpolation = Literal["linear", "lanczos"]
 
 _BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
 _SIZE_MULTIPLE = 16  # four pyramid levels halve the image without a remainder
@@ -186,8 +188,9 @@ def _focal_keeping_area(camera: CameraModel, axes: FloatArray) -> float:
     centre = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
     step = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
     mapped = _rays_to_pixels(axes, camera.normalise(centre + step))
-    area = np.linalg.det(np.stack([mapped[1] - mapped[0], mapped[3] - mapped[2]]))
-    if not area > 0:
+    across, down = mapped[1] - mapped[0], mapped[3] - mapped[2]
+    area = across[0] * down[1] - across[1] * down[0]
+    if not area > 0:  # NaN, too, when the centre ends up behind
         raise CalibrationError("this rig cannot be rectified: a camera looks away from the common view")
     return float(1 / np.sqrt(area))
 

@@ -1,0 +1,198 @@
+"""Rectification: rows agree, nothing seen by both is lost, images and points say the same."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from rigs import make_camera, make_rig, random_points, rigs
+
+from edged.errors import CalibrationError, ImageError
+from edged.vision.camera import StereoRig
+from edged.vision.geometry import apply, rotation_matrix, transform
+from edged.vision.rectification import make_rectification
+
+few = settings(max_examples=12, deadline=None)  # each example builds four maps
+
+
+@few
+@given(rigs, st.integers(0, 1000))
+def test_corresponding_points_lie_on_one_row_inside_both_images(rig: StereoRig, seed: int) -> None:
+    """Rectified rows of one point agree to 1e-7 px, and whatever both cameras see is kept."""
+    rectification = make_rectification(rig)
+    try:
+        points = random_points(rig, 50, seed)
+    except ValueError:
+        assume(False)
+    left = rectification.rectify_points("left", rig.left.project(points))
+    right = rectification.rectify_points("right", rig.right.project(apply(rig.right_from_left, points)))
+    assert np.abs(left[:, 1] - right[:, 1]).max() < 1e-7
+    width, height = rectification.size
+    for view in (left, right):
+        assert (view > -0.5).all()
+        assert (view < (width - 0.5, height - 0.5)).all()
+    assert rectification.size[0] % 16 == rectification.size[1] % 16 == 0
+
+
+@few
+@given(rigs, st.integers(0, 1000))
+def test_points_go_to_the_rectified_image_and_back(rig: StereoRig, seed: int) -> None:
+    """raw_points inverts rectify_points to 1e-8 px anywhere in the raw image."""
+    rectification = make_rectification(rig)
+    raw = np.random.default_rng(seed).uniform((0, 0), (rig.left.width - 1, rig.left.height - 1), (50, 2))
+    for side in ("left", "right"):
+        again = rectification.raw_points(side, rectification.rectify_points(side, raw))
+        assert np.abs(again - raw).max() < 1e-8
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "lanczos"])
+@pytest.mark.parametrize("model", ["brown", "division"])
+def test_images_and_points_are_rectified_alike(model: str, interpolation: str) -> None:
+    """A blob drawn in the raw image turns up in the rectified image where rectify_points says."""
+    rectification = make_rectification(make_rig(model))
+    y, x = np.mgrid[0:960, 0:1280]
+    for side, warp in (("left", rectification.left_image), ("right", rectification.right_image)):
+        for centre in ((300.3, 250.7), (900.0, 640.5), (640.2, 480.1)):
+            blob = np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * 3.0**2))
+            warped = warp(np.rint(250 * blob).astype(np.uint8), interpolation=interpolation).astype(float)
+            rows, columns = np.mgrid[0 : warped.shape[0], 0 : warped.shape[1]]
+            found = np.array([(warped * columns).sum(), (warped * rows).sum()]) / warped.sum()
+            expected = rectification.rectify_points(side, np.array(centre))
+            assert np.abs(found - expected).max() < 0.025  # the centroid of a warped, rounded blob
+
+
+@pytest.mark.parametrize("model", ["brown", "division"])
+def test_maps_and_masks_agree_with_exact_points(model: str) -> None:
+    """A map entry is raw_points of that pixel; the mask says whether it lies in the raw image."""
+    rectification = make_rectification(make_rig(model))
+    width, height = rectification.size
+    grid = np.stack(np.meshgrid(np.arange(0, width, 37), np.arange(0, height, 41)), axis=-1).astype(float)
+    sides = (
+        ("left", rectification.maps_left, rectification.valid_left),
+        ("right", rectification.maps_right, rectification.valid_right),
+    )
+    for side, maps, valid in sides:
+        raw = rectification.raw_points(side, grid)
+        mapped = np.stack([m[::41, ::37] for m in maps], axis=-1)
+        inside = ((raw >= 0) & (raw <= (1279, 959))).all(axis=-1)
+        assert np.abs(mapped - raw)[inside].max() < 1e-3
+        assert np.array_equal(valid[::41, ::37] == 255, inside)
+        assert 0.5 < inside.mean() < 1
+
+
+def test_pixel_scale_is_that_of_the_raw_images() -> None:
+    """The rectified focal length keeps the pixel area at the image centres within 10 %."""
+    rig = make_rig()
+    rectification = make_rectification(rig)
+    centre = np.array([639.5, 479.5])
+    for side in ("left", "right"):
+        corners = rectification.rectify_points(side, centre + np.array([[0, 0], [1, 0], [0, 1]]))
+        assert np.linalg.det(corners[1:] - corners[0]) == pytest.approx(1, abs=0.1)
+
+
+def test_one_distant_point_is_in_both_images_of_a_verged_rig() -> None:
+    """At 24° vergence the point where both axes meet lies near the middle of both rectified images."""
+    rig = make_rig(tilt_deg=0.0)
+    rectification = make_rectification(rig)
+    meeting = np.array([0, 0, 0.5 * rig.baseline_mm / np.sin(np.radians(12))])
+    left = rectification.rectify_points("left", rig.left.project(meeting))
+    right = rectification.rectify_points("right", rig.right.project(apply(rig.right_from_left, meeting)))
+    middle = (np.array(rectification.size) - 1) / 2
+    assert np.abs(left - middle).max() < 100
+    assert np.abs(right - middle).max() < 100
+
+
+def test_disparity_of_a_depth() -> None:
+    """disparity_px is left.x - right.x of a point at that rectified depth, principal points included."""
+    rig = make_rig()
+    rectification = make_rectification(rig)
+    points = random_points(rig, 20, 1)
+    left = rectification.rectify_points("left", rig.left.project(points))
+    right = rectification.rectify_points("right", rig.right.project(apply(rig.right_from_left, points)))
+    depths = (points @ rectification.rectified_from_left.T)[:, 2]
+    expected = [rectification.disparity_px(depth) for depth in depths]
+    assert np.allclose(left[:, 0] - right[:, 0], expected, atol=1e-8)
+
+
+def test_rectifying_into_a_given_array() -> None:
+    """`out` is filled and returned, so that a cycle allocates nothing."""
+    rectification = make_rectification(make_rig())
+    image = np.random.default_rng(0).integers(0, 255, (960, 1280), dtype=np.uint8)
+    out = np.empty((rectification.size[1], rectification.size[0]), np.uint8)
+    result = rectification.left_image(image, out)
+    assert result is out or result.base is out
+    assert np.array_equal(out, rectification.left_image(image))
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.zeros((480, 640), np.uint8), np.zeros((960, 1280, 3), np.uint8), np.zeros((960, 1280), np.uint16)],
+)
+def test_an_image_that_does_not_fit_the_rig_is_refused(image: np.ndarray) -> None:
+    """Wrong size, colour and depth are an ImageError that names both sizes."""
+    rectification = make_rectification(make_rig())
+    with pytest.raises(ImageError, match=r"right image.*1280 x 960"):
+        rectification.right_image(image)
+
+
+def test_rigs_that_cannot_be_rectified_are_refused() -> None:
+    """One camera behind the other, or cameras that look apart, are errors and not absurd maps."""
+    camera = make_camera("division")
+    behind = StereoRig(camera, camera, transform(np.eye(3), np.array([0.0, 0, 50])), "x")
+    with pytest.raises(CalibrationError, match="along the baseline"):
+        make_rectification(behind)
+    apart = rotation_matrix(np.array([0.0, np.radians(140), 0]))
+    with pytest.raises(CalibrationError, match="cannot be rectified"):
+        make_rectification(StereoRig(camera, camera, transform(apart, np.array([-100.0, 0, 0])), "x"))
+    up = rotation_matrix(np.array([np.radians(40), 0, 0]))
+    with pytest.raises(CalibrationError, match="no common row"):
+        make_rectification(StereoRig(camera, camera, transform(up, up @ np.array([-100.0, 0, 0])), "x"))
+
+
+def test_a_lens_that_folds_back_leaves_no_ghost() -> None:
+    """Where Brown's polynomial turns round, the rectified image is empty instead of repeating the scene."""
+    rig = make_rig("brown", vergence_deg=10)
+    # The radius turns round at sqrt(1 / (3 * 0.3)) = 1.05 of the focal length, outside the image's corner
+    folding = dataclasses.replace(rig.left, fx=1300.0, fy=1300.0, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
+    rectification = make_rectification(dataclasses.replace(rig, left=folding, right=folding))
+    directions = np.array([[1.6, 0.0], [0.3, 0.1]])
+    assert (folding.pixels(directions[0]) < 1280).all()
+    ideal = directions * rectification.focal_px + rectification.centre_left_px
+    raw = rectification.raw_points("left", ideal)
+    assert np.isnan(raw[0]).all()
+    assert np.isfinite(raw[1]).all()
+
+
+def test_right_frame_is_the_left_frame_turned() -> None:
+    """Both rotations lead to one rectified frame, in which the right camera lies on the x axis."""
+    rig = make_rig("brown")
+    rectification = make_rectification(rig)
+    left_from_right = rig.right_from_left[:3, :3].T
+    assert np.allclose(
+        rectification.rectified_from_right, rectification.rectified_from_left @ left_from_right
+    )
+    centre = -left_from_right @ rig.right_from_left[:3, 3]
+    assert np.allclose(rectification.rectified_from_left @ centre, [rig.baseline_mm, 0, 0], atol=1e-9)
+
+
+def test_plain_opencv_finds_the_same_rows() -> None:
+    """cv2.undistortPoints with our rotation gives our rectified points: an outside witness."""
+    rig = make_rig("brown")
+    rectification = make_rectification(rig)
+    raw = np.random.default_rng(2).uniform((0, 0), (1279, 959), (40, 2))
+    k = rectification.focal_px
+    cx, cy = rectification.centre_right_px
+    projection = np.array([[k, 0, cx], [0, k, cy], [0, 0, 1]])
+    expected = cv2.undistortPoints(
+        raw[:, None],
+        rig.right.matrix,
+        np.array(rig.right.distortion),
+        R=rectification.rectified_from_right,
+        P=projection,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
+    )[:, 0]
+    assert np.allclose(rectification.rectify_points("right", raw), expected, atol=1e-6)
