@@ -23,7 +23,7 @@ from edged.errors import (
     PairingError,
 )
 from edged.sim.exposure import ExposureRequest
-from edged.sim.inprocess import InProcessCamera
+from edged.sim.inprocess import InProcessCamera, InProcessFaults
 
 TIMEOUT_S = 0.1
 
@@ -658,6 +658,7 @@ def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> N
     async def script(bench: Bench) -> tuple[int, int]:
         good, bad, newest, last_was_good = 0, 0, 0, False
         for _ in range(1000):
+            bench.left.faults, bench.right.faults = InProcessFaults(), InProcessFaults()
             side = bench.side("left" if random.random() < 0.5 else "right")
             kind = random.integers(0, 12)
             side.faults.drop_next = int(kind == 0)
