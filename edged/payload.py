@@ -123,20 +123,20 @@ def command_to_json(command: Command) -> Json:
     }
 
 
-def message(kind: str, cell: str, started_ns: int, sequence: int, body: Mapping[str, Any]) -> Json:
+def message(
+    kind: str, cell: str, started_ns: int, body: Mapping[str, Any], sequence: int | None = None
+) -> Json:
     """What goes on the wire: the body, and where it comes from.
 
     kind : "target", "state", ...; names the definition in the schema.
-    started_ns : when this publisher started, UTC ns. With `sequence`, which counts the messages of a
-    kind from 1, it tells a lost message (a gap) from a restart (another `started_ns`).
+    started_ns : when this publisher started, UTC ns. sequence : counts the messages of a kind from 1;
+    together they tell a lost message (a gap) from a restart (another `started_ns`). An answer that was
+    never published has none.
     """
-    return {
-        "schema": f"edged/{kind}/{SCHEMA_VERSION}",
-        "cell": cell,
-        "started_ns": started_ns,
-        "sequence": sequence,
-        **body,
-    }
+    origin: Json = {"schema": f"edged/{kind}/{SCHEMA_VERSION}", "cell": cell, "started_ns": started_ns}
+    if sequence is not None:
+        origin["sequence"] = sequence
+    return {**origin, **body}
 
 
 def encode(document: Mapping[str, Any]) -> bytes:

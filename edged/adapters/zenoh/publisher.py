@@ -1,0 +1,380 @@
+"""Zenoh: results for other processes, other machines and fleets, and commands from them.
+
+Keys, below `edged/<cell>`:
+
+    target    each cycle: what was measured, or why not             (published, last one kept)
+    state     the daemon's state, on change                         (published, last one kept)
+    health    every second: rates, ages, counters                   (published)
+    alive     liveliness token: gone when the daemon or its link is
+    trigger   measure now; replies with the result                  (queryable)
+              parameters: kind=locate|grab|change_job, job=NUMBER, timeout_s=SECONDS
+    last      the last result and its age                           (queryable)
+    jobs      what can be measured                                  (queryable)
+    config    cell, calibration, fingerprint                        (queryable)
+
+Responsible for: sessions, threads, keys and quality of service. Not responsible for the shape of
+what is sent (`edged.payload`) nor for carrying commands out (`Commander`).
+
+Nothing here blocks the event loop. All state lives on the loop; two threads do what may wait: one
+publishes, one answers, so that a stalled client that asked cannot hold up those who listen. A full
+outbox gives up its oldest message, and the gap in `sequence` shows it: a coordinate that comes late
+is worth less than the next one. For the same reason congestion drops.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+import zenoh.ext
+
+from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
+from edged.adapters.zenoh.worker import Worker
+from edged.domain import CellState, Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
+from edged.errors import CommandRefused, ListenError
+from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
+from edged.ports import Commander
+
+log = logging.getLogger(__name__)
+
+PREFIX = "edged"
+SOURCE = "zenoh"  # of our commands
+HEALTH_PERIOD_S = 1.0
+OUTBOX_LENGTH = 64  # a second of the fastest cell; more would only be old news
+MAX_PENDING = 32  # triggers that wait for their answer
+MAX_TIMEOUT_S = 60.0
+OPEN_TIMEOUT_S = 5.0
+CLOSE_TIMEOUT_S = 1.0
+RATE_WINDOW = 32  # cycles over which the rate is taken
+QUERYABLES = ("trigger", "last", "jobs", "config")
+
+
+class ZenohPublisher:
+    """Publishes one cell over Zenoh and takes its commands (`edged.ports.Publisher`).
+
+    commander : takes the commands of `trigger`; None makes the cell read-only.
+    jobs : (number, name) of every job. config : what `config` answers; no secrets, please.
+    Both are called on the event loop.
+    """
+
+    def __init__(
+        self,
+        settings: ZenohSettings,
+        commander: Commander | None,
+        *,
+        jobs: Callable[[], Sequence[tuple[int, str]]] = tuple,
+        config: Callable[[], Mapping[str, Any]] = dict,
+        utc_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._settings = settings
+        self._commander = commander
+        self._jobs = jobs
+        self._config = config
+        self._utc_ns = utc_ns
+        self._base = f"{PREFIX}/{settings.cell}"
+        self._session: zenoh.Session | None = None
+        self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
+        self._sequences = {"target": 0, "state": 0, "health": 0}
+        self._started_ns = utc_ns()
+        self._outbox = Worker("zenoh-publish", OUTBOX_LENGTH)
+        self._answers = Worker("zenoh-answer", 2 * MAX_PENDING)
+        self._pending: dict[int, _Pending] = {}
+        self._commands = 0
+        self._closed = False
+        self._health = _Health()
+        self._heartbeat: asyncio.Task[None] | None = None
+        self._last: tuple[Snapshot, int] | None = None
+        self._state: CellState | None = None
+
+    # --- Publisher -------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Open the session. Raises `ListenError`, or `ConfigError` for what Zenoh cannot read."""
+        settings = self._settings
+        config = session_config(settings.mode, settings.listen, settings.connect, settings.config_file)
+        self._session = session = await bounded(lambda: open_session(config), OPEN_TIMEOUT_S, "open")
+        try:
+            self._declare(session)
+        except zenoh.ZError as error:
+            await self.close()
+            raise ListenError(f"zenoh: {self._base}: {plain(error)}") from error
+        self._outbox.start()
+        self._answers.start()
+        self._heartbeat = asyncio.create_task(self._beat(), name="zenoh-health")
+        log.info("zenoh: publishing %s, session %s", self._base, session.zid())
+
+    def announce(self, event: Event) -> None:
+        """Queue what the event means for others; answer the trigger that asked for it."""
+        if self._closed or self._session is None:
+            return
+        if isinstance(event, Snapshot):
+            sequence = self._publish("target", lambda: snapshot_to_json(event))
+            self._last = (event, sequence)
+            self._health.count(event)
+            self._answer_command(
+                event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
+            )
+        elif isinstance(event, CellState):
+            self._state = event
+            body = self._dated(state_to_json(event))
+            self._publish("state", lambda: body)
+        elif isinstance(event, JobChanged):
+            document = self._message("job", self._dated({"job_number": event.number, "job": event.name}))
+            self._answer_command(event.command, lambda: document)
+        elif isinstance(event, CommandFailed):
+            self._settle(event.command, event.reason)
+
+    async def close(self) -> None:
+        """Withdraw the cell, answer who waits, stop both threads; bounded in time."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._heartbeat is not None:
+            self._heartbeat.cancel()
+            await asyncio.wait({self._heartbeat})
+        for pending in list(self._pending.values()):
+            self._settle(pending.command, "the daemon is stopping")
+        session, self._session = self._session, None
+        try:
+            for worker in (self._outbox, self._answers):
+                await bounded(functools.partial(worker.stop, CLOSE_TIMEOUT_S), 2 * CLOSE_TIMEOUT_S, "stop")
+            if session is not None:
+                await bounded(session.close, CLOSE_TIMEOUT_S, "close")
+        except (ListenError, zenoh.ZError) as error:
+            log.warning("zenoh: the session did not close in order: %s", plain(error))
+
+    # --- publishing ------------------------------------------------------------------------
+
+    def _declare(self, session: zenoh.Session) -> None:
+        declare = functools.partial(
+            zenoh.ext.declare_advanced_publisher,
+            session,
+            cache=zenoh.ext.CacheConfig(max_samples=1),
+            publisher_detection=True,
+            congestion_control=zenoh.CongestionControl.DROP,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            express=True,  # never held back to be batched
+        )
+        self._publishers = {
+            "target": declare(f"{self._base}/target", priority=zenoh.Priority.REAL_TIME),
+            "state": declare(f"{self._base}/state", priority=zenoh.Priority.INTERACTIVE_HIGH),
+            "health": session.declare_publisher(
+                f"{self._base}/health",
+                priority=zenoh.Priority.DATA_LOW,
+                congestion_control=zenoh.CongestionControl.DROP,
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+            ),
+        }
+        loop = asyncio.get_running_loop()
+        self._declared = [
+            session.declare_queryable(
+                f"{self._base}/{name}", _on_loop(loop, name, self._on_query), complete=True
+            )
+            for name in QUERYABLES
+        ]
+        self._token = session.liveliness().declare_token(f"{self._base}/alive")
+
+    def _publish(self, kind: str, body: Callable[[], Json]) -> int:
+        """Queue a message; it is shaped and encoded on the publishing thread. Returns its sequence."""
+        self._sequences[kind] += 1
+        sequence, publisher = self._sequences[kind], self._publishers[kind]
+        self._outbox.post(lambda: publisher.put(encode(self._message(kind, body(), sequence))))
+        return sequence
+
+    def _message(self, kind: str, body: Mapping[str, Any], sequence: int | None = None) -> Json:
+        return message(kind, self._settings.cell, self._started_ns, body, sequence)
+
+    def _dated(self, body: Mapping[str, Any]) -> Json:
+        return {"published_ns": self._utc_ns(), **body}
+
+    async def _beat(self) -> None:
+        while True:
+            await asyncio.sleep(HEALTH_PERIOD_S)
+            health = {
+                "state": "STARTING" if self._state is None else self._state.state,
+                **self._health.to_json(),
+                "pending_triggers": len(self._pending),
+                "messages_dropped": self._outbox.dropped,
+                "messages_failed": self._outbox.failed,
+            }
+            self._publish("health", functools.partial(self._dated, health))
+
+    # --- answering -------------------------------------------------------------------------
+
+    def _on_query(self, name: str, query: zenoh.Query) -> None:
+        """A query has arrived (on the event loop)."""
+        if self._closed:
+            self._reply_error(query, "the daemon is stopping")
+        elif name == "trigger":
+            self._on_trigger(query)
+        elif name == "last":
+            self._on_last(query)
+        elif name == "jobs":
+            active = self._state.job_number if self._state is not None else None
+            jobs = [{"number": n, "name": job, "active": n == active} for n, job in self._jobs()]
+            document = self._message("jobs", self._dated({"jobs": jobs}))
+            self._reply(query, name, lambda: document)
+        else:
+            document = self._message("config", self._dated({"config": dict(self._config())}))
+            self._reply(query, name, lambda: document)
+
+    def _on_last(self, query: zenoh.Query) -> None:
+        if self._last is None:
+            self._reply_error(query, "nothing has been measured yet")
+            return
+        snapshot, sequence = self._last
+        age_ms = (self._utc_ns() - (snapshot.exposed_ns or snapshot.published_ns)) / 1e6
+        self._reply(
+            query,
+            "last",
+            lambda: {**self._message("target", snapshot_to_json(snapshot), sequence), "age_ms": age_ms},
+        )
+
+    def _on_trigger(self, query: zenoh.Query) -> None:
+        key = f"{self._base}/trigger"
+        if str(query.key_expr) != key:  # somebody looks around with wildcards: no reason to move anything
+            self._reply_error(query, f"a trigger must name its key, {key}")
+            return
+        try:
+            kind, job, timeout_s = _parse_trigger(query.parameters, self._settings.trigger_timeout_s)
+        except CommandRefused as error:
+            self._reply_error(query, str(error))
+            return
+        if self._commander is None:
+            self._reply_error(query, "this cell takes no commands over Zenoh")
+            return
+        if len(self._pending) >= MAX_PENDING:
+            self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
+            return
+        self._commands += 1
+        command = Command(kind, SOURCE, self._commands, job)
+        late = f"no result within {timeout_s:g} s"
+        timer = asyncio.get_running_loop().call_later(timeout_s, self._settle, command, late)
+        self._pending[command.sequence] = _Pending(query, command, timer)
+        try:
+            self._commander.submit(command)
+        except CommandRefused as error:
+            self._settle(command, str(error))
+
+    def _answer_command(self, command: Command | None, document: Callable[[], Json]) -> None:
+        pending = self._take(command)
+        if pending is not None:
+            self._reply(pending.query, "trigger", document)
+
+    def _settle(self, command: Command, reason: str) -> None:
+        """Answer a trigger with an error."""
+        pending = self._take(command)
+        if pending is not None:
+            self._reply_error(pending.query, reason, command)
+
+    def _take(self, command: Command | None) -> _Pending | None:
+        if command is None or command.source != SOURCE:
+            return None
+        pending = self._pending.pop(command.sequence, None)
+        if pending is not None:
+            pending.timer.cancel()
+        return pending
+
+    def _reply(self, query: zenoh.Query, name: str, document: Callable[[], Json]) -> None:
+        def send() -> None:
+            with query:
+                query.reply(
+                    f"{self._base}/{name}", encode(document()), encoding=zenoh.Encoding.APPLICATION_JSON
+                )
+
+        self._answers.post(send)
+
+    def _reply_error(self, query: zenoh.Query, reason: str, command: Command | None = None) -> None:
+        body: Json = {"error": reason}
+        if command is not None:
+            body["command"] = command_to_json(command)
+        document = self._message("error", self._dated(body))
+
+        def send() -> None:
+            with query:
+                query.reply_err(encode(document), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        self._answers.post(send)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    """A trigger that waits for its result."""
+
+    query: zenoh.Query
+    command: Command
+    timer: asyncio.TimerHandle
+
+
+class _Health:
+    """Counts of the cycles that were seen."""
+
+    def __init__(self) -> None:
+        self._started_s = time.monotonic()
+        self._ends_s: deque[float] = deque(maxlen=RATE_WINDOW)
+        self._counts: dict[str, int] = {}
+
+    def count(self, snapshot: Snapshot) -> None:
+        self._ends_s.append(time.monotonic())
+        self._counts[str(snapshot.status)] = self._counts.get(str(snapshot.status), 0) + 1
+
+    def to_json(self) -> Json:
+        now_s = time.monotonic()
+        rate_hz = None
+        if len(self._ends_s) > 1:
+            # the time since the last cycle counts too: a loop that stands still slows down to zero
+            span_s = max(self._ends_s[-1] - self._ends_s[0], now_s - self._ends_s[-1])
+            rate_hz = (len(self._ends_s) - 1) / span_s if span_s > 0 else None
+        return {
+            "uptime_s": now_s - self._started_s,
+            "cycles": sum(self._counts.values()),
+            "cycles_by_status": dict(self._counts),
+            "rate_hz": rate_hz,
+            "last_cycle_age_s": now_s - self._ends_s[-1] if self._ends_s else None,
+        }
+
+
+def _parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> tuple[CommandKind, int, float]:
+    """Command kind, job number, time-out of a trigger's parameters; raises `CommandRefused`."""
+    known = {"kind": "locate", "job": "0", "timeout_s": str(default_timeout_s)}
+    for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
+        if name not in known:
+            raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
+        known[name] = value
+    kinds = {kind.name.lower(): kind for kind in CommandKind}
+    kind = kinds.get(known["kind"].lower())
+    if kind is None:
+        raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")
+    if not (known["job"].isascii() and known["job"].isdigit() and int(known["job"][:6]) <= 65535):
+        raise CommandRefused(f"job: expected a number from 0 to 65535, got {known['job'][:40]!r}")
+    try:
+        timeout_s = float(known["timeout_s"])
+    except ValueError:
+        timeout_s = math.nan
+    if not 0 < timeout_s <= MAX_TIMEOUT_S:
+        raise CommandRefused(
+            f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
+        )
+    return kind, int(known["job"][:6]), timeout_s
+
+
+def _on_loop(
+    loop: asyncio.AbstractEventLoop, name: str, handle: Callable[[str, zenoh.Query], None]
+) -> Callable[[zenoh.Query], None]:
+    """A queryable's callback, which Zenoh calls on a thread of its own, carried to the event loop."""
+
+    def arrived(query: zenoh.Query) -> None:
+        try:
+            loop.call_soon_threadsafe(handle, name, query)
+        except RuntimeError:  # the loop is closed: the daemon is gone
+            query.drop()  # type: ignore[no-untyped-call]
+
+    return arrived

@@ -1,0 +1,117 @@
+"""Zenoh sessions: configuration, errors in plain words, calls that may block."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import zenoh
+
+from edged.errors import ConfigError, ListenError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohSettings:
+    """How a cell appears on the network.
+
+    listen, connect : endpoints such as "tcp/192.168.1.10:7447". There is no multicast scouting.
+    config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
+    mode, endpoints and scouting wins over the fields here.
+    trigger_timeout_s : how long a trigger waits for its result when it does not say so itself.
+    """
+
+    cell: str
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    config_file: Path | None = None
+    mode: Literal["peer", "client", "router"] = "peer"
+    trigger_timeout_s: float = 5.0
+
+
+def session_config(
+    mode: str, listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
+) -> zenoh.Config:
+    """A Zenoh configuration without scouting by multicast: only the endpoints that are named.
+
+    Raises `ConfigError` that names the file or the endpoints that Zenoh refuses.
+    """
+    source = str(config_file) if config_file is not None else "zenoh"
+    try:
+        config = zenoh.Config.from_file(config_file) if config_file is not None else zenoh.Config()
+    except zenoh.ZError as error:
+        raise ConfigError(source, [plain(error)]) from error
+    untouched = zenoh.Config()
+    wanted: dict[str, object] = {
+        "mode": mode,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "scouting/multicast/enabled": False,
+        # the cache that late joiners read needs time stamps
+        "timestamping/enabled": True,
+        # a hardened service may not lock memory (CAP_IPC_LOCK), and results are small
+        "transport/shared_memory/enabled": False,
+    }
+    for key, value in wanted.items():
+        if config.get_json(key) != untouched.get_json(key):
+            continue  # the file says so
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigError(source, [f"{key.replace('/', '.')}: {value!r}: {plain(error)}"]) from error
+    return config
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session. Raises `ListenError` that names the endpoints. Blocks: not for the event loop."""
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        places = (
+            f"listen {config.get_json('listen/endpoints')}, connect {config.get_json('connect/endpoints')}"
+        )
+        raise ListenError(f"zenoh: {plain(error)} ({places})") from error
+
+
+async def bounded(work: Callable[[], T], timeout_s: float, what: str) -> T:
+    """Run what may block on a thread of its own. Raises `ListenError` when it takes too long.
+
+    Not `asyncio.to_thread`: its threads are joined at exit, and one that hangs would hang the exit.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(setter: Callable[[Any], None], value: object) -> None:
+        if not done.done():
+            setter(value)
+
+    def run() -> None:
+        setter: Callable[[Any], None]
+        value: object
+        try:
+            setter, value = done.set_result, work()
+        except Exception as error:  # noqa: BLE001  (whatever it is, it is raised by the await below)
+            setter, value = done.set_exception, error
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(settle, setter, value)
+
+    thread = threading.Thread(target=run, name=f"zenoh-{what}", daemon=True)
+    thread.start()
+    try:
+        result = await asyncio.wait_for(done, timeout_s)
+    except TimeoutError:
+        raise ListenError(f"zenoh: {what} took longer than {timeout_s:g} s") from None
+    thread.join()  # its last line is running
+    return result
+
+
+def plain(error: BaseException) -> str:
+    """Zenoh's message without the paths of its source files."""
+    return str(error).split(" at /", 1)[0].strip()
