@@ -105,11 +105,12 @@ async def bounded(work: Callable[[], T], timeout_s: float, what: str) -> T:
     thread = threading.Thread(target=run, name=f"zenoh-{what}", daemon=True)
     thread.start()
     try:
-        result = await asyncio.wait_for(done, timeout_s)
+        return await asyncio.wait_for(done, timeout_s)
     except TimeoutError:
         raise ListenError(f"zenoh: {what} took longer than {timeout_s:g} s") from None
-    thread.join()  # its last line is running
-    return result
+    finally:
+        if not done.cancelled():
+            thread.join()  # it is at its last line
 
 
 def plain(error: BaseException) -> str:
