@@ -1,0 +1,192 @@
+"""Calibration boards: what they are, and what a detection of one is.
+
+A board's frame has x along its columns, y along its rows, z into the board (a camera that
+looks at it sees x, y, z right-handed). Marks are numbered row by row.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+
+IntArray = npt.NDArray[np.int64]
+
+_MAX_MARKS_PER_SIDE = 100
+_GRAMMAR = {
+    "chessboard": "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
+    "dots": "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. dots:7x7:5.0",
+    "charuco": "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY (squares), e.g. charuco:12x9:4:3:5X5_250",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Chessboard:
+    """columns x rows inner corners, `pitch_mm` apart.
+
+    Mark 0 lies next to a black corner square, where the board has one.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """(N, 3) all marks in the board's frame."""
+        return _grid(self.columns, self.rows, self.pitch_mm)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the board turned by 180° looks the same, so that one image cannot tell."""
+        return (self.columns + self.rows) % 2 == 0
+
+    def __str__(self) -> str:
+        return f"chessboard:{self.columns}x{self.rows}:{self.pitch_mm:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class DotGrid:
+    """columns x rows round marks, `pitch_mm` apart, with a filled corner of the frame next to mark 0."""
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    diameter_mm: float
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """(N, 3) all marks in the board's frame."""
+        return _grid(self.columns, self.rows, self.pitch_mm)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """The orientation mark settles it."""
+        return False
+
+    def __str__(self) -> str:
+        return f"dots:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.diameter_mm:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Charuco:
+    """A chessboard of columns x rows *squares* with ArUco markers in the white ones; parts of it suffice."""
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    marker_mm: float
+    dictionary: str
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """(N, 3) all inner corners in the board's frame."""
+        return _grid(self.columns - 1, self.rows - 1, self.pitch_mm)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """The markers settle it."""
+        return False
+
+    def __str__(self) -> str:
+        return f"charuco:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.marker_mm:g}:{self.dictionary}"
+
+
+Board = Chessboard | DotGrid | Charuco
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """A board found in one image.
+
+    ids (N,) : which of the board's points.  pixels (N, 2).
+    sigma_px (N,) : standard deviation of one coordinate, from the fit of that mark.
+    blur_px : sigma of the edge spread; contrast : grey values between black and white; medians.
+    """
+
+    ids: IntArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+    blur_px: float
+    contrast: float
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """No usable board in an image, and why."""
+
+    reason: str
+
+
+def parse_board(text: str) -> Board:
+    """Read a board specification such as "chessboard:11x8:4.0".
+
+    Raises `CalibrationError` that names the part that is wrong and shows the grammar.
+    """
+    kind, *parts = text.strip().split(":")
+    kind = kind.lower()
+    if kind not in _GRAMMAR:
+        raise CalibrationError(
+            f"board {text!r}: {kind!r} is not a kind of board; expected one of\n  "
+            + "\n  ".join(_GRAMMAR.values())
+        )
+    counts = {"chessboard": (2,), "dots": (2, 3), "charuco": (4,)}[kind]
+    if len(parts) not in counts:
+        raise CalibrationError(
+            f"board {text!r}: {len(parts)} values after the kind, expected {_GRAMMAR[kind]}"
+        )
+    columns, rows = _size(text, kind, parts[0])
+    pitch = _length(text, kind, "square" if kind != "dots" else "pitch", parts[1])
+    if kind == "chessboard":
+        return Chessboard(columns, rows, pitch)
+    if kind == "dots":
+        diameter = _length(text, kind, "diameter", parts[2]) if len(parts) == 3 else pitch / 2
+        if diameter >= pitch:
+            raise CalibrationError(
+                f"board {text!r}: dots of {diameter:g} mm overlap at a pitch of {pitch:g} mm"
+            )
+        return DotGrid(columns, rows, pitch, diameter)
+    marker = _length(text, kind, "marker", parts[2])
+    if marker >= pitch:
+        raise CalibrationError(f"board {text!r}: markers of {marker:g} mm do not fit squares of {pitch:g} mm")
+    name = parts[3].upper().removeprefix("DICT_")
+    if not isinstance(getattr(cv2.aruco, f"DICT_{name}", None), int):
+        known = ", ".join(sorted(n[5:] for n in dir(cv2.aruco) if n.startswith("DICT_")))
+        raise CalibrationError(
+            f"board {text!r}: {parts[3]!r} is not an ArUco dictionary; expected one of {known}"
+        )
+    return Charuco(columns, rows, pitch, marker, name)
+
+
+def _size(text: str, kind: str, part: str) -> tuple[int, int]:
+    columns, cross, rows = part.lower().partition("x")
+    if not (cross and columns.isascii() and columns.isdigit() and rows.isascii() and rows.isdigit()):
+        raise CalibrationError(f"board {text!r}: {part!r} is not COLSxROWS; expected {_GRAMMAR[kind]}")
+    size = int(columns[:9]), int(rows[:9])
+    if not all(3 <= n <= _MAX_MARKS_PER_SIDE for n in size):
+        raise CalibrationError(f"board {text!r}: {part}: columns and rows must be 3 to {_MAX_MARKS_PER_SIDE}")
+    return size
+
+
+def _length(text: str, kind: str, name: str, part: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        value = math.nan
+    if not 0.001 <= value <= 10_000:
+        raise CalibrationError(
+            f"board {text!r}: {name} {part!r} is not a length in mm (0.001 to 10000); "
+            f"expected {_GRAMMAR[kind]}"
+        )
+    return value
+
+
+def _grid(columns: int, rows: int, pitch_mm: float) -> FloatArray:
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float64) * pitch_mm
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(columns * rows)])

@@ -1,0 +1,147 @@
+"""Chessboard corners: found by OpenCV, measured by fitting the picture of a corner.
+
+The corner model is two straight edges that cross, each blurred by the same Gaussian:
+
+    I(p) = a + g·(p - c) + b erf(n1·(p - c) / (√2 s)) erf(n2·(p - c) / (√2 s))
+
+with centre c, edge normals n1, n2, blur s, mean grey a, its slope g and half contrast b. It is
+symmetric about c, and so is everything it leaves out (spread of ink, saturation, the product
+form where the edges are not square to each other): that widens the residuals and the stated
+sigma, but does not move c.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.vision.boards import Chessboard, Detection, IntArray, Missed
+from edged.vision.cornerfit import fit_corners
+
+_MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains
+_MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns
+_RADIUS_SHARE = 0.7  # of the distance to the next edge, which must stay out of the window with its blur
+_MIN_CONTRAST = 8.0  # grey values; below, 8-bit rounding decides
+_MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
+
+
+def detect_chessboard(image: Image, board: Chessboard) -> Detection | Missed:
+    """Find all inner corners of a chessboard.
+
+    image (H, W) uint8.  The order is right-handed, and starts at the black corner square where
+    the board has one at one end only (or both at one end of a diagonal, for square boards).
+    """
+    found = _find(image, board)
+    if found is None:
+        return Missed(f"no {board.columns}x{board.rows} inner corners found")
+    grid = _in_canonical_order(image, found)
+    if grid is None or grid.shape[:2] != (board.rows, board.columns):
+        return Missed("the corners found do not form the board's grid")
+    fits = refine_corners(image, grid)
+    return judge_corners(fits, np.arange(board.rows * board.columns))
+
+
+def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | Missed:
+    """Keep the corners whose fit succeeded; too few, or a picture too flat, is a miss.
+
+    fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, one for each of ids (N,).
+    """
+    contrast = float(np.median(fits[:, 4]))
+    ok = (fits[:, 5] > 0) & np.isfinite(fits).all(axis=1) & (fits[:, 4] > 0.25 * contrast)
+    if contrast < _MIN_CONTRAST:
+        return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
+    if ok.sum() < max(6, 0.5 * len(ids)):
+        return Missed(
+            f"only {ok.sum()} of {len(ids)} corners can be measured (blurred, saturated or covered)"
+        )
+    good = fits[ok]
+    return Detection(ids[ok], good[:, :2].copy(), good[:, 2].copy(), float(np.median(good[:, 3])), contrast)
+
+
+def _find(image: Image, board: Chessboard) -> FloatArray | None:
+    """Corners (rows, columns, 2) to about a pixel, or None."""
+    scale = min(1.0, math.sqrt(_MAX_SEARCH_PX / image.size))
+    small = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    size = (board.columns, board.rows)
+    found, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:  # the older detector sees some boards that the newer one does not, and the other way round
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        found, corners = cv2.findChessboardCorners(small, size, flags=flags)
+    if not found or corners is None:
+        return None
+    pixels = np.asarray(corners, dtype=np.float64).reshape(board.rows, board.columns, 2)
+    return (pixels + 0.5) / scale - 0.5
+
+
+def _in_canonical_order(image: Image, grid: FloatArray) -> FloatArray | None:
+    """The grid (rows, columns, 2) with a right-handed order and a dark first square."""
+    across, down = np.diff(grid, axis=1).mean(axis=(0, 1)), np.diff(grid, axis=0).mean(axis=(0, 1))
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[::-1]
+    if _first_square_is_dark(image, grid):
+        return grid
+    turned = grid[::-1, ::-1]
+    if _first_square_is_dark(image, turned):
+        return turned
+    if grid.shape[0] == grid.shape[1]:
+        return np.swapaxes(grid, 0, 1)[:, ::-1]
+    return grid
+
+
+def _first_square_is_dark(image: Image, grid: FloatArray) -> bool:
+    """Whether the squares like the first one are darker than their neighbours (summed over the board)."""
+    centres = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
+    smooth = cv2.blur(image, (3, 3))
+    x = np.clip(np.rint(centres[..., 0]).astype(int), 0, image.shape[1] - 1)
+    y = np.clip(np.rint(centres[..., 1]).astype(int), 0, image.shape[0] - 1)
+    signs = (-1.0) ** np.add.outer(np.arange(centres.shape[0]), np.arange(centres.shape[1]))
+    return float(np.sum(signs * smooth[y, x])) < 0
+
+
+def refine_corners(image: Image, grid: FloatArray) -> FloatArray:
+    """Fit the corner model at every corner of a grid.
+
+    grid (rows, columns, 2), start values within about two pixels; NaN for corners that are not there.
+    Returns (rows * columns, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
+    """
+    across, down = _neighbour_steps(grid, 1), _neighbour_steps(grid, 0)
+    lengths = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
+    # The window is a disc; what limits it is the distance to the neighbouring *edges*, not only corners.
+    sine = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]) / np.maximum(
+        np.linalg.norm(across, axis=-1) * np.linalg.norm(down, axis=-1), 1e-9
+    )
+    radius = np.minimum(_RADIUS_SHARE * lengths * sine, _MAX_RADIUS_PX)
+    start = np.concatenate(
+        [
+            grid.reshape(-1, 2),
+            np.arctan2(across[..., 1], across[..., 0]).reshape(-1, 1),
+            np.arctan2(down[..., 1], down[..., 0]).reshape(-1, 1),
+            radius.reshape(-1, 1),
+        ],
+        axis=1,
+    )
+    results = np.full((len(start), 6), np.nan)
+    results[:, 5] = 0
+    usable = np.isfinite(start).all(axis=1) & (start[:, 4] >= _MIN_RADIUS_PX)
+    fitted = np.empty((int(usable.sum()), 6))
+    fit_corners(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), fitted)
+    results[usable] = fitted
+    return results
+
+
+def _neighbour_steps(grid: FloatArray, axis: int) -> FloatArray:
+    """Mean step (rows, columns, 2) to both neighbours along an axis; NaN where there is none."""
+    step = np.diff(grid, axis=axis)
+    pad = [(0, 0)] * 3
+    pad[axis] = (1, 0)
+    before = np.pad(step, pad, constant_values=np.nan)
+    pad[axis] = (0, 1)
+    after = np.pad(step, pad, constant_values=np.nan)
+    both = np.stack([before, after])
+    known = np.isfinite(both)
+    return np.asarray(np.where(known, both, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)) * np.where(
+        known.any(axis=0), 1.0, np.nan
+    )
