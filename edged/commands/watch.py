@@ -224,7 +224,8 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
     for heading in ("cell", "state", "job", "result"):
         table.add_column(heading, overflow="fold")
     table.add_column("X Y Z mm", justify="right", no_wrap=True)
-    for heading in ("σ mm", "score", "Hz", "age s", "lost"):
+    lost = any(cell.lost for cell in cells.values())
+    for heading in ("σ mm", "Hz", "age s", *(["lost"] if lost else [])):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, cell in sorted(cells.items()):
         frame, pose = _pose(cell.target)
@@ -236,10 +237,9 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
             _styled(status).append(" sim" if cell.target.get("simulated") else "", style="yellow"),
             f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}" if pose else "",
             _largest(pose.get("sigma_mm")),
-            _shown(_first(cell.target).get("score"), "{:.2f}"),
             _shown(cell.rate_hz, "{:.1f}"),
             _shown(cell.age_s(now_s), "{:.1f}"),
-            str(cell.lost),
+            *([str(cell.lost)] if lost else []),
         )
     return table
 
