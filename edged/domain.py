@@ -246,4 +246,9 @@ class CellState:
     error_code: int = 0
 
 
-Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState
+@dataclass(frozen=True, slots=True)
+class Idle:
+    """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
+
+
+Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Idle
