@@ -1,0 +1,229 @@
+"""`edged calibrate`: a folder of stereo pictures of a board in, a rig file and a report out."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from edged.errors import CalibrationError, UserError
+from edged.report import calibration_report
+from edged.store import load_image, save_rig, write_atomically
+from edged.vision.boards import Board, Detection, Missed, parse_board
+from edged.vision.calibration import Calibration, StereoView, calibrate_stereo
+from edged.vision.camera import LensModel
+from edged.vision.detection import detect_board
+from edged.vision.rectification import make_rectification
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+_WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePair:
+    """Two picture files of one exposure, NAME_left.* and NAME_right.*."""
+
+    name: str
+    left: Path
+    right: Path
+
+
+def calibrate(
+    directory: Path, board: str, output: Path, model: str, report: Path | None, console: Console
+) -> int:
+    """Calibrate from every pair in a folder; write the rig, and the report where one is wanted.
+
+    Nothing is written unless all has succeeded; a rig that was there before is kept beside the new
+    one under its own calibration id. Raises `UserError` for input that gives no calibration.
+    """
+    if model not in get_args(LensModel):
+        raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
+    lens: LensModel = "brown" if model == "brown" else "division"
+    specification = parse_board(board)
+    for path in (output, *([report] if report else [])):
+        _check_writable(path)
+    pairs = find_pairs(directory)
+    sizes, views = detect_views(pairs, specification, console)
+    with console.status("bundle adjustment"):
+        calibration = calibrate_stereo(views, *sizes, lens)
+    # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
+    make_rectification(calibration.rig)
+    quality = quality_figures(calibration, specification)
+    page = calibration_report(calibration, views, quality) if report else None
+    kept = _keep_old(output)
+    save_rig(output, calibration.rig, quality)
+    if report and page is not None:
+        write_atomically(report, page.encode())
+    _print(console, calibration, output, report, kept)
+    return 0
+
+
+def find_pairs(directory: Path) -> list[ImagePair]:
+    """All pairs of a folder, by name. Raises `CalibrationError` for missing halves or no pairs."""
+    if not directory.is_dir():
+        raise CalibrationError(f"{directory}: not a folder; expected pairs NAME_left.png and NAME_right.png")
+    halves: dict[Side, dict[str, Path]] = {"left": {}, "right": {}}
+    problems: list[str] = []
+    for path in sorted(directory.iterdir()):
+        name, underscore, side = path.stem.rpartition("_")
+        if path.suffix.lower() not in SUFFIXES or not underscore or side not in ("left", "right"):
+            continue
+        known = halves["left" if side == "left" else "right"]
+        if name in known:
+            problems.append(f"{path.name}: {known[name].name} is another picture of the same name")
+        known[name] = path
+    for side, other in (("left", "right"), ("right", "left")):
+        lonely = sorted(set(halves[side]) - set(halves[other]))  # type: ignore[index]
+        problems.extend(f"{halves[side][name].name}: {name}_{other} is missing" for name in lonely)  # type: ignore[index]
+    if problems:
+        raise CalibrationError(f"{directory}: incomplete pairs\n" + "\n".join(f"  {p}" for p in problems))
+    if not halves["left"]:
+        raise CalibrationError(
+            f"{directory}: no pictures NAME_left.* and NAME_right.* ({', '.join(s[1:] for s in SUFFIXES)})"
+        )
+    return [ImagePair(name, halves["left"][name], halves["right"][name]) for name in sorted(halves["left"])]
+
+
+def detect_views(
+    pairs: list[ImagePair], board: Board, console: Console
+) -> tuple[tuple[tuple[int, int], tuple[int, int]], list[StereoView]]:
+    """Find the board in every picture, two at a time.
+
+    Returns the image sizes ((w, h) left, (w, h) right) and one view for each pair. Raises
+    `UserError` for a picture that cannot be read, or for pictures of different sizes.
+    """
+    with _pool() as pool, _progress(console) as progress:
+        bar = progress.add_task("finding the board", total=2 * len(pairs))
+        futures = [
+            tuple(pool.submit(_detect, path, board) for path in (pair.left, pair.right)) for pair in pairs
+        ]
+        found = [[_finish(future, progress, bar) for future in pair] for pair in futures]
+    sizes = tuple(
+        _one_size([getattr(pair, side) for pair in pairs], [row[i][0] for row in found])
+        for i, side in enumerate(("left", "right"))
+    )
+    views = [
+        StereoView(pair.name, board, row[0][1], row[1][1]) for pair, row in zip(pairs, found, strict=True)
+    ]
+    return (sizes[0], sizes[1]), views
+
+
+def _detect(path: Path, board: Board) -> tuple[tuple[int, int], Detection | Missed]:
+    image = load_image(path)
+    return (image.shape[1], image.shape[0]), detect_board(image, board)
+
+
+def _finish(
+    future: Future[tuple[tuple[int, int], Detection | Missed]], progress: Progress, bar: Any
+) -> tuple[tuple[int, int], Detection | Missed]:
+    result = future.result()
+    progress.advance(bar)
+    return result
+
+
+@contextmanager
+def _pool() -> Iterator[ThreadPoolExecutor]:
+    """Workers that drop what has not begun when an error or ctrl-C ends the block."""
+    pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="board")
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, transient=True)
+
+
+def _one_size(paths: list[Path], sizes: list[tuple[int, int]]) -> tuple[int, int]:
+    usual, _ = Counter(sizes).most_common(1)[0]
+    others = [
+        f"  {path.name}: {w} x {h}" for path, (w, h) in zip(paths, sizes, strict=True) if (w, h) != usual
+    ]
+    if others:
+        raise CalibrationError(
+            f"pictures of one camera have different sizes; most are {usual[0]} x {usual[1]}, but\n"
+            + "\n".join(others)
+        )
+    return usual
+
+
+def quality_figures(calibration: Calibration, board: Board) -> dict[str, Any]:
+    """What the rig file keeps about its calibration."""
+    return {
+        "board": str(board),
+        "views": len(calibration.views),
+        "excluded": [{"view": name, "reason": reason} for name, reason in calibration.excluded],
+        "stereo_rms_px": round(calibration.rms_px, 5),
+        "left_rms_px": round(calibration.rms_left_px, 5),
+        "right_rms_px": round(calibration.rms_right_px, 5),
+        "epipolar_rms_px": round(calibration.epipolar_rms_px, 5),
+        "model_error_px": [round(value, 5) for value in calibration.model_error_px],
+        "outliers": calibration.outliers,
+        "notes": list(calibration.notes),
+    }
+
+
+def _check_writable(path: Path) -> None:
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder, expected a file to write")
+    if not path.resolve().parent.is_dir():
+        raise UserError(f"{path}: there is no folder {path.resolve().parent} to write into")
+
+
+def _keep_old(output: Path) -> Path | None:
+    """Copy a rig that is about to be replaced; its id is in every result it ever gave."""
+    if not output.exists():
+        return None
+    data = output.read_bytes()
+    try:
+        identity = str(json.loads(data)["calibration_id"])
+    except (ValueError, TypeError, KeyError):
+        identity = "old"
+    safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in identity)[:60]
+    kept = output.with_name(f"{output.stem}.{safe}{output.suffix}")
+    write_atomically(kept, data)
+    return kept
+
+
+def _print(
+    console: Console, calibration: Calibration, output: Path, report: Path | None, kept: Path | None
+) -> None:
+    rig = calibration.rig
+    sigma = np.zeros(len(rig.parameter_names)) if rig.covariance is None else np.sqrt(np.diag(rig.covariance))
+    names = list(rig.parameter_names)
+    table = Table("", "left", "right", box=None)
+    for name in ("fx", "fy", "cx", "cy"):
+        cells = [
+            f"{getattr(camera, name):.3f} ± {sigma[names.index(f'{side}.{name}')]:.3f}"
+            for side, camera in (("left", rig.left), ("right", rig.right))
+        ]
+        table.add_row(f"{name} px", *cells)
+    table.add_row("rms px", f"{calibration.rms_left_px:.4f}", f"{calibration.rms_right_px:.4f}")
+    console.print(table)
+    console.print(
+        f"stereo rms {calibration.rms_px:.4f} px, epipolar rms {calibration.epipolar_rms_px:.4f} px, "
+        f"baseline {rig.baseline_mm:.4f} mm, {len(calibration.views)} views"
+    )
+    for name, reason in calibration.excluded:
+        console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}")
+    for note in calibration.notes:
+        console.print(f"[yellow]note[/] {escape(note)}")
+    if kept:
+        console.print(f"the rig that was there is kept as {escape(str(kept))}")
+    console.print(
+        f"{escape(str(output))}: {rig.calibration_id}" + (f", report {escape(str(report))}" if report else "")
+    )

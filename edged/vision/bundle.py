@@ -1,0 +1,283 @@
+"""Bundle adjustment of a stereo rig over views of flat boards.
+
+One least squares problem over both lenses, right_from_left and one board pose for each view.
+The normal equations are an arrow: every view touches only its own six pose unknowns and the
+rig's, so the poses are eliminated (Schur complement) and a step costs little more than the
+projections. Source: B. Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.boards import IntArray
+from edged.vision.camera import DISTORTION_NAMES, CameraModel
+from edged.vision.geometry import apply, rotation_matrix, skew, transform
+from edged.vision.projection import project_with_jacobians
+
+_MAX_STEPS = 60
+_START_DAMPING = 1e-6
+# Only a step this free counts as the last: focal length, distance and distortion nearly compensate each
+# other, and along such directions even a little damping makes steps short that are not at the end.
+_FREE_DAMPING = 1e-12
+_NEGLIGIBLE_GAIN = 1e-6  # of chi²: a thousandth of a sigma
+_HUBER = 2.5  # in sigmas: 1 % of good residuals feel it, and it costs 1 % of efficiency
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """All measured marks of one camera, flat.
+
+    view (N,) : index of the view; points_mm (N, 3) in the board's frame; pixels (N, 2);
+    sigma_px (N,) of one coordinate.
+    """
+
+    view: IntArray
+    points_mm: FloatArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class LensFreedom:
+    """Which parameters of a lens are estimated.
+
+    square_pixels : fx and fy are one unknown.  distortion : names of the free ones.
+    """
+
+    square_pixels: bool
+    distortion: tuple[str, ...]
+
+    def selection(self, camera: CameraModel) -> FloatArray:
+        """(P, F) matrix from free unknowns to the camera's parameters fx, fy, cx, cy, distortion."""
+        names = ("fx", "fy", "cx", "cy", *DISTORTION_NAMES[camera.model])
+        columns = [["fx", "fy"]] if self.square_pixels else [["fx"], ["fy"]]
+        columns += [["cx"], ["cy"], *([name] for name in self.distortion)]
+        return np.array([[float(name in column) for column in columns] for name in names])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleState:
+    """What is estimated: both cameras, right_from_left (4, 4), left_from_board (V, 4, 4)."""
+
+    left: CameraModel
+    right: CameraModel
+    right_from_left: FloatArray
+    left_from_board: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleResult:
+    """The optimum.
+
+    residuals_left_px, residuals_right_px (N, 2) : measured - projected.
+    covariance : of StereoRig.parameter_names, for the observations' sigmas as given.
+    pose_covariance (V, 6, 6) : of each left_from_board, (rotation vector on the left, translation mm).
+    chi2, freedom : sum of (robustly weighted) normalised squares; number of values minus unknowns.
+    converged : whether the last step was negligible.
+    """
+
+    state: BundleState
+    residuals_left_px: FloatArray
+    residuals_right_px: FloatArray
+    covariance: FloatArray
+    pose_covariance: FloatArray
+    chi2: float
+    freedom: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """The arrow: rig block (G, G), coupling (V, G, 6), pose blocks (V, 6, 6), right-hand sides, cost."""
+
+    rig: FloatArray
+    coupling: FloatArray
+    poses: FloatArray
+    rig_right: FloatArray
+    poses_right: FloatArray
+    cost: float
+
+
+def adjust(
+    state: BundleState,
+    left: Observations,
+    right: Observations,
+    freedom_left: LensFreedom,
+    freedom_right: LensFreedom,
+    *,
+    robust: bool = True,
+) -> BundleResult:
+    """Minimise the weighted reprojection error of both cameras by Levenberg-Marquardt.
+
+    Every view needs marks in at least one image, and at least one view in both.
+    Raises `np.linalg.LinAlgError` if the unknowns cannot be told apart at all.
+    """
+    selections = freedom_left.selection(state.left), freedom_right.selection(state.right)
+    views = len(state.left_from_board)
+    damping, converged = _START_DAMPING, False
+    normal = _normal_equations(state, left, right, selections, robust=robust)
+    for _ in range(_MAX_STEPS):
+        rig_step, pose_steps = _solve(normal, damping)
+        expected_gain = float(rig_step @ normal.rig_right + np.sum(pose_steps * normal.poses_right))
+        if damping <= _FREE_DAMPING and expected_gain < _NEGLIGIBLE_GAIN:
+            converged = True
+            break
+        trial = _moved(state, rig_step, pose_steps, selections)
+        trial_normal = _normal_equations(trial, left, right, selections, robust=robust)
+        if trial_normal.cost <= normal.cost + _NEGLIGIBLE_GAIN:  # not for NaN: a point went behind
+            state, normal, damping = trial, trial_normal, damping / 10
+        else:
+            damping *= 8
+            if damping > 1e10:
+                break
+
+    rig_covariance, pose_covariance = _covariances(normal)
+    full = np.zeros((sum(s.shape[0] for s in selections) + 6, normal.rig.shape[0]))
+    rows, columns = selections[0].shape
+    full[:rows, :columns] = selections[0]
+    full[rows : rows + selections[1].shape[0], columns : columns + selections[1].shape[1]] = selections[1]
+    full[-6:, -6:] = np.eye(6)
+    residuals_left, residuals_right = residuals(state, left, right)
+    count = 2 * (len(left.view) + len(right.view))
+    return BundleResult(
+        state,
+        residuals_left,
+        residuals_right,
+        full @ rig_covariance @ full.T,
+        pose_covariance,
+        normal.cost,
+        count - normal.rig.shape[0] - 6 * views,
+        converged,
+    )
+
+
+def residuals(state: BundleState, left: Observations, right: Observations) -> tuple[FloatArray, FloatArray]:
+    """Measured - projected (N, 2) in px, of both cameras."""
+    in_left = _in_left(state, left)[1]
+    in_right = apply(state.right_from_left, _in_left(state, right)[1])
+    return left.pixels - state.left.project(in_left), right.pixels - state.right.project(in_right)
+
+
+def _in_left(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray]:
+    """Turned board points R x and full points R x + t in the left camera's frame, both (N, 3)."""
+    poses = state.left_from_board[seen.view]
+    turned = np.einsum("nij,nj->ni", poses[:, :3, :3], seen.points_mm)
+    return turned, turned + poses[:, :3, 3]
+
+
+def _normal_equations(
+    state: BundleState,
+    left: Observations,
+    right: Observations,
+    selections: tuple[FloatArray, FloatArray],
+    *,
+    robust: bool,
+) -> _Normal:
+    views = len(state.left_from_board)
+    free_left, free_right = selections[0].shape[1], selections[1].shape[1]
+    unknowns = free_left + free_right + 6
+    rig, rig_right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+    coupling, poses = np.zeros((views, unknowns, 6)), np.zeros((views, 6, 6))
+    poses_right, cost = np.zeros((views, 6)), 0.0
+    for is_right, seen in ((False, left), (True, right)):
+        if not len(seen.view):
+            continue
+        turned, points = _in_left(state, seen)
+        by_rig = np.zeros((len(seen.view), 2, unknowns))
+        if is_right:
+            rotated = points @ state.right_from_left[:3, :3].T
+            points = rotated + state.right_from_left[:3, 3]
+            pixels, by_point, by_lens = project_with_jacobians(state.right, points)
+            by_rig[:, :, free_left:-6] = by_lens @ selections[1]
+            by_rig[:, :, -6:-3] = -by_point @ skew(rotated)
+            by_rig[:, :, -3:] = by_point
+            by_point = by_point @ state.right_from_left[:3, :3]
+        else:
+            pixels, by_point, by_lens = project_with_jacobians(state.left, points)
+            by_rig[:, :, :free_left] = by_lens @ selections[0]
+        by_pose = np.concatenate([-by_point @ skew(turned), by_point], axis=2)
+        scaled = (seen.pixels - pixels) / seen.sigma_px[:, None]
+        weight, loss = _huber(scaled) if robust else (np.ones(len(scaled)), np.sum(scaled**2, axis=1))
+        if (points[:, 2] <= 0).any():
+            loss = np.full(1, np.nan)
+        by_rig *= (np.sqrt(weight) / seen.sigma_px)[:, None, None]
+        by_pose *= (np.sqrt(weight) / seen.sigma_px)[:, None, None]
+        scaled = scaled * np.sqrt(weight)[:, None]
+        cost += float(loss.sum())
+        flat = by_rig.reshape(-1, unknowns)
+        rig += flat.T @ flat
+        rig_right += flat.T @ scaled.ravel()
+        np.add.at(coupling, seen.view, by_rig.transpose(0, 2, 1) @ by_pose)
+        np.add.at(poses, seen.view, by_pose.transpose(0, 2, 1) @ by_pose)
+        np.add.at(poses_right, seen.view, np.einsum("nij,ni->nj", by_pose, scaled))
+    return _Normal(rig, coupling, poses, rig_right, poses_right, cost)
+
+
+def _huber(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weight and loss (N,) of normalised residuals (N, 2), by their length."""
+    length = np.linalg.norm(scaled, axis=1)
+    weight = np.minimum(1.0, _HUBER / np.maximum(length, 1e-300))
+    loss = np.where(length <= _HUBER, length**2, 2 * _HUBER * length - _HUBER**2)
+    return weight, loss
+
+
+def _solve(normal: _Normal, damping: float) -> tuple[FloatArray, FloatArray]:
+    """The damped step of the rig's unknowns (G,) and of the poses (V, 6)."""
+    rig = normal.rig + damping * np.diag(np.diag(normal.rig))
+    diagonal = np.einsum("vii->vi", normal.poses)
+    poses = normal.poses + damping * diagonal[:, :, None] * np.eye(6)
+    eliminated = np.linalg.solve(
+        poses, np.concatenate([normal.coupling.transpose(0, 2, 1), normal.poses_right[..., None]], axis=2)
+    )
+    reduced = rig - np.einsum("vgi,vih->gh", normal.coupling, eliminated[:, :, :-1])
+    right = normal.rig_right - np.einsum("vgi,vi->g", normal.coupling, eliminated[:, :, -1])
+    step = _scaled_solve(reduced, right)
+    return step, eliminated[:, :, -1] - eliminated[:, :, :-1] @ step
+
+
+def _scaled_solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve with unit diagonal: focal lengths and distortions differ by ten orders of magnitude."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    solution = np.linalg.solve(matrix * scale[:, None] * scale, (right.T * scale).T)
+    return np.asarray((solution.T * scale).T)
+
+
+def _covariances(normal: _Normal) -> tuple[FloatArray, FloatArray]:
+    """Of the rig's unknowns (G, G) and of each pose (V, 6, 6)."""
+    eliminated = np.linalg.solve(normal.poses, normal.coupling.transpose(0, 2, 1))
+    reduced = normal.rig - np.einsum("vgi,vih->gh", normal.coupling, eliminated)
+    rig = _scaled_solve(reduced, np.eye(len(reduced)))
+    rig = 0.5 * (rig + rig.T)
+    poses = np.linalg.inv(normal.poses) + eliminated @ rig @ eliminated.transpose(0, 2, 1)
+    return rig, np.asarray(poses, dtype=np.float64)
+
+
+def _moved(
+    state: BundleState,
+    rig_step: FloatArray,
+    pose_steps: FloatArray,
+    selections: tuple[FloatArray, FloatArray],
+) -> BundleState:
+    split = selections[0].shape[1]
+    poses = state.left_from_board.copy()
+    poses[:, :3, :3] = rotation_matrix(pose_steps[:, :3]) @ poses[:, :3, :3]
+    poses[:, :3, 3] += pose_steps[:, 3:]
+    return BundleState(
+        _moved_camera(state.left, selections[0] @ rig_step[:split]),
+        _moved_camera(state.right, selections[1] @ rig_step[split:-6]),
+        transform(
+            rotation_matrix(rig_step[-6:-3]) @ state.right_from_left[:3, :3],
+            state.right_from_left[:3, 3] + rig_step[-3:],
+        ),
+        poses,
+    )
+
+
+def _moved_camera(camera: CameraModel, step: FloatArray) -> CameraModel:
+    fx, fy, cx, cy = (float(v) for v in np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + step[:4])
+    distortion = tuple(float(v) for v in np.array(camera.distortion) + step[4:])
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)
