@@ -159,7 +159,8 @@ def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> Float
     """
     jacobian = np.zeros((6, 6))
     jacobian[:3, :3] = jacobian[3:, 3:] = to_from_from[:3, :3]
-    return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN, and becomes null
+        return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)
 
 
 def _pose(pose: FloatArray, covariance: FloatArray) -> Json:

@@ -1,0 +1,74 @@
+"""Results for tests of what is published: built by hand, no vision needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edged.domain import (
+    Circle3D,
+    Command,
+    FloatArray,
+    Match,
+    Reject,
+    Snapshot,
+    Status,
+    Target,
+)
+from edged.vision.geometry import rotation_matrix, transform
+
+
+def make_transform(turn_rad: tuple[float, float, float], shift_mm: tuple[float, float, float]) -> FloatArray:
+    """A (4, 4) rigid transform of a rotation vector and a shift."""
+    return transform(rotation_matrix(np.array(turn_rad)), np.array(shift_mm))
+
+
+def make_target(reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Target:
+    """A target with a covariance that is full: every axis differs, all are correlated."""
+    factor = np.tril(np.arange(1.0, 37.0).reshape(6, 6)) * 1e-4
+    circle = Circle3D(
+        "c0",
+        np.array([x_mm, 20.0, 200.0]),
+        np.array([0.0, 0.0, -1.0]),
+        5.0,
+        np.diag([1.0, 4.0, 9.0, 16.0]) * 1e-6,
+    )
+    return Target(
+        job="flange",
+        match=Match(320.5, 240.25, np.pi / 6, 1.0, 1.0, 0.97),
+        rig_from_part=make_transform((0.1, -0.2, 0.3), (x_mm, 20.0, 200.0)),
+        covariance=factor @ factor.T,
+        circles=(circle,),
+        epipolar_rms_px=0.05,
+        reject=reject,
+    )
+
+
+def make_snapshot(
+    cycle: int = 1,
+    status: Status = Status.OK,
+    targets: tuple[Target, ...] | None = None,
+    command: Command | None = None,
+    robot_from_rig: FloatArray | None = None,
+    exposed_ns: int = 1_700_000_000_000_000_000,
+) -> Snapshot:
+    """A snapshot of job 1, "flange"; with one target when its status is OK."""
+    if targets is None:
+        targets = (make_target(),) if status is Status.OK else ()
+    is_fault = status is Status.CAPTURE_FAULT
+    return Snapshot(
+        cycle=cycle,
+        status=status,
+        command=command,
+        job="flange",
+        job_number=1,
+        calibration_id="cal",
+        fingerprint="f00dcafe",
+        simulated=True,
+        exposed_ns=0 if is_fault else exposed_ns,
+        published_ns=1_700_000_000_050_000_000,
+        targets=targets,
+        timing_ms={"capture": 12.5, "find": 3.25, "total": 20.0},
+        error="camera left: unplugged" if is_fault else "",
+        error_code=104 if is_fault else 0,
+        robot_from_rig=robot_from_rig,
+    )
