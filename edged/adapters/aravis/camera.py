@@ -1,0 +1,261 @@
+"""`AravisCamera`: a GenICam camera behind the `Camera` port.
+
+Responsible for: one control thread and one pump thread, deadlines, and the proof that an image belongs to
+the last trigger. Not responsible for: trying again (`capture` does), what is in the image.
+
+Times. `device_ns` is the camera's own time stamp. `exposed_ns` is host UTC: for the software trigger the
+middle of the trigger command's round trip (half of which bounds the error); for every other trigger source
+the arrival of the first packet, which is late by exposure and readout.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import contextlib
+import logging
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from edged.adapters.aravis.session import AravisSettings, Arrival, Session
+from edged.domain import Frame
+from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
+
+log = logging.getLogger(__name__)
+
+REPLY_S = 1.2
+"""A command that is not answered by then has been lost twice (Aravis repeats after 0.5 s): no camera."""
+
+CLOSE_S = 1.0
+"""A camera that answers is closed within milliseconds; one that does not is left to its thread."""
+
+FRAME_S = 10.0
+"""No image is waited for longer than this, whatever the caller's own deadline."""
+
+STALE_MARGIN_NS = 1_000_000
+"""Some cameras count time in steps of a millisecond."""
+
+CLOCK_DRIFT = 200e-6
+"""A camera's crystal against the host's, over temperature and age."""
+
+Result = TypeVar("Result")
+
+
+_Job = tuple[concurrent.futures.Future[Any], Callable[[], Any]]
+
+
+def _nothing() -> None:
+    pass
+
+
+class _ControlThread:
+    """One thread for every call that talks to the device: Aravis objects are not thread safe.
+
+    A daemon thread, unlike an executor's: a camera that died holds a call for seconds, and must not hold
+    up the end of the program.
+    """
+
+    def __init__(self, name: str, predecessor: threading.Thread | None) -> None:
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._last: Callable[[], None] = _nothing
+        self._done: Callable[[], None] = _nothing
+        self.thread = threading.Thread(target=self._run, args=(predecessor,), name=name, daemon=True)
+        self.thread.start()
+
+    def submit(self, job: Callable[[], Result]) -> concurrent.futures.Future[Result]:
+        """Queue a job; cancelling its future before it starts means it never runs."""
+        future: concurrent.futures.Future[Result] = concurrent.futures.Future()
+        self._jobs.put((future, job))
+        return future
+
+    def finish(self, last: Callable[[], None], done: Callable[[], None]) -> None:
+        """After the jobs that are queued run `last`, whatever happened, call `done`, and end."""
+        self._last, self._done = last, done
+        self._jobs.put(None)
+
+    def _run(self, predecessor: threading.Thread | None) -> None:
+        if predecessor is not None:
+            predecessor.join()  # it may still be giving up control of the same camera
+        while (item := self._jobs.get()) is not None:
+            future, job = item
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                result = job()
+            except CaptureError as error:
+                log.debug("%s", error, exc_info=True)
+                future.set_exception(_bare(error))
+            except BaseException as error:  # noqa: BLE001  (a bug: handed to whoever waits)
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+            del future, job, item  # or the last job's objects live until the next one
+        try:
+            self._last()
+        finally:
+            self._done()
+
+
+def _bare(error: CaptureError) -> CaptureError:
+    """The error without the frames it went through: they refer to the camera and would keep it open."""
+    error.__cause__ = error.__context__ = None
+    return error.with_traceback(None)
+
+
+class AravisCamera:
+    """One GenICam camera. Construct it anywhere; use it from one event loop."""
+
+    def __init__(self, name: str, settings: AravisSettings) -> None:
+        self._name = name
+        self._settings = settings
+        self._control: _ControlThread | None = None
+        self._last_thread: threading.Thread | None = None
+        self._session: Session | None = None
+        self._arrivals: deque[Arrival] = deque()
+        self._news = asyncio.Event()
+        self._command_ns = (0, 0)
+        self._awaiting = False
+        self._last_frame_id = 0
+        self._reference: tuple[int, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """ "left" or "right"."""
+        return self._name
+
+    async def open(self) -> None:
+        """Connect, set up and arm; an open camera is asked whether it is still there and ours.
+
+        Raises `CameraUnreachable`, `CameraBusy` or `CameraSetupError`. Takes what Aravis takes: 1 s of
+        discovery for a serial number, up to 3 s for an address that does not answer.
+        """
+        if self._session is not None:
+            await self._call(self._open_session().probe, REPLY_S)
+            return
+        if self._control is None:
+            self._control = _ControlThread(f"control {self._name}", self._last_thread)
+            self._last_thread = self._control.thread
+        self._arrivals.clear()
+        self._awaiting = False
+        self._reference = None
+        arrived, lost = _on_loop(self._arrived), _on_loop(self._news.set)
+
+        def connect() -> None:
+            self._session = Session(self._name, self._settings, arrived, lost, self._last_frame_id)
+
+        await self._call(connect, None)
+
+    async def trigger(self) -> None:
+        """Start one exposure; frames that were not fetched before are dropped."""
+        session = self._open_session()
+        restart = self._awaiting and not self._arrivals
+        self._awaiting = True
+        self._arrivals.clear()
+
+        def fire() -> tuple[int, int]:
+            if restart:  # an exposure that nobody waited for is still under way
+                session.restart()
+            return session.trigger()
+
+        self._command_ns = await self._call(fire, REPLY_S)
+
+    async def frame(self) -> Frame:
+        """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
+        session = self._open_session()
+        if not self._awaiting:
+            raise FrameTimeout(self._name, "no exposure was triggered")
+        try:
+            async with asyncio.timeout(FRAME_S):
+                arrival = await self._next_arrival(session)
+        except TimeoutError:
+            raise FrameTimeout(self._name, f"no image within {FRAME_S:g} s") from None
+        self._awaiting = False
+        if arrival.image is None:
+            raise FrameIncomplete(self._name, arrival.problem)
+        self._last_frame_id = arrival.frame_id
+        self._reference = (arrival.arrived_ns, arrival.device_ns)
+        exposed_ns = sum(self._command_ns) // 2 if session.by_software else arrival.arrived_ns
+        return Frame(self._name, arrival.frame_id, arrival.image, arrival.device_ns, exposed_ns)
+
+    async def close(self) -> None:
+        """Give up the camera; safe to call twice and on a camera that never opened.
+
+        A camera that does not answer is given up by its thread, within seconds, after this has returned.
+        """
+        control, self._control = self._control, None
+        if control is None:
+            return
+        closed = asyncio.Event()
+        control.finish(self._take_down, _on_loop(closed.set))
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(closed.wait(), CLOSE_S)
+
+    # --- inside ------------------------------------------------------------------------------
+
+    def _take_down(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+    async def _call(self, job: Callable[[], Result], limit_s: float | None) -> Result:
+        """Run a job on the control thread; one that has not begun when the time is up never will."""
+        if self._control is None:
+            raise CameraUnreachable(self._name, "not open")
+        try:
+            return await asyncio.wait_for(asyncio.wrap_future(self._control.submit(job)), limit_s)
+        except TimeoutError:
+            raise CameraUnreachable(self._name, f"no answer within {limit_s:g} s") from None
+
+    def _open_session(self) -> Session:
+        session = self._session
+        if session is None or self._control is None:
+            raise CameraUnreachable(self._name, "not open")
+        if session.lost.is_set():
+            raise CameraUnreachable(self._name, "the connection was lost")
+        return session
+
+    def _arrived(self, arrival: Arrival) -> None:
+        self._arrivals.append(arrival)
+        self._news.set()
+
+    async def _next_arrival(self, session: Session) -> Arrival:
+        """The next buffer of the last trigger; raises `CameraUnreachable` as soon as the camera is lost."""
+        while True:
+            while self._arrivals:
+                arrival = self._arrivals.popleft()
+                if not self._is_stale(arrival):
+                    return arrival
+                log.debug("camera %s: frame %d came too late and is dropped", self._name, arrival.frame_id)
+            if session.lost.is_set():
+                raise CameraUnreachable(self._name, "the connection was lost")
+            self._news.clear()
+            await self._news.wait()
+
+    def _is_stale(self, arrival: Arrival) -> bool:
+        """Whether a buffer was exposed before the last trigger command was sent.
+
+        The image before had been exposed when its first packet came in, this one cannot have been before its
+        own command was sent: at least so much must have passed on the camera's clock, but for its drift.
+        """
+        if self._reference is None:
+            return False
+        reference_ns, reference_device_ns = self._reference
+        passed_ns = arrival.device_ns - reference_device_ns
+        if passed_ns == 0:  # a camera without a clock
+            return False
+        least_ns = self._command_ns[0] - reference_ns
+        return passed_ns < least_ns * (1 - CLOCK_DRIFT) - STALE_MARGIN_NS
+
+
+def _on_loop(action: Callable[..., object]) -> Callable[..., None]:
+    """The action, to be called from any thread and run on the present event loop."""
+    loop = asyncio.get_running_loop()
+
+    def call(*arguments: object) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has been closed: nobody is interested any more
+            loop.call_soon_threadsafe(action, *arguments)
+
+    return call

@@ -1,0 +1,166 @@
+"""GenICam nodes by name: checked before anything is written, written in a safe order, read back."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from typing import Any
+
+from edged.adapters.aravis.library import library
+from edged.errors import CameraSetupError
+
+Value = bool | int | float | str
+
+ORDER = (
+    ("UserSetSelector",),
+    ("UserSetLoad",),
+    ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical", "PixelFormat"),
+    ("Width", "Height"),
+    ("OffsetX", "OffsetY"),
+    (),  # everything else, as written: a selector stands before what it selects
+    ("AcquisitionFrameRateEnable",),
+    ("AcquisitionFrameRate",),
+)
+"""What must be written before what: a loaded user set overwrites, binning changes the limits of the
+region, a region must fit before it moves."""
+
+FLOAT_TOLERANCE = 0.01
+"""A camera rounds to its own steps (a line time, a tenth of a dB): more than this share is clamping."""
+
+
+class Features:
+    """The feature nodes of one open device; every method must run on its control thread."""
+
+    def __init__(self, camera: str, device: Any) -> None:
+        self._camera = camera
+        self._device = device
+        self._library = library(camera)
+
+    def exists(self, name: str) -> bool:
+        """Whether the camera has the feature and can use it in its present state."""
+        try:
+            return bool(self._device.is_feature_available(name))
+        except self._library.glib.Error:
+            return False
+
+    def first(self, *names: str) -> str:
+        """The first of several names that the camera has, or ""."""
+        return next((name for name in names if self.exists(name)), "")
+
+    def check(self, values: Mapping[str, Value]) -> list[str]:
+        """What is wrong with these settings by name, type and choice; nothing is written."""
+        return [
+            f"{name}: {problem}" for name, value in values.items() if (problem := self._misfit(name, value))
+        ]
+
+    def apply(self, values: Mapping[str, Value]) -> list[str]:
+        """Write in a safe order and compare with what the camera made of it; returns the differences."""
+        problems: list[str] = []
+        if {"Width", "Height"} & values.keys():
+            for offset in ("OffsetX", "OffsetY"):  # or a wide region would not fit where the last one lay
+                if self.exists(offset):
+                    with contextlib.suppress(self._library.glib.Error):
+                        self._write(offset, 0)
+        for name in sorted(values, key=_stage):
+            try:
+                self._in_bounds(name, values[name])
+                self._write(name, values[name])
+                found = self._read(name)
+            except _OutOfBoundsError as error:
+                problems.append(f"{name}: {error}")
+            except self._library.glib.Error as error:
+                if error.domain == "arv-device-error-quark" and error.code == int(
+                    self._library.aravis.DeviceError.TIMEOUT
+                ):
+                    raise  # no answer is no opinion on the setting
+                problems.append(f"{name} = {values[name]!r}: {error.message}")
+            else:
+                if not _same(values[name], found):
+                    problems.append(f"{name}: the camera made {found!r} of {values[name]!r}")
+        return problems
+
+    def require(self, values: Mapping[str, Value]) -> None:
+        """`check`, then `apply`; raises `CameraSetupError` that names every problem."""
+        problems = self.check(values) or self.apply(values)
+        if problems:
+            raise CameraSetupError(self._camera, "; ".join(problems))
+
+    def _misfit(self, name: str, value: Value) -> str:
+        aravis = self._library.aravis
+        node = self._device.get_feature(name)
+        if node is None or not isinstance(node, aravis.GcFeatureNode):
+            return "the camera has no such feature"
+        if isinstance(node, aravis.GcCommand):
+            return "" if value is True else f"a command; expected true, got {value!r}"
+        if isinstance(node, aravis.GcEnumeration):  # before GcInteger and GcString: it is those too
+            choices = list(self._device.dup_available_enumeration_feature_values_as_strings(name))
+            return "" if value in choices else f"{value!r} is none of {', '.join(choices)}"
+        if isinstance(node, aravis.GcBoolean):
+            return "" if isinstance(value, bool) else f"expected true or false, got {value!r}"
+        if isinstance(value, bool):
+            return f"expected a number or text, got {value!r}"
+        if isinstance(node, aravis.GcFloat):
+            return "" if isinstance(value, int | float) else f"expected a number, got {value!r}"
+        if isinstance(node, aravis.GcInteger):
+            return "" if isinstance(value, int) else f"expected a whole number, got {value!r}"
+        if isinstance(node, aravis.GcString):
+            return "" if isinstance(value, str) else f"expected text, got {value!r}"
+        return "a feature of a kind that cannot be set"
+
+    def _in_bounds(self, name: str, value: Value) -> None:
+        """Aravis writes what does not fit; some firmware then takes the nearest, some anything."""
+        aravis, node = self._library.aravis, self._device.get_feature(name)
+        if isinstance(node, aravis.GcEnumeration | aravis.GcBoolean) or not isinstance(value, int | float):
+            return
+        if isinstance(node, aravis.GcFloat):
+            low, high = self._device.get_float_feature_bounds(name)
+        elif isinstance(node, aravis.GcInteger):
+            low, high = self._device.get_integer_feature_bounds(name)
+        else:
+            return
+        if not low <= value <= high:
+            raise _OutOfBoundsError(f"{value!r} is outside {low:g} to {high:g}")
+
+    def _write(self, name: str, value: Value) -> None:
+        aravis, device = self._library.aravis, self._device
+        node = device.get_feature(name)
+        if isinstance(node, aravis.GcCommand):
+            device.execute_command(name)
+        elif isinstance(node, aravis.GcBoolean):
+            device.set_boolean_feature_value(name, value)
+        elif isinstance(value, str):
+            device.set_string_feature_value(name, value)
+        elif isinstance(node, aravis.GcFloat):
+            device.set_float_feature_value(name, float(value))
+        else:
+            device.set_integer_feature_value(name, value)
+
+    def _read(self, name: str) -> Value | None:
+        """What the camera holds now; None for a command."""
+        aravis, device = self._library.aravis, self._device
+        node = device.get_feature(name)
+        if isinstance(node, aravis.GcCommand):
+            return None
+        if isinstance(node, aravis.GcBoolean):
+            return bool(device.get_boolean_feature_value(name))
+        if isinstance(node, aravis.GcEnumeration | aravis.GcString):
+            return str(device.get_string_feature_value(name))
+        if isinstance(node, aravis.GcFloat):
+            return float(device.get_float_feature_value(name))
+        return int(device.get_integer_feature_value(name))
+
+
+class _OutOfBoundsError(Exception):
+    pass
+
+
+def _stage(name: str) -> int:
+    return next((stage for stage, names in enumerate(ORDER) if name in names), ORDER.index(()))
+
+
+def _same(wanted: Value, found: Value | None) -> bool:
+    if found is None:
+        return True
+    if isinstance(found, float) and isinstance(wanted, int | float):
+        return abs(found - wanted) <= FLOAT_TOLERANCE * max(abs(wanted), abs(found))
+    return wanted == found

@@ -1,0 +1,196 @@
+"""The Aravis library: found or not, its errors translated, and what cameras it sees."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import ipaddress
+import math
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError
+
+INSTALL_HINT = "install it with: apt install gir1.2-aravis-0.8 python3-gi"
+
+DEVICE_ERRORS: dict[str, type[CaptureError]] = {
+    "WRONG_FEATURE": CameraSetupError,
+    "FEATURE_NOT_FOUND": CameraSetupError,
+    "NOT_CONNECTED": CameraUnreachable,
+    "PROTOCOL_ERROR": CameraUnreachable,
+    "TRANSFER_ERROR": CameraUnreachable,
+    "TIMEOUT": CameraUnreachable,
+    "NOT_FOUND": CameraUnreachable,
+    "INVALID_PARAMETER": CameraSetupError,
+    "GENICAM_NOT_FOUND": CameraSetupError,
+    "NO_STREAM_CHANNEL": CameraSetupError,
+    "NOT_CONTROLLER": CameraBusy,
+    "UNKNOWN": CameraUnreachable,
+    "PROTOCOL_ERROR_NOT_IMPLEMENTED": CameraSetupError,
+    "PROTOCOL_ERROR_INVALID_PARAMETER": CameraSetupError,
+    "PROTOCOL_ERROR_INVALID_ADDRESS": CameraSetupError,
+    "PROTOCOL_ERROR_WRITE_PROTECT": CameraSetupError,
+    "PROTOCOL_ERROR_BAD_ALIGNMENT": CameraSetupError,
+    "PROTOCOL_ERROR_ACCESS_DENIED": CameraBusy,
+    # GVCP status 0x8007: the camera itself has no time now; nobody else holds it
+    "PROTOCOL_ERROR_BUSY": CameraUnreachable,
+}
+"""`Aravis.DeviceError` by name; GenICam errors (`Aravis.GcError`) are all settings that do not fit."""
+
+
+class Library(NamedTuple):
+    """The two GObject namespaces that are used; they ship no types."""
+
+    aravis: Any
+    glib: Any
+
+
+@functools.cache
+def _load() -> Library | str:
+    """The library, or why it cannot be had."""
+    try:
+        import gi
+
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis, GLib
+    except ImportError as error:
+        return f"PyGObject is missing ({error}); {INSTALL_HINT}"
+    except ValueError as error:
+        return f"Aravis 0.8 is missing ({error}); {INSTALL_HINT}"
+    return Library(Aravis, GLib)
+
+
+def aravis_missing() -> str:
+    """Why no camera can be reached on this machine, with the command that helps; "" if all is well."""
+    loaded = _load()
+    return loaded if isinstance(loaded, str) else ""
+
+
+def library(camera: str) -> Library:
+    """The library, or `CameraSetupError` for the camera that needs it."""
+    loaded = _load()
+    if isinstance(loaded, str):
+        raise CameraSetupError(camera, loaded)
+    return loaded
+
+
+@contextlib.contextmanager
+def translated(camera: str, doing: str) -> Iterator[None]:
+    """Turn every GLib error of the block into a `CaptureError` that says what was being done."""
+    glib = library(camera).glib
+    try:
+        yield
+    except glib.Error as error:
+        raise translate(camera, doing, error) from error
+
+
+def translate(camera: str, doing: str, error: Any) -> CaptureError:
+    """The `CaptureError` for a GLib error.
+
+    Unknown codes and domains (sockets, files) are `CameraUnreachable`: the camera did not do it.
+    """
+    aravis = library(camera).aravis
+    message = f"{doing}: {error.message}"
+    if error.domain == "arv-device-error-quark":
+        names = {int(getattr(aravis.DeviceError, name)): name for name in DEVICE_ERRORS}
+        return DEVICE_ERRORS.get(names.get(error.code, ""), CameraUnreachable)(camera, message)
+    if error.domain == "arv-gc-error-quark":
+        return CameraSetupError(camera, message)
+    return CameraUnreachable(camera, message)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """A camera that answered discovery.
+
+    device_id : Aravis' own name for it. address : IP address, or USB bus position.
+    protocol : "GigEVision" or "USB3Vision". physical_id : MAC address, or USB GUID.
+    """
+
+    device_id: str
+    vendor: str
+    model: str
+    serial: str
+    address: str
+    protocol: str
+    physical_id: str
+
+
+def list_cameras() -> list[CameraInfo]:
+    """Every camera that answers within Aravis' discovery time (1 s), sorted by serial number.
+
+    Blocks: call it in a thread. Raises `CameraSetupError` when Aravis is missing.
+    """
+    return _discovery.run(max_age_s=0.0)
+
+
+class _Discovery:
+    """Aravis keeps one list of devices for the process; so there is one of these.
+
+    Two cameras that are opened at the same time share one round of discovery.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._found: list[CameraInfo] = []
+        self._done_s = -math.inf
+
+    def run(self, max_age_s: float) -> list[CameraInfo]:
+        """The cameras that were found no longer ago than this, or are now."""
+        aravis = library("any").aravis
+        asked_s = time.monotonic()
+        with self._lock:
+            if self._done_s < asked_s - max_age_s:
+                with translated("any", "discovery"):
+                    aravis.update_device_list()
+                    self._found = [_info(aravis, index) for index in range(aravis.get_n_devices())]
+                self._done_s = time.monotonic()
+            return sorted(self._found, key=lambda info: (info.serial, info.address))
+
+
+_discovery = _Discovery()
+
+
+def _info(aravis: Any, index: int) -> CameraInfo:
+    return CameraInfo(
+        device_id=aravis.get_device_id(index) or "",
+        vendor=aravis.get_device_vendor(index) or "",
+        model=aravis.get_device_model(index) or "",
+        serial=aravis.get_device_serial_nbr(index) or "",
+        address=aravis.get_device_address(index) or "",
+        protocol=aravis.get_device_protocol(index) or "",
+        physical_id=aravis.get_device_physical_id(index) or "",
+    )
+
+
+def connect(camera: str, device: str) -> Any:
+    """The `Aravis.Camera` with this IP address, serial number or Aravis id.
+
+    An address is asked directly, across routers too; everything else must answer discovery.
+    Raises `CameraUnreachable`; takes a few seconds at most.
+    """
+    aravis = library(camera).aravis
+    try:
+        ipaddress.ip_address(device)
+    except ValueError:
+        device_id = _find(camera, device)
+    else:
+        device_id = device
+    with translated(camera, f"connecting to {device}"):
+        return aravis.Camera.new(device_id)
+
+
+def _find(camera: str, device: str) -> str:
+    """Aravis' id of the camera with this serial number or id."""
+    found = _discovery.run(max_age_s=0.5)
+    matching = [info for info in found if device in (info.serial, info.device_id)]
+    if not matching:
+        seen = ", ".join(f"{info.serial} ({info.address})" for info in found) or "none"
+        raise CameraUnreachable(camera, f"no camera with serial number {device!r} answers; found: {seen}")
+    if len(matching) > 1:
+        where = ", ".join(info.address for info in matching)
+        raise CameraSetupError(camera, f"serial number {device!r} answers at {where}: give the IP address")
+    return matching[0].address if matching[0].protocol == "GigEVision" else matching[0].device_id

@@ -1,0 +1,341 @@
+"""One connection to one camera: set up, armed, triggered, taken down.
+
+Everything here runs on the camera's control thread, except the pump, which is a thread of its own and
+only takes buffers out of the stream (the one Aravis object that may be used from two threads).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from edged.adapters.aravis.features import Features, Value
+from edged.adapters.aravis.library import connect, library, translated
+from edged.domain import Image
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable
+
+log = logging.getLogger(__name__)
+
+BUFFERS = 4
+"""One that is filled, one that is late, one that is copied, one spare."""
+
+PUMP_POLL_US = 100_000
+"""How long a stopping pump may still wait; nothing else depends on it."""
+
+CONTROL_PRIVILEGE_REGISTER = 0x0A00
+"""GigE Vision 2.0, table 28-1: control channel privilege; bits 0 and 1 tell whether anybody has control."""
+
+BLOCK_IDS = 65_535
+"""GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again."""
+
+
+@dataclass(frozen=True, slots=True)
+class AravisSettings:
+    """How a camera is found and set.
+
+    device : serial number or IP address.
+    exposure_us, gain_db : None leaves what the camera has; a value switches the automatic off.
+    packet_size : GVSP packet in bytes, IP and UDP headers included; None negotiates the largest that passes.
+    features : GenICam nodes by name, written after the size and format of the image and before exposure and
+        trigger. "TriggerSource" other than "Software" makes `trigger` wait for that source.
+    user_socket : receive through an ordinary socket even where a packet socket is allowed.
+    """
+
+    device: str
+    exposure_us: float | None = None
+    gain_db: float | None = None
+    packet_size: int | None = None
+    features: Mapping[str, Value] = field(default_factory=dict)
+    user_socket: bool = False
+
+    @property
+    def trigger_source(self) -> str:
+        """The GenICam trigger source."""
+        return str(self.features.get("TriggerSource", "Software"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """A buffer that came out of the stream.
+
+    image : (H, W) uint8, or None with the `problem`. frame_id : counted on over restarts and over the
+    wrap of 16-bit counters. arrived_ns : host UTC ns of the first packet.
+    """
+
+    frame_id: int
+    device_ns: int
+    arrived_ns: int
+    image: Image | None
+    problem: str = ""
+
+
+class Session:
+    """An open, armed camera. Constructing it connects; `close` must be called even after a fault."""
+
+    def __init__(
+        self,
+        name: str,
+        settings: AravisSettings,
+        deliver: Callable[[Arrival], None],
+        lost: Callable[[], None],
+        first_frame_id: int,
+    ) -> None:
+        """Connect, set up, start the stream. Raises `CaptureError`, and then nothing is left open.
+
+        deliver, lost : called in other threads, for each buffer and when the camera drops the connection.
+        first_frame_id : frames are counted from here + 1.
+        """
+        self.name = name
+        self.settings = settings
+        self.lost = threading.Event()
+        self._library = library(name)
+        self._on_lost = lost
+        self._deliver = deliver
+        self._handler = 0
+        self._stream: Any = None
+        self._pump: threading.Thread | None = None
+        self._stop_pump = threading.Event()
+        self._counter = _FrameCounter(first_frame_id)
+        self._camera: Any = connect(name, settings.device)
+        try:
+            with translated(name, "setting up"):
+                self._set_up()
+        except BaseException:
+            self.close()
+            raise
+
+    # --- used on the control thread ----------------------------------------------------------
+
+    @property
+    def by_software(self) -> bool:
+        """Whether `trigger` makes the exposure, or something else does."""
+        return self.settings.trigger_source == "Software"
+
+    def trigger(self) -> tuple[int, int]:
+        """Start an exposure; host UTC ns before and after the command, which the exposure begins between.
+
+        For a trigger source other than software there is no command: both are now, the exposure comes later.
+        """
+        before_ns = time.time_ns()
+        if self.by_software:
+            with translated(self.name, "software trigger"):
+                self._camera.software_trigger()
+        return before_ns, time.time_ns()
+
+    def restart(self) -> None:
+        """Stop and start acquisition: an exposure that is still under way is given up."""
+        with translated(self.name, "restarting acquisition"):
+            self._camera.stop_acquisition()
+            self._counter.restart()
+            self._camera.start_acquisition()
+
+    def probe(self) -> None:
+        """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`."""
+        if not self._camera.is_gv_device():
+            return  # USB tells by itself when it is unplugged
+        with translated(self.name, "looking whether it is alive"):
+            privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
+        if privilege & 0b11 == 0:
+            raise CameraUnreachable(self.name, "it has been restarted, or gave up the connection")
+
+    def close(self) -> None:
+        """Take everything down, politely if the camera still answers; never raises."""
+        self._stop_pump.set()
+        if self._pump is not None:
+            self._pump.join()
+            self._pump = None
+        camera, self._camera = self._camera, None
+        if camera is None:
+            return
+        if self._handler:
+            camera.get_device().disconnect(self._handler)
+        if self._stream is not None and not self.lost.is_set():
+            with contextlib.suppress(self._library.glib.Error):  # it may be gone, that is why we close
+                camera.stop_acquisition()
+        self._stream = None
+        # the last reference gives up control and ends Aravis' own threads; cycles would keep them
+        del camera
+        gc.collect()
+
+    # --- setting up --------------------------------------------------------------------------
+
+    def _set_up(self) -> None:
+        camera, settings = self._camera, self.settings
+        device = camera.get_device()
+        if camera.is_gv_device() and not device.is_controller():
+            raise CameraBusy(self.name, f"{settings.device} is controlled by another host or program")
+        self._handler = device.connect("control-lost", self._control_lost)
+        with contextlib.suppress(self._library.glib.Error):
+            camera.stop_acquisition()  # a host that crashed may have left it running
+        features = Features(self.name, device)
+        features.require(self._ordinary_features(features))
+        features.require(self._exposure_features(features))
+        self._arm(features)
+        self._start_stream()
+
+    def _ordinary_features(self, features: Features) -> dict[str, Value]:
+        """The image format and what the user wants; the trigger is ours."""
+        ours = ("TriggerMode", "TriggerSource", "TriggerSelector", "AcquisitionMode")
+        values: dict[str, Value] = {"PixelFormat": "Mono8"}
+        values.update({name: value for name, value in self.settings.features.items() if name not in ours})
+        if values["PixelFormat"] != "Mono8":
+            raise CameraSetupError(
+                self.name, f"PixelFormat: only Mono8 is understood, not {values['PixelFormat']!r}"
+            )
+        if self.settings.packet_size is not None:
+            if not self._camera.is_gv_device():
+                raise CameraSetupError(self.name, "packet_size: only GigE Vision has packets")
+            # Aravis adds the second name, on the standard's register, for cameras without the first
+            name = features.first("GevSCPSPacketSize", "ArvGevSCPSPacketSize")
+            values[name] = self.settings.packet_size
+        return values
+
+    def _exposure_features(self, features: Features) -> dict[str, Value]:
+        """Exposure and gain under the names that this camera has for them."""
+        values: dict[str, Value] = {}
+        if self.settings.exposure_us is not None:
+            name = features.first("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
+            if not name:
+                raise CameraSetupError(self.name, "exposure_us: the camera has no ExposureTime")
+            if features.exists("ExposureAuto"):
+                values["ExposureAuto"] = "Off"
+            raw = name == "ExposureTimeRaw"
+            values[name] = round(self.settings.exposure_us) if raw else self.settings.exposure_us
+        if self.settings.gain_db is not None:
+            name = features.first("Gain", "GainAbs")
+            if not name:
+                raise CameraSetupError(
+                    self.name, "gain_db: the camera has no Gain in dB; set its own GainRaw under features"
+                )
+            if features.exists("GainAuto"):
+                values["GainAuto"] = "Off"
+            values[name] = self.settings.gain_db
+        return values
+
+    def _arm(self, features: Features) -> None:
+        """Every trigger but the start of a frame off, that one on and then given its source.
+
+        Mode before source: some firmware forgets a source that is set while the mode is off.
+        """
+        device, source = self._camera.get_device(), self.settings.trigger_source
+        features.require({"AcquisitionMode": "Continuous"})
+        if features.exists("TriggerSelector"):
+            selectors = device.dup_available_enumeration_feature_values_as_strings("TriggerSelector")
+            for selector in selectors:
+                features.require({"TriggerSelector": selector})
+                if features.exists("TriggerMode"):
+                    features.require({"TriggerMode": "Off"})
+            if "FrameStart" not in selectors:
+                raise CameraSetupError(self.name, f"no FrameStart trigger, only {', '.join(selectors)}")
+            features.require({"TriggerSelector": "FrameStart"})
+        features.require({"TriggerMode": "On"})
+        features.require({"TriggerSource": source})
+        features.require({"TriggerMode": "On"})  # and some switch the mode off when the source changes
+
+    def _start_stream(self) -> None:
+        """Packet size first: a stream made before it scrambles its buffers."""
+        aravis, camera, settings = self._library.aravis, self._camera, self.settings
+        if camera.is_gv_device():
+            if settings.packet_size is None:
+                camera.gv_auto_packet_size()
+            camera.gv_set_packet_size_adjustment(aravis.GvPacketSizeAdjustment.NEVER)
+            if settings.user_socket:
+                camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        payload = camera.get_payload()
+        self._stream = camera.create_stream(None, None)
+        if camera.is_gv_device():
+            # as large as the kernel allows, up to one frame: the default loses most of a burst
+            self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.AUTO)
+        for _ in range(BUFFERS):
+            self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
+        self._pump = threading.Thread(
+            target=_pump,
+            args=(self._library, self._stream, self._stop_pump, self._counter, self._deliver),
+            name=f"pump {self.name}",
+            daemon=True,
+        )
+        self._pump.start()
+        camera.start_acquisition()
+
+    def _control_lost(self, _device: Any) -> None:
+        """Called in Aravis' heartbeat thread."""
+        self.lost.set()
+        self._on_lost()
+
+
+class _FrameCounter:
+    """Frame ids that only rise, from a camera's counter that wraps and starts again.
+
+    A counter that stands still or falls a little gives the same or a smaller id: a repeated frame.
+    """
+
+    def __init__(self, first: int) -> None:
+        self._base = self._highest = first
+        self._last_raw = 0
+
+    def restart(self) -> None:
+        """The camera may count from 1 again, or may not: what comes next counts on from here."""
+        self._last_raw = 0
+        self._base = self._highest
+
+    def count(self, raw: int) -> int:
+        if self._last_raw == 0:
+            self._base = self._highest + 1 - raw
+        elif raw <= BLOCK_IDS and self._last_raw - raw > BLOCK_IDS // 2:
+            self._base += BLOCK_IDS
+        self._last_raw = raw
+        frame_id = self._base + raw
+        self._highest = max(self._highest, frame_id)
+        return frame_id
+
+
+def _pump(
+    libraries: Any,
+    stream: Any,
+    stop: threading.Event,
+    counter: _FrameCounter,
+    deliver: Callable[[Arrival], None],
+) -> None:
+    """Take buffers out of the stream until told to stop; each goes back at once, copied."""
+    while not stop.is_set():
+        buffer = stream.timeout_pop_buffer(PUMP_POLL_US)
+        if buffer is None:
+            continue
+        try:
+            arrival = _arrival(libraries.aravis, buffer, counter)
+        finally:
+            stream.push_buffer(buffer)
+        deliver(arrival)
+
+
+def _arrival(aravis: Any, buffer: Any, counter: _FrameCounter) -> Arrival:
+    frame_id = counter.count(buffer.get_frame_id())
+    device_ns, arrived_ns = buffer.get_timestamp(), buffer.get_system_timestamp()
+
+    def failed(problem: str) -> Arrival:
+        return Arrival(frame_id, device_ns, arrived_ns, None, problem)
+
+    status = buffer.get_status()
+    if status != aravis.BufferStatus.SUCCESS:
+        return failed(f"frame {frame_id} is incomplete: {status.value_nick.replace('-', ' ')}")
+    if buffer.get_payload_type() != aravis.BufferPayloadType.IMAGE:
+        return failed(f"frame {frame_id} carries {buffer.get_payload_type().value_nick}, not an image")
+    if buffer.get_image_pixel_format() != aravis.PIXEL_FORMAT_MONO_8:
+        return failed(f"frame {frame_id} has pixel format 0x{buffer.get_image_pixel_format():08x}, not Mono8")
+    width, height = buffer.get_image_width(), buffer.get_image_height()
+    data = buffer.get_data()
+    if len(data) != width * height:
+        return failed(
+            f"frame {frame_id} has {len(data)} bytes, {width}x{height} pixels need {width * height}"
+        )
+    # get_data() copied already, but into immutable bytes: frames are ordinary writable arrays
+    image = np.frombuffer(data, np.uint8).reshape(height, width).copy()
+    return Arrival(frame_id, device_ns, arrived_ns, image)
