@@ -1,0 +1,377 @@
+"""A virtual cell: a part that lies elsewhere at every trigger, two cameras, and the truth.
+
+Which exposures belong together: real cameras share nothing but time, and their frame ids start
+again after a restart. So do these: a scene is born with the first exposure, the other
+camera's exposure within `PAIR_WINDOW_NS` sees the same one, and a camera never sees one twice.
+A lost trigger or a restarted camera costs one pair and nothing after it, as long as triggers are
+further apart than the window.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.errors import ImageError
+from edged.sim.exposure import ExposureRequest
+from edged.sim.scene import (
+    Box,
+    Disc,
+    Hole,
+    Light,
+    Part,
+    Placed,
+    Plate,
+    Scene,
+    Sensor,
+    Surface,
+    Table,
+    View,
+    extent_mm,
+)
+from edged.vision.camera import CameraModel, StereoRig
+
+CAMERAS = ("left", "right")
+PAIR_WINDOW_NS = 50_000_000
+"""Longer than two software triggers in a row on a busy PC, shorter than any cycle."""
+
+HISTORY = 1024
+"""Scenes whose truth is remembered: minutes of cycles, a megabyte."""
+
+BORDER_PX = 12.0
+"""A part stays this far inside both images: room for the edge operator."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the part may lie, each uniformly distributed and independent.
+
+    centre_mm : in the rig frame. shift_mm : half width in x and y. depth_mm : half width in z.
+    tilt_rad : largest angle between the part's z and the rig's z. turn_rad : half range of the
+    rotation about z.
+    """
+
+    centre_mm: tuple[float, float, float] = (8.0, 0.0, 205.0)
+    shift_mm: tuple[float, float] = (24.0, 16.0)
+    depth_mm: float = 3.0
+    tilt_rad: float = math.radians(3.0)
+    turn_rad: float = math.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueCircle:
+    """A circle of the part in the rig frame; normal towards the cameras."""
+
+    name: str
+    centre_mm: FloatArray
+    normal: FloatArray
+    radius_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What was really there.
+
+    number : counts scenes from 0. exposed_ns : of the first exposure of the pair.
+    """
+
+    number: int
+    exposed_ns: int
+    rig_from_part: FloatArray
+    circles: tuple[TrueCircle, ...]
+
+
+@dataclass(slots=True)
+class _Moment:
+    truth: Truth
+    seen: dict[str, tuple[int, int]] = field(default_factory=dict)  # camera: frame id, exposed_ns
+
+
+class VirtualCell:
+    """Scenes, their pictures and their truth; every one follows from the seed and its number.
+
+    Thread-safe: cameras expose from threads of their own.
+    Raises ValueError where the part fits nowhere into the view of both cameras.
+    """
+
+    def __init__(
+        self,
+        rig: StereoRig,
+        part: Part,
+        *,
+        seed: int = 0,
+        motion: Motion | None = None,
+        table: Surface | None = None,
+        light: Light | None = None,
+        sensor: Sensor | None = None,
+    ) -> None:
+        self.rig, self.part = rig, part
+        self._seed = seed
+        self._motion = motion or Motion()
+        self._table = table or Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
+        self._light = light or Light()
+        self._views = stereo_views(rig, sensor)
+        self._moments: deque[_Moment] = deque(maxlen=HISTORY)
+        self._born = 0
+        self._lock = threading.Lock()
+        self._pose(0)  # a part that cannot be placed must show now, not at the first trigger
+
+    def exposure(self, camera: str) -> Callable[[ExposureRequest], Image]:
+        """The function that a virtual camera, "left" or "right", calls for its images."""
+        view = self._views[camera]
+
+        def expose(request: ExposureRequest) -> Image:
+            if request.width > view.camera.width or request.height > view.camera.height:
+                raise ImageError(
+                    f"virtual camera {camera}: {request.width}x{request.height} asked for, "
+                    f"the sensor has {view.camera.width}x{view.camera.height}"
+                )
+            truth = self._moment(camera, request)
+            rng = np.random.default_rng((self._seed, 1 + CAMERAS.index(camera), truth.number))
+            image = view.render(self.scene(truth.rig_from_part), rng, request.exposure_us, request.gain_db)
+            return np.ascontiguousarray(image[: request.height, : request.width])
+
+        return expose
+
+    def truth(self, exposed_ns: int, tolerance_ns: int = PAIR_WINDOW_NS) -> Truth | None:
+        """The scene exposed nearest to a time; None where there was none, or where it is forgotten."""
+        with self._lock:
+            truths = [moment.truth for moment in self._moments]
+        nearest = min(truths, key=lambda truth: abs(truth.exposed_ns - exposed_ns), default=None)
+        if nearest is None or abs(nearest.exposed_ns - exposed_ns) > tolerance_ns:
+            return None
+        return nearest
+
+    def truth_of_frame(self, camera: str, frame_id: int) -> Truth | None:
+        """The scene of a camera's latest frame of that id; ids start again when a camera restarts."""
+        with self._lock:
+            for moment in reversed(self._moments):
+                if camera in moment.seen and moment.seen[camera][0] == frame_id:
+                    return moment.truth
+        return None
+
+    def teach_pair(self) -> tuple[Image, Image, Truth]:
+        """Left and right image of the part square to the left camera, its axes along the rig's, and
+        the truth (number -1)."""
+        rig_from_part = np.eye(4)
+        rig_from_part[:3, 3] = self._motion.centre_mm
+        scene = self.scene(rig_from_part)
+        left, right = (
+            self._views[camera].render(scene, np.random.default_rng((self._seed, 3, index)))
+            for index, camera in enumerate(CAMERAS)
+        )
+        return left, right, self._truth(-1, 0, rig_from_part)
+
+    def scene(self, rig_from_part: FloatArray) -> Scene:
+        """The cell with the part at a pose."""
+        rig_from_table = np.eye(4)
+        # below the lowest point that a tilted part can have
+        rig_from_table[:3, 3] = self._motion.centre_mm
+        rig_from_table[2, 3] += self._motion.depth_mm + extent_mm(self.part.outline) * math.sin(
+            self._motion.tilt_rad
+        )
+        table = Table(self._table, rig_from_table)
+        return Scene(table, (Placed(self.part, rig_from_part),), self._light)
+
+    # --- inside ------------------------------------------------------------------------------
+
+    def _moment(self, camera: str, request: ExposureRequest) -> Truth:
+        """The scene that this exposure sees; a new one where none is left to share."""
+        frame = (request.frame_id, request.exposed_ns)
+        with self._lock:
+            for moment in reversed(self._moments):
+                near = abs(request.exposed_ns - moment.truth.exposed_ns) <= PAIR_WINDOW_NS
+                if near and moment.seen.get(camera, frame) == frame:
+                    moment.seen[camera] = frame
+                    return moment.truth
+            truth = self._truth(self._born, request.exposed_ns, self._pose(self._born))
+            self._born += 1
+            self._moments.append(_Moment(truth, {camera: frame}))
+            return truth
+
+    def _truth(self, number: int, exposed_ns: int, rig_from_part: FloatArray) -> Truth:
+        circles = tuple(
+            TrueCircle(
+                name,
+                rig_from_part[:3, :3] @ (disc.x_mm, disc.y_mm, 0.0) + rig_from_part[:3, 3],
+                -rig_from_part[:3, 2],
+                disc.radius_mm,
+            )
+            for name, disc in self.part.circles
+        )
+        return Truth(number, exposed_ns, rig_from_part, circles)
+
+    def _pose(self, number: int) -> FloatArray:
+        motion = self._motion
+        rng = np.random.default_rng((self._seed, 0, number))
+        for _ in range(1000):
+            shift = rng.uniform(-1.0, 1.0, 3) * (*motion.shift_mm, motion.depth_mm)
+            tilt, azimuth = motion.tilt_rad * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
+            turn = rng.uniform(-motion.turn_rad, motion.turn_rad)
+            pose = _pose(np.array(motion.centre_mm) + shift, tilt, azimuth, turn)
+            if _is_inside(self._views, pose, extent_mm(self.part.outline)):
+                return pose
+        raise ValueError(f"part {self.part.name}: fits nowhere into the view of both cameras")
+
+
+# --- views and poses -----------------------------------------------------------------------------
+
+
+def stereo_views(rig: StereoRig, sensor: Sensor | None = None) -> dict[str, View]:
+    """The views of both cameras, by name."""
+    return {
+        "left": View(rig.left, np.eye(4), sensor),
+        "right": View(rig.right, rig.right_from_left, sensor),
+    }
+
+
+def _pose(origin_mm: FloatArray, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> FloatArray:
+    """A pose turned about its own z, then tilted about a horizontal axis."""
+    axis = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0])
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    tilt = np.eye(3) + math.sin(tilt_rad) * cross + (1.0 - math.cos(tilt_rad)) * cross @ cross
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    pose = np.eye(4)
+    pose[:3, :3] = tilt @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    pose[:3, 3] = origin_mm
+    return pose
+
+
+def _is_inside(views: dict[str, View], rig_from_part: FloatArray, radius_mm: float) -> bool:
+    """Whether both cameras see a whole disc around the part's origin."""
+    angles = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(48)], axis=-1) * radius_mm
+    points = rim @ rig_from_part[:3, :3].T + rig_from_part[:3, 3]
+    return all(_sees(view, points) for view in views.values())
+
+
+def _sees(view: View, points_mm: FloatArray) -> bool:
+    try:
+        pixels = view.project(points_mm)
+    except ValueError:  # so far out that the lens has no image of it
+        return False
+    last = (view.camera.width - 1, view.camera.height - 1)
+    return bool((pixels >= BORDER_PX).all() and (pixels <= np.array(last) - BORDER_PX).all())
+
+
+# --- calibration images ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationView:
+    """One stereo pair of a plate and its true pose."""
+
+    left: Image
+    right: Image
+    rig_from_plate: FloatArray
+
+
+def calibration_views(
+    rig: StereoRig, plate: Plate, count: int, *, seed: int = 0, sensor: Sensor | None = None
+) -> Iterator[CalibrationView]:
+    """Pictures of a plate as a careful person takes them: tilted up to 20° every way, at several
+    depths, all over the common field, never cut.
+
+    Raises ValueError where the plate does not fit into the view of both cameras.
+    """
+    views = stereo_views(rig, sensor)
+    points = plate.points_mm
+    centre = np.append(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], 0.0)
+    margin_mm = 1.5 * float(np.linalg.norm(points[1] - points[0]))
+    rim = _rectangle(points.min(axis=0) - margin_mm, points.max(axis=0) + margin_mm)
+    meeting_mm = _meeting_point(rig)
+    table_pose = np.eye(4)
+    table_pose[:3, 3] = meeting_mm
+    table_pose[2, 3] += 30.0
+    table = Table(Surface(albedo=0.12), table_pose)
+    for number in range(count):
+        rng = np.random.default_rng((seed, 4, number))
+        pose = _plate_pose(rng, views, rim - centre, meeting_mm)
+        pose[:3, 3] -= pose[:3, :3] @ centre
+        scene = Scene(table, (Placed(plate.part, pose),))
+        left, right = (
+            views[camera].render(scene, np.random.default_rng((seed, 5 + index, number)))
+            for index, camera in enumerate(CAMERAS)
+        )
+        yield CalibrationView(left, right, pose)
+
+
+def _plate_pose(
+    rng: np.random.Generator, views: dict[str, View], rim_mm: FloatArray, meeting_mm: FloatArray
+) -> FloatArray:
+    reach_mm = 0.12 * meeting_mm[2]
+    for attempt in range(2000):
+        reach = reach_mm * (1.0 - attempt / 2000)  # a large plate has little room
+        shift = rng.uniform(-1.0, 1.0, 3) * (reach, reach, 0.04 * meeting_mm[2])
+        tilt, azimuth = math.radians(20.0) * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
+        pose = _pose(meeting_mm + shift, tilt, azimuth, rng.uniform(-0.3, 0.3))
+        corners = rim_mm @ pose[:3, :3].T + pose[:3, 3]
+        if all(_sees(view, corners) for view in views.values()):
+            return pose
+    raise ValueError("the calibration plate fits nowhere into the view of both cameras")
+
+
+def _rectangle(low: FloatArray, high: FloatArray) -> FloatArray:
+    return np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
+
+
+def _meeting_point(rig: StereoRig) -> FloatArray:
+    """Where both optical axes come closest; for nearly parallel ones, 2 baselines ahead."""
+    right_axis = rig.right_from_left[:3, :3].T @ (0.0, 0.0, 1.0)
+    right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
+    # left (0, 0, a) and right c + b r: least squares for a, b
+    system = np.stack([np.array([0.0, 0.0, 1.0]), -right_axis], axis=-1)
+    (a, b), *_ = np.linalg.lstsq(system, right_centre, rcond=None)
+    if a <= 0.0 or b <= 0.0 or math.hypot(*right_axis[:2]) < 0.02:
+        return np.array([0.5 * right_centre[0], 0.5 * right_centre[1], 2.0 * rig.baseline_mm])
+    return np.asarray(0.5 * (np.array([0.0, 0.0, a]) + right_centre + b * right_axis))
+
+
+# --- the demo's cell -------------------------------------------------------------------------------
+
+
+def demo_rig() -> StereoRig:
+    """A rig as in the paper's Table 2: f 14.8 mm on 4.65 µm pixels, baseline 110 mm, vergence 24°;
+    the left camera looks straight down."""
+    centre, target = np.array([109.3, 1.4, -12.2]), np.array([14.0, 1.0, 205.0])
+    ahead = (target - centre) / np.linalg.norm(target - centre)
+    down = np.array([0.006, 1.0, 0.0])  # 0.3° of roll, as it is after bolting a camera down
+    right = np.cross(down, ahead)
+    right /= np.linalg.norm(right)
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = np.stack([right, np.cross(ahead, right), ahead])
+    right_from_left[:3, 3] = -right_from_left[:3, :3] @ centre
+    turn = math.radians(30.0)
+    robot_from_rig = np.array(
+        [
+            [math.cos(turn), math.sin(turn), 0.0, 420.0],
+            [math.sin(turn), -math.cos(turn), 0.0, -60.0],
+            [0.0, 0.0, -1.0, 512.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    return StereoRig(
+        CameraModel("division", 1280, 960, 3183.6, 3183.6, 645.8, 478.1, (-0.2416,)),
+        CameraModel("division", 1280, 960, 3174.5, 3174.5, 646.9, 483.6, (-0.2331,)),
+        right_from_left,
+        "demo",
+        robot_from_rig,
+    )
+
+
+def demo_part() -> Part:
+    """A flange: disc of radius 14 mm, bore with keyway, five bolt holes of which one is smaller."""
+    bolts = tuple(
+        Hole(f"bolt{k}", Disc(10.2 * math.cos(angle), 10.2 * math.sin(angle), 0.9 if k == 4 else 1.6))
+        for k, angle in enumerate(2.0 * math.pi * np.arange(5) / 5 + 0.35)
+    )
+    bore = Hole("bore", Disc(0.0, 0.0, 4.0))
+    keyway = Hole("keyway", Box(4.4, 0.0, 3.6, 2.2))
+    brushed = Surface(albedo=0.62, contrast=0.10, feature_mm=0.35, stretch=6.0, seed=1)
+    return Part("flange", Disc(0.0, 0.0, 14.0), brushed, (bore, keyway, *bolts))

@@ -1,0 +1,434 @@
+"""Scenes as values, and their pictures: flat parts on a flat table, seen by calibrated cameras.
+
+A picture is made as light makes it: radiance of the planes, averaged over each pixel's area,
+blurred by the lens, collected as electrons with shot and read noise, rounded to 8 bits.
+Outlines are exact to 0.003 px; textures are attached to their surfaces, so both views of a
+stereo pair agree. What is not modelled: height of edges, shadows, highlights.
+
+Lengths in mm. A part's frame has z away from the cameras, x and y in its face; a
+`rig_from_part` is (4, 4). Own projection on purpose: see `edged.sim.lens`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.sim import raster
+from edged.sim.lens import project, rays_of_pixels
+from edged.sim.raster import F32
+from edged.vision.camera import CameraModel
+
+# --- outlines ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A circle."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A rectangle with rounded corners; its own x axis turned by `angle_rad` from x to y."""
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    height_mm: float
+    corner_mm: float = 0.0
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A long hole: two half circles `length_mm` (over all) apart, joined by straight edges."""
+
+    x_mm: float
+    y_mm: float
+    length_mm: float
+    width_mm: float
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Polygon:
+    """A closed outline of straight edges; no two of them cross."""
+
+    points_mm: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Checker:
+    """Dark squares of a chessboard; (x, y) is the outer corner of the first square."""
+
+    x_mm: float
+    y_mm: float
+    square_mm: float
+    columns: int
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class DotGrid:
+    """Equal discs in rows and columns; (x, y) is the centre of the first."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    pitch_mm: float
+    columns: int
+    rows: int
+
+
+Shape = Disc | Box | Slot | Polygon | Checker | DotGrid
+
+
+def extent_mm(shape: Shape) -> float:
+    """Radius of a circle around the frame's origin that holds the shape."""
+    match shape:
+        case Disc():
+            return math.hypot(shape.x_mm, shape.y_mm) + shape.radius_mm
+        case Box():
+            return math.hypot(shape.x_mm, shape.y_mm) + 0.5 * math.hypot(shape.width_mm, shape.height_mm)
+        case Slot():
+            return math.hypot(shape.x_mm, shape.y_mm) + 0.5 * max(shape.length_mm, shape.width_mm)
+        case Polygon():
+            return max(math.hypot(x, y) for x, y in shape.points_mm)
+        case Checker():
+            last = (shape.x_mm + shape.columns * shape.square_mm, shape.y_mm + shape.rows * shape.square_mm)
+            margin = 0.0
+        case DotGrid():
+            width_mm, height_mm = (shape.columns - 1) * shape.pitch_mm, (shape.rows - 1) * shape.pitch_mm
+            last = (shape.x_mm + width_mm, shape.y_mm + height_mm)
+            margin = shape.radius_mm
+    return margin + max(math.hypot(x, y) for x in (shape.x_mm, last[0]) for y in (shape.y_mm, last[1]))
+
+
+# --- things --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What a face looks like.
+
+    albedo : radiance under light of level 1. contrast : standard deviation of the texture
+    against it. feature_mm : its finest strong wavelength. stretch : how much longer it is along x
+    (brushed metal). seed : which texture.
+    """
+
+    albedo: float
+    contrast: float = 0.0
+    feature_mm: float = 0.8
+    stretch: float = 1.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """An opening: what lies behind the part, darkened to `transmission` of its radiance."""
+
+    name: str
+    shape: Shape
+    transmission: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Paint on the face."""
+
+    shape: Shape
+    albedo: float
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A flat workpiece: its outline, then marks, then holes; all of them within the outline."""
+
+    name: str
+    outline: Shape
+    surface: Surface
+    holes: tuple[Hole, ...] = ()
+    marks: tuple[Mark, ...] = ()
+
+    @property
+    def circles(self) -> tuple[tuple[str, Disc], ...]:
+        """Its outline, as "outer", and its holes, as far as they are circles."""
+        named = (("outer", self.outline), *((hole.name, hole.shape) for hole in self.holes))
+        return tuple((name, shape) for name, shape in named if isinstance(shape, Disc))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A part where it lies."""
+
+    part: Part
+    rig_from_part: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """The endless plane below; z = 0 of its frame."""
+
+    surface: Surface
+    rig_from_table: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """Irradiance level (1 + gradient · (X, Y)), X and Y of the rig frame."""
+
+    level: float = 1.0
+    gradient_per_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All there is to see; parts from the lowest to the topmost."""
+
+    table: Table
+    parts: tuple[Placed, ...] = ()
+    light: Light = field(default_factory=Light)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Lens blur and a grey 8-bit sensor.
+
+    psf_sigma_px : Gaussian, besides the pixel's own area. full_well_e : electrons at grey 255
+    without gain. white : grey value of radiance 1 after nominal_exposure_us without gain.
+    """
+
+    psf_sigma_px: float = 0.6
+    full_well_e: float = 12_000.0
+    read_noise_e: float = 12.0
+    black: float = 3.0
+    white: float = 220.0
+    nominal_exposure_us: float = 2_000.0
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+class View:
+    """One camera at its place; holds the ray of every pixel, so that pictures are quick.
+
+    camera_from_rig : (4, 4). Stateless after construction: safe from any thread.
+    Raises ValueError where the lens has no single ray for a pixel.
+    """
+
+    def __init__(
+        self, camera: CameraModel, camera_from_rig: FloatArray, sensor: Sensor | None = None
+    ) -> None:
+        self.camera = camera
+        self.camera_from_rig = np.array(camera_from_rig, dtype=np.float64)
+        self.sensor = sensor or Sensor()
+        # a margin as wide as the blur: pixels at the border see what lies beyond it
+        self._margin = math.ceil(4.0 * self.sensor.psf_sigma_px) if self.sensor.psf_sigma_px > 0 else 0
+        y, x = np.mgrid[
+            -self._margin : camera.height + self._margin, -self._margin : camera.width + self._margin
+        ]
+        self._rays = np.ascontiguousarray(
+            rays_of_pixels(camera, np.stack([x, y], axis=-1).astype(np.float64))
+        )
+
+    def project(self, points_mm: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of points (..., 3) of the rig frame."""
+        return project(self.camera, self.camera_from_rig, np.asarray(points_mm, dtype=np.float64))
+
+    def radiance(self, scene: Scene) -> F32:
+        """(H, W) radiance on the sensor: averaged over pixels and blurred, without noise."""
+        layers, shapes, vertices, textures = _pack(scene, self.camera_from_rig)
+        raw = np.empty(self._rays.shape[:2], np.float32)
+        raster.render_radiance(self._rays, layers, shapes, vertices, textures, raw)
+        margin, sigma_px = self._margin, self.sensor.psf_sigma_px
+        if not margin:
+            return raw
+        size = 2 * margin + 1
+        cv2.GaussianBlur(raw, (size, size), sigma_px, dst=raw, borderType=cv2.BORDER_REPLICATE)
+        return raw[margin:-margin, margin:-margin]
+
+    def render(
+        self,
+        scene: Scene,
+        rng: np.random.Generator | None = None,
+        exposure_us: float | None = None,
+        gain_db: float = 0.0,
+    ) -> Image:
+        """(H, W) uint8 picture. rng : source of the noise, None for none.
+
+        exposure_us : None for the nominal one.
+        """
+        sensor = self.sensor
+        radiance = np.ascontiguousarray(self.radiance(scene))
+        if rng is None:
+            chance, quantiles = np.zeros(radiance.shape, np.uint16), np.zeros(65536, np.float32)
+        else:
+            chance, quantiles = rng.integers(0, 65536, radiance.shape, np.uint16), _normal_quantiles()
+        image = np.empty(radiance.shape, np.uint8)
+        ratio = 1.0 if exposure_us is None else exposure_us / sensor.nominal_exposure_us
+        raster.expose(
+            radiance,
+            chance,
+            quantiles,
+            sensor.white / 255.0 * sensor.full_well_e * ratio,
+            sensor.read_noise_e,
+            255.0 / sensor.full_well_e * 10.0 ** (gain_db / 20.0),
+            sensor.black,
+            image,
+        )
+        return image
+
+
+@functools.cache
+def _normal_quantiles() -> F32:
+    """65536 equally likely values of a standard normal: chosen by 16 random bits, five times
+    quicker than drawing from the distribution."""
+    normal = NormalDist()
+    return np.array([normal.inv_cdf((k + 0.5) / 65536) for k in range(65536)], np.float32)
+
+
+def _pack(scene: Scene, camera_from_rig: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F32]:
+    """The scene as the flat arrays of `raster.render_radiance`."""
+    planes = [(scene.table.rig_from_table, scene.table.surface, [_row(None, scene.table.surface, [])])]
+    vertices: list[tuple[float, float]] = []
+    for placed in scene.parts:
+        part = placed.part
+        rows = [_row(part.outline, part.surface, vertices)]
+        rows += [_row(mark.shape, Surface(mark.albedo), vertices) for mark in part.marks]
+        rows += [_row(hole.shape, Surface(0.0), vertices, hole.transmission) for hole in part.holes]
+        planes.append((placed.rig_from_part, part.surface, rows))
+    seeds = tuple(sorted({surface.seed for _, surface, _ in planes}))
+    layers = np.zeros((len(planes), raster.LAYER_COLUMNS))
+    first = 0
+    for layer, (rig_from_plane, surface, rows) in zip(layers, planes, strict=True):
+        camera_from_plane = camera_from_rig @ rig_from_plane
+        homography = np.linalg.inv(camera_from_plane[:3, [0, 1, 3]])
+        layer[raster.HOMOGRAPHY : raster.HOMOGRAPHY + 9] = homography.ravel()
+        gradient = np.array(scene.light.gradient_per_mm)
+        layer[raster.IRRADIANCE] = scene.light.level * (1.0 + gradient @ rig_from_plane[:2, 3])
+        slope = scene.light.level * (gradient @ rig_from_plane[:2, :2])
+        layer[raster.IRRADIANCE + 1 : raster.IRRADIANCE + 3] = slope
+        texels_per_mm = TEXELS_PER_FEATURE / surface.feature_mm
+        layer[raster.TEXTURE] = seeds.index(surface.seed)
+        layer[raster.TEXELS_U], layer[raster.TEXELS_V] = texels_per_mm / surface.stretch, texels_per_mm
+        layer[raster.FIRST], layer[raster.END] = first, first + len(rows)
+        first += len(rows)
+    shapes = np.array([row for _, _, rows in planes for row in rows], dtype=np.float64)
+    return layers, shapes, np.array(vertices, dtype=np.float64).reshape(-1, 2), _textures(seeds).ravel()
+
+
+def _row(
+    shape: Shape | None, surface: Surface, vertices: list[tuple[float, float]], transmission: float = 0.0
+) -> list[float]:
+    """One shape as a row; the points of a polygon go to `vertices`. None is the whole plane."""
+    angle_rad = 0.0
+    match shape:
+        case None:
+            geometry = [raster.PLANE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        case Disc():
+            geometry = [raster.DISC, shape.x_mm, shape.y_mm, shape.radius_mm, 0.0, 0.0, 0.0]
+        case Box():
+            half = (0.5 * shape.width_mm, 0.5 * shape.height_mm)
+            geometry = [raster.BOX, shape.x_mm, shape.y_mm, *half, shape.corner_mm, 0.0]
+            angle_rad = shape.angle_rad
+        case Slot():
+            half = (0.5 * shape.length_mm, 0.5 * shape.width_mm)
+            geometry = [raster.BOX, shape.x_mm, shape.y_mm, *half, min(half), 0.0]
+            angle_rad = shape.angle_rad
+        case Polygon():
+            geometry = [raster.POLYGON, 0.0, 0.0, len(vertices), len(shape.points_mm), 0.0, 0.0]
+            vertices.extend(shape.points_mm)
+        case Checker():
+            grid = (shape.square_mm, shape.columns, shape.rows)
+            geometry = [raster.CHECKER, shape.x_mm, shape.y_mm, *grid, 0.0]
+        case DotGrid():
+            grid = (shape.pitch_mm, shape.columns, shape.rows)
+            geometry = [raster.DOTS, shape.x_mm, shape.y_mm, shape.radius_mm, *grid]
+    kind, x_mm, y_mm, *parameters = geometry
+    direction = (math.cos(angle_rad), math.sin(angle_rad))
+    paint = (surface.albedo, surface.contrast, transmission)
+    return [float(value) for value in (kind, x_mm, y_mm, *direction, *parameters, *paint)]
+
+
+TEXELS_PER_FEATURE = 8.0
+"""Texture samples per `feature_mm`; the shortest wavelength has half as many."""
+
+
+@functools.lru_cache(maxsize=4)
+def _textures(seeds: tuple[int, ...]) -> F32:
+    """(T, N, N) periodic pink noise of mean 0 and deviation 1, no wave shorter than half a feature."""
+    n = raster.TEXTURE_SIZE
+    frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :]) * TEXELS_PER_FEATURE
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(frequency)
+    # as much power in each octave from 8 features down to half a feature, faded out at both ends
+    inside = np.clip(np.minimum(octaves + 4.0, 1.0 - octaves), 0.0, 1.0)
+    band = np.where(inside > 0.0, np.sin(0.5 * np.pi * inside) ** 2 / np.maximum(frequency, 1e-9), 0.0)
+    tiles = np.empty((len(seeds), n, n), np.float32)
+    for tile, seed in zip(tiles, seeds, strict=True):
+        white = np.random.default_rng(seed).standard_normal((n, n))
+        noise = np.fft.irfft2(np.fft.rfft2(white) * band, s=(n, n))
+        tile[:] = noise / noise.std()
+    return tiles
+
+
+# --- calibration plates ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plate:
+    """A calibration plate and its control points (N, 3) in the part frame, row by row."""
+
+    part: Part
+    points_mm: FloatArray
+
+
+PLATE_WHITE, PLATE_BLACK = 0.82, 0.06
+
+
+def chessboard_plate(columns: int, rows: int, square_mm: float) -> Plate:
+    """A chessboard with columns x rows inner corners; the frame's origin is the first of them."""
+    field_mm = ((columns + 1) * square_mm, (rows + 1) * square_mm)
+    centre_mm = (0.5 * (columns - 1) * square_mm, 0.5 * (rows - 1) * square_mm)
+    outline = Box(*centre_mm, field_mm[0] + square_mm, field_mm[1] + square_mm)
+    squares = Checker(-square_mm, -square_mm, square_mm, columns + 1, rows + 1)
+    part = Part("chessboard", outline, Surface(PLATE_WHITE), marks=(Mark(squares, PLATE_BLACK),))
+    return Plate(part, _grid_points(columns, rows, square_mm, (0.0, 0.0)))
+
+
+def dots_plate(columns: int, rows: int, pitch_mm: float) -> Plate:
+    """A plate of columns x rows dots, half a pitch wide, in a black frame with one cut corner.
+
+    The frame's origin is the centre of the plate; the cut corner lies beside the first dot.
+    """
+    origin_mm = (-0.5 * (columns - 1) * pitch_mm, -0.5 * (rows - 1) * pitch_mm)
+
+    def rim(margin: float) -> Box:
+        return Box(0.0, 0.0, (columns - 1 + 2 * margin) * pitch_mm, (rows - 1 + 2 * margin) * pitch_mm)
+
+    inner = rim(0.7)
+    x, y, leg = -0.5 * inner.width_mm, -0.5 * inner.height_mm, 0.5 * pitch_mm
+    marks = (
+        Mark(rim(0.95), PLATE_BLACK),
+        Mark(inner, PLATE_WHITE),
+        Mark(Polygon(((x, y), (x + leg, y), (x, y + leg))), PLATE_BLACK),
+        Mark(DotGrid(*origin_mm, 0.25 * pitch_mm, pitch_mm, columns, rows), PLATE_BLACK),
+    )
+    part = Part("dots", rim(1.1), Surface(PLATE_WHITE), marks=marks)
+    return Plate(part, _grid_points(columns, rows, pitch_mm, origin_mm))
+
+
+def _grid_points(columns: int, rows: int, pitch_mm: float, origin_mm: tuple[float, float]) -> FloatArray:
+    y, x = np.mgrid[0:rows, 0:columns]
+    flat = np.stack([x.ravel(), y.ravel(), np.zeros(columns * rows)], axis=-1)
+    return np.asarray(flat * pitch_mm + (*origin_mm, 0.0))
