@@ -19,6 +19,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.boards import Chessboard, Detection, IntArray, Missed
+from edged.vision.camera import CameraModel
 from edged.vision.cornerfit import fit_corners
 
 _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains
@@ -42,6 +43,16 @@ def detect_chessboard(image: Image, board: Chessboard) -> Detection | Missed:
         return Missed("the corners found do not form the board's grid")
     fits = refine_corners(image, grid)
     return judge_corners(fits, np.arange(board.rows * board.columns))
+
+
+def remeasure_chessboard(
+    image: Image, board: Chessboard, found: Detection, camera: CameraModel
+) -> Detection | Missed:
+    """Measure a detected board again, now that the lens is known."""
+    grid = np.full((board.rows * board.columns, 2), np.nan)
+    grid[found.ids] = found.pixels
+    fits = refine_corners(image, grid.reshape(board.rows, board.columns, 2), camera)
+    return judge_corners(fits[found.ids], found.ids)
 
 
 def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | Missed:
@@ -101,10 +112,11 @@ def _first_square_is_dark(image: Image, grid: FloatArray) -> bool:
     return float(np.sum(signs * smooth[y, x])) < 0
 
 
-def refine_corners(image: Image, grid: FloatArray) -> FloatArray:
+def refine_corners(image: Image, grid: FloatArray, camera: CameraModel | None = None) -> FloatArray:
     """Fit the corner model at every corner of a grid.
 
     grid (rows, columns, 2), start values within about two pixels; NaN for corners that are not there.
+    camera : if known, its lens tells how edges bend in the window; otherwise they are taken as straight.
     Returns (rows * columns, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
     """
     across, down = _neighbour_steps(grid, 1), _neighbour_steps(grid, 0)
@@ -120,9 +132,13 @@ def refine_corners(image: Image, grid: FloatArray) -> FloatArray:
             np.arctan2(across[..., 1], across[..., 0]).reshape(-1, 1),
             np.arctan2(down[..., 1], down[..., 0]).reshape(-1, 1),
             radius.reshape(-1, 1),
+            np.zeros((grid.shape[0] * grid.shape[1], 2)),
         ],
         axis=1,
     )
+    if camera is not None:
+        for column, direction in ((5, start[:, 2]), (6, start[:, 3])):
+            start[:, column] = _edge_curvatures(camera, start[:, :2], direction)
     results = np.full((len(start), 6), np.nan)
     results[:, 5] = 0
     usable = np.isfinite(start).all(axis=1) & (start[:, 4] >= _MIN_RADIUS_PX)
@@ -130,6 +146,20 @@ def refine_corners(image: Image, grid: FloatArray) -> FloatArray:
     fit_corners(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), fitted)
     results[usable] = fitted
     return results
+
+
+def _edge_curvatures(camera: CameraModel, pixels: FloatArray, directions_rad: FloatArray) -> FloatArray:
+    """Curvature (N,) in 1/px of the images of straight lines through pixels (N, 2).
+
+    directions_rad (N,) in the image; positive bends towards the normal (-sin, cos).
+    """
+    step_px = 10.0
+    along = np.column_stack([np.cos(directions_rad), np.sin(directions_rad)])
+    before, after = camera.normalise(pixels - step_px * along), camera.normalise(pixels + step_px * along)
+    middle = camera.pixels(0.5 * (before + after))
+    sideways = np.column_stack([-along[:, 1], along[:, 0]])
+    # both ends lie on the chord: the line's own middle is off it by -curvature step² / 2
+    return np.asarray(np.sum((pixels - middle) * sideways, axis=1) * 2 / step_px**2)
 
 
 def _neighbour_steps(grid: FloatArray, axis: int) -> FloatArray:
