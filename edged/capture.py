@@ -96,16 +96,28 @@ class _Side:
         self.frame_id: int | None = None
         self.image: Image | None = None
         self.paired_device_ns: int | None = None
+        self.closing: asyncio.Task[None] | None = None
 
     @property
     def name(self) -> str:
         return self.camera.name
 
-    def closed(self) -> None:
+    def close_soon(self) -> None:
+        """Begin to close the camera; one that does not answer must not hold up the cycle."""
         self.open = False
         self.faults = 0
         self.frame_id = None
         self.paired_device_ns = None
+        if self.closing is None:
+            self.closing = asyncio.create_task(self.camera.close(), name=f"close {self.name}")
+
+    async def closed(self) -> None:
+        """Wait for the end of what `close_soon` began."""
+        if self.closing is not None:
+            closing = self.closing
+            await asyncio.shield(closing)
+            if self.closing is closing:
+                self.closing = None
 
 
 class StereoHead:
@@ -130,7 +142,7 @@ class StereoHead:
         max_skew_s: float = 0.005,
         open_timeout_s: float = 15.0,
         min_backoff_s: float = 0.5,
-        max_backoff_s: float = 10.0,
+        max_backoff_s: float = 5.0,
         detect_frozen: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -156,13 +168,16 @@ class StereoHead:
         await self._ready(look=True)
 
     async def capture(self) -> FramePair:
-        """One exposure of both cameras. Raises `CaptureError`; takes two time-outs at most."""
+        """One exposure of both cameras. Raises `CaptureError`.
+
+        Takes one time-out at most while both are open, and one more where they have to be opened.
+        """
         await self._ready(look=False)
         try:
             pair = await self._expose()
             self._check_pair(pair)
         except CaptureError as error:
-            await self._note(error)
+            self._note(error)
             raise
         for side, frame in zip(self._sides, (pair.left, pair.right), strict=True):
             side.paired_device_ns, side.faults = frame.device_ns, 0
@@ -175,7 +190,10 @@ class StereoHead:
         if attempt is not None:
             await _cancel_and_await(attempt)
         self._error, self._retry_at_s = None, 0.0
-        await self._close(*self._sides)
+        for side in self._sides:
+            side.close_soon()
+        for side in self._sides:
+            await side.closed()
 
     # --- opening -----------------------------------------------------------------------------
 
@@ -215,6 +233,7 @@ class StereoHead:
     async def _open(self, side: _Side) -> CaptureError | None:
         try:
             async with asyncio.timeout(self._open_timeout_s):
+                await side.closed()
                 await side.camera.open()
         except TimeoutError:
             error: CaptureError = CameraUnreachable(side.name, f"not open after {self._open_timeout_s:g} s")
@@ -223,13 +242,8 @@ class StereoHead:
         else:
             side.open = True
             return None
-        await self._close(side)
+        side.close_soon()
         return error
-
-    async def _close(self, *sides: _Side) -> None:
-        for side in sides:
-            side.closed()
-        await asyncio.gather(*(side.camera.close() for side in sides))
 
     def _fail(self, error: CaptureError) -> None:
         """No camera is touched before the back-off has passed."""
@@ -304,7 +318,7 @@ class StereoHead:
     def _skew_text(self, what: str, skew_s: float) -> str:
         return f"{what} {skew_s * 1e3:.2f} ms apart, allowed {self._max_skew_s * 1e3:g} ms"
 
-    async def _note(self, error: CaptureError) -> None:
+    def _note(self, error: CaptureError) -> None:
         """Close the cameras that an error says are gone, or that failed too often."""
         at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
         for side in at_fault:
@@ -313,7 +327,8 @@ class StereoHead:
         broken = [side for side in at_fault if gone or side.faults >= REOPEN_AFTER]
         if broken:
             self._fail(error)
-            await self._close(*broken)
+            for side in broken:
+                side.close_soon()
 
 
 def _merge(errors: list[CaptureError]) -> CaptureError:

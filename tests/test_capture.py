@@ -49,6 +49,13 @@ class Bench:
     def side(self, name: str) -> InProcessCamera:
         return self.left if name == "left" else self.right
 
+    async def is_closed(self, name: str) -> None:
+        """The camera gets closed without anybody waiting for it."""
+        deadline_s = time.monotonic() + 3.0
+        while self.side(name).is_open:
+            assert time.monotonic() < deadline_s, "was not closed"
+            await asyncio.sleep(0.001)
+
     async def recovers(self, within_s: float = 3.0) -> FramePair:
         """The first good pair; every error on the way must be a `CaptureError`."""
         deadline_s = time.monotonic() + within_s
@@ -242,7 +249,7 @@ def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[
         bench.side(name).faults.fail_next_trigger = kind(name, "gone")
         with pytest.raises(kind):
             await bench.head.capture()
-        assert not bench.side(name).is_open
+        await bench.is_closed(name)
         assert bench.side(other).is_open
         pair = await bench.recovers()
         assert (2, 1) == (bench.side(name).opened, bench.side(other).opened)
@@ -265,7 +272,7 @@ def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -
                 await bench.head.capture()
             assert name == caught.value.camera
             assert time.monotonic() - started_s < 20 * TIMEOUT_S
-        assert not bench.side(name).is_open
+        await bench.is_closed(name)
         faults.stall = False
         await bench.recovers()
         assert 2 == bench.side(name).opened
@@ -466,8 +473,8 @@ def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
         for _ in range(REOPEN_AFTER):
             with pytest.raises(PairingError):
                 await bench.head.capture()
-        assert not bench.left.is_open
-        assert not bench.right.is_open
+        await bench.is_closed("left")
+        await bench.is_closed("right")
         bench.right.faults.skew_s = 0.0
         await bench.recovers()
 
@@ -546,6 +553,39 @@ def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
     run(script)
 
 
+@SIDES
+def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) -> None:
+    """The fault is reported at once; the camera is opened again only after it has been closed."""
+    order: list[str] = []
+
+    async def script(bench: Bench) -> None:
+        camera = bench.side(name)
+        await bench.head.capture()
+        close_really, open_really, gate = camera.close, camera.open, asyncio.Event()
+
+        async def slow_close() -> None:
+            await gate.wait()
+            await close_really()
+            order.append("closed")
+
+        async def noted_open() -> None:
+            order.append("opened")
+            await open_really()
+
+        camera.close, camera.open = slow_close, noted_open  # type: ignore[method-assign]
+        camera.faults.fail_next_trigger = CameraUnreachable(name, "gone")
+        with pytest.raises(CameraUnreachable, match="gone"):
+            await asyncio.wait_for(bench.head.capture(), 5)
+        await asyncio.sleep(0.05)
+        with pytest.raises(CameraUnreachable, match="gone"):
+            await asyncio.wait_for(bench.head.capture(), 5)
+        gate.set()
+        await bench.recovers()
+        assert ["closed", "opened"] == order
+
+    run(script)
+
+
 def test_an_attempt_that_hangs_is_ended() -> None:
     """A driver that never comes back is a fault after `open_timeout_s`."""
 
@@ -593,7 +633,8 @@ def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
         bench.right.faults.open_error = CameraUnreachable("right", "control lost")
         with pytest.raises(CameraUnreachable, match="control lost"):
             await bench.head.open()
-        assert (True, False) == (bench.left.is_open, bench.right.is_open)
+        await bench.is_closed("right")
+        assert bench.left.is_open
         bench.right.faults.open_error = None
         await asyncio.sleep(0.03)
         await bench.head.open()

@@ -32,6 +32,10 @@ REPLY_S = 1.2
 CLOSE_S = 1.0
 """A camera that answers is closed within milliseconds; one that does not is left to its thread."""
 
+PREDECESSOR_S = 2.0
+"""How long a new connection waits for the old one to give up control of the camera. One that died holds its
+thread for up to 10 s, but then there is no control to give up."""
+
 FRAME_S = 10.0
 """No image is waited for longer than this, whatever the caller's own deadline."""
 
@@ -47,21 +51,17 @@ Result = TypeVar("Result")
 _Job = tuple[concurrent.futures.Future[Any], Callable[[], Any]]
 
 
-def _nothing() -> None:
-    pass
-
-
-class _ControlThread:
-    """One thread for every call that talks to the device: Aravis objects are not thread safe.
+class _Connection:
+    """One connection to the camera, and the thread of all its calls: Aravis objects are not thread safe.
 
     A daemon thread, unlike an executor's: a camera that died holds a call for seconds, and must not hold
     up the end of the program.
     """
 
     def __init__(self, name: str, predecessor: threading.Thread | None) -> None:
+        self.session: Session | None = None
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
-        self._last: Callable[[], None] = _nothing
-        self._done: Callable[[], None] = _nothing
+        self._closed: Callable[[], None] = lambda: None
         self.thread = threading.Thread(target=self._run, args=(predecessor,), name=name, daemon=True)
         self.thread.start()
 
@@ -71,14 +71,14 @@ class _ControlThread:
         self._jobs.put((future, job))
         return future
 
-    def finish(self, last: Callable[[], None], done: Callable[[], None]) -> None:
-        """After the jobs that are queued run `last`, whatever happened, call `done`, and end."""
-        self._last, self._done = last, done
+    def close(self, closed: Callable[[], None]) -> None:
+        """After the jobs that are queued take the session down, call `closed`, and end."""
+        self._closed = closed
         self._jobs.put(None)
 
     def _run(self, predecessor: threading.Thread | None) -> None:
         if predecessor is not None:
-            predecessor.join()  # it may still be giving up control of the same camera
+            predecessor.join(PREDECESSOR_S)
         while (item := self._jobs.get()) is not None:
             future, job = item
             if not future.set_running_or_notify_cancel():
@@ -93,10 +93,9 @@ class _ControlThread:
             else:
                 future.set_result(result)
             del future, job, item  # or the last job's objects live until the next one
-        try:
-            self._last()
-        finally:
-            self._done()
+        if self.session is not None:
+            self.session.close()
+        self._closed()
 
 
 def _bare(error: CaptureError) -> CaptureError:
@@ -111,15 +110,14 @@ class AravisCamera:
     def __init__(self, name: str, settings: AravisSettings) -> None:
         self._name = name
         self._settings = settings
-        self._control: _ControlThread | None = None
+        self._connection: _Connection | None = None
         self._last_thread: threading.Thread | None = None
-        self._session: Session | None = None
         self._arrivals: deque[Arrival] = deque()
         self._news = asyncio.Event()
-        self._command_ns = (0, 0)
         self._awaiting = False
-        self._last_frame_id = 0
+        self._command_ns = (0, 0)
         self._reference: tuple[int, int] | None = None
+        self._last_frame_id = 0
 
     @property
     def name(self) -> str:
@@ -132,25 +130,34 @@ class AravisCamera:
         Raises `CameraUnreachable`, `CameraBusy` or `CameraSetupError`. Takes what Aravis takes: 1 s of
         discovery for a serial number, up to 3 s for an address that does not answer.
         """
-        if self._session is not None:
-            await self._call(self._open_session().probe, REPLY_S)
+        if self._connection is not None and self._connection.session is not None:
+            connection, session = self._opened()
+            await self._call(connection, session.probe, REPLY_S)
             return
-        if self._control is None:
-            self._control = _ControlThread(f"control {self._name}", self._last_thread)
-            self._last_thread = self._control.thread
-        self._arrivals.clear()
+        if self._connection is None:
+            self._connection = _Connection(f"control {self._name}", self._last_thread)
+            self._last_thread = self._connection.thread
+        connection = self._connection
+        arrivals: deque[Arrival] = deque()  # a pump of the connection before must not add to these
+        news = asyncio.Event()
+        self._arrivals, self._news = arrivals, news
         self._awaiting = False
         self._reference = None
-        arrived, lost = _on_loop(self._arrived), _on_loop(self._news.set)
+
+        def arrived(arrival: Arrival) -> None:
+            arrivals.append(arrival)
+            news.set()
+
+        deliver, lost = _on_loop(arrived), _on_loop(news.set)
 
         def connect() -> None:
-            self._session = Session(self._name, self._settings, arrived, lost, self._last_frame_id)
+            connection.session = Session(self._name, self._settings, deliver, lost, self._last_frame_id)
 
-        await self._call(connect, None)
+        await self._call(connection, connect, None)
 
     async def trigger(self) -> None:
         """Start one exposure; frames that were not fetched before are dropped."""
-        session = self._open_session()
+        connection, session = self._opened()
         restart = self._awaiting and not self._arrivals
         self._awaiting = True
         self._arrivals.clear()
@@ -160,11 +167,11 @@ class AravisCamera:
                 session.restart()
             return session.trigger()
 
-        self._command_ns = await self._call(fire, REPLY_S)
+        self._command_ns = await self._call(connection, fire, REPLY_S)
 
     async def frame(self) -> Frame:
         """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
-        session = self._open_session()
+        _, session = self._opened()
         if not self._awaiting:
             raise FrameTimeout(self._name, "no exposure was triggered")
         try:
@@ -185,41 +192,36 @@ class AravisCamera:
 
         A camera that does not answer is given up by its thread, within seconds, after this has returned.
         """
-        control, self._control = self._control, None
-        if control is None:
+        connection, self._connection = self._connection, None
+        if connection is None:
             return
         closed = asyncio.Event()
-        control.finish(self._take_down, _on_loop(closed.set))
+        connection.close(_on_loop(closed.set))
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(closed.wait(), CLOSE_S)
 
     # --- inside ------------------------------------------------------------------------------
 
-    def _take_down(self) -> None:
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()
-
-    async def _call(self, job: Callable[[], Result], limit_s: float | None) -> Result:
-        """Run a job on the control thread; one that has not begun when the time is up never will."""
-        if self._control is None:
+    def _opened(self) -> tuple[_Connection, Session]:
+        connection = self._connection
+        session = connection.session if connection is not None else None
+        if connection is None or session is None:
             raise CameraUnreachable(self._name, "not open")
-        try:
-            return await asyncio.wait_for(asyncio.wrap_future(self._control.submit(job)), limit_s)
-        except TimeoutError:
-            raise CameraUnreachable(self._name, f"no answer within {limit_s:g} s") from None
+        self._raise_if_lost(session)
+        return connection, session
 
-    def _open_session(self) -> Session:
-        session = self._session
-        if session is None or self._control is None:
-            raise CameraUnreachable(self._name, "not open")
+    def _raise_if_lost(self, session: Session) -> None:
         if session.lost.is_set():
             raise CameraUnreachable(self._name, "the connection was lost")
-        return session
 
-    def _arrived(self, arrival: Arrival) -> None:
-        self._arrivals.append(arrival)
-        self._news.set()
+    async def _call(
+        self, connection: _Connection, job: Callable[[], Result], limit_s: float | None
+    ) -> Result:
+        """Run a job on the control thread; one that has not begun when the time is up never will."""
+        try:
+            return await asyncio.wait_for(asyncio.wrap_future(connection.submit(job)), limit_s)
+        except TimeoutError:
+            raise CameraUnreachable(self._name, f"no answer within {limit_s:g} s") from None
 
     async def _next_arrival(self, session: Session) -> Arrival:
         """The next buffer of the last trigger; raises `CameraUnreachable` as soon as the camera is lost."""
@@ -229,8 +231,7 @@ class AravisCamera:
                 if not self._is_stale(arrival):
                     return arrival
                 log.debug("camera %s: frame %d came too late and is dropped", self._name, arrival.frame_id)
-            if session.lost.is_set():
-                raise CameraUnreachable(self._name, "the connection was lost")
+            self._raise_if_lost(session)
             self._news.clear()
             await self._news.wait()
 

@@ -63,10 +63,10 @@ class Features:
                         self._write(offset, 0)
         for name in sorted(values, key=_stage):
             try:
-                self._in_bounds(name, values[name])
+                self._allowed(name, values[name])
                 self._write(name, values[name])
                 found = self._read(name)
-            except _OutOfBoundsError as error:
+            except _RefusedError as error:
                 problems.append(f"{name}: {error}")
             except self._library.glib.Error as error:
                 if error.domain == "arv-device-error-quark" and error.code == int(
@@ -95,21 +95,23 @@ class Features:
         if isinstance(node, aravis.GcEnumeration):  # before GcInteger and GcString: it is those too
             choices = list(self._device.dup_available_enumeration_feature_values_as_strings(name))
             return "" if value in choices else f"{value!r} is none of {', '.join(choices)}"
-        if isinstance(node, aravis.GcBoolean):
-            return "" if isinstance(value, bool) else f"expected true or false, got {value!r}"
-        if isinstance(value, bool):
-            return f"expected a number or text, got {value!r}"
-        if isinstance(node, aravis.GcFloat):
-            return "" if isinstance(value, int | float) else f"expected a number, got {value!r}"
-        if isinstance(node, aravis.GcInteger):
-            return "" if isinstance(value, int) else f"expected a whole number, got {value!r}"
-        if isinstance(node, aravis.GcString):
-            return "" if isinstance(value, str) else f"expected text, got {value!r}"
+        for kind, types, expected in (
+            (aravis.GcBoolean, bool, "true or false"),
+            (aravis.GcFloat, int | float, "a number"),
+            (aravis.GcInteger, int, "a whole number"),
+            (aravis.GcString, str, "text"),
+        ):
+            if isinstance(node, kind):
+                # in Python, True is the number 1
+                fits = isinstance(value, types) and isinstance(value, bool) == (types is bool)
+                return "" if fits else f"expected {expected}, got {value!r}"
         return "a feature of a kind that cannot be set"
 
-    def _in_bounds(self, name: str, value: Value) -> None:
+    def _allowed(self, name: str, value: Value) -> None:
         """Aravis writes what does not fit; some firmware then takes the nearest, some anything."""
         aravis, node = self._library.aravis, self._device.get_feature(name)
+        if node.get_actual_access_mode() == aravis.GcAccessMode.RO:
+            raise _RefusedError("can only be read, or is locked by another feature")
         if isinstance(node, aravis.GcEnumeration | aravis.GcBoolean) or not isinstance(value, int | float):
             return
         if isinstance(node, aravis.GcFloat):
@@ -119,7 +121,7 @@ class Features:
         else:
             return
         if not low <= value <= high:
-            raise _OutOfBoundsError(f"{value!r} is outside {low:g} to {high:g}")
+            raise _RefusedError(f"{value!r} is outside {low:g} to {high:g}")
 
     def _write(self, name: str, value: Value) -> None:
         aravis, device = self._library.aravis, self._device
@@ -150,7 +152,7 @@ class Features:
         return int(device.get_integer_feature_value(name))
 
 
-class _OutOfBoundsError(Exception):
+class _RefusedError(Exception):
     pass
 
 

@@ -11,7 +11,7 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -106,7 +106,7 @@ class Session:
         self._counter = _FrameCounter(first_frame_id)
         self._camera: Any = connect(name, settings.device)
         try:
-            with translated(name, "setting up"):
+            with self._talking("setting up"):
                 self._set_up()
         except BaseException:
             self.close()
@@ -126,13 +126,13 @@ class Session:
         """
         before_ns = time.time_ns()
         if self.by_software:
-            with translated(self.name, "software trigger"):
+            with self._talking("software trigger"):
                 self._camera.software_trigger()
         return before_ns, time.time_ns()
 
     def restart(self) -> None:
         """Stop and start acquisition: an exposure that is still under way is given up."""
-        with translated(self.name, "restarting acquisition"):
+        with self._talking("restarting acquisition"):
             self._camera.stop_acquisition()
             self._counter.restart()
             self._camera.start_acquisition()
@@ -141,7 +141,7 @@ class Session:
         """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`."""
         if not self._camera.is_gv_device():
             return  # USB tells by itself when it is unplugged
-        with translated(self.name, "looking whether it is alive"):
+        with self._talking("looking whether it is alive"):
             privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
         if privilege & 0b11 == 0:
             raise CameraUnreachable(self.name, "it has been restarted, or gave up the connection")
@@ -164,6 +164,16 @@ class Session:
         # the last reference gives up control and ends Aravis' own threads; cycles would keep them
         del camera
         gc.collect()
+
+    @contextlib.contextmanager
+    def _talking(self, doing: str) -> Iterator[None]:
+        """Translate errors; after one that means "gone" the camera is not talked to again."""
+        try:
+            with translated(self.name, doing):
+                yield
+        except CameraUnreachable:
+            self.lost.set()
+            raise
 
     # --- setting up --------------------------------------------------------------------------
 
