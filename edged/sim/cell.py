@@ -47,6 +47,9 @@ HISTORY = 1024
 BORDER_PX = 12.0
 """A part stays this far inside both images: room for the edge operator."""
 
+ATTEMPTS = 300
+"""Random poses that are tried before a part counts as too large for the common view."""
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -210,7 +213,7 @@ class VirtualCell:
     def _pose(self, number: int) -> FloatArray:
         motion = self._motion
         rng = np.random.default_rng((self._seed, 0, number))
-        for _ in range(1000):
+        for _ in range(ATTEMPTS):
             shift = rng.uniform(-1.0, 1.0, 3) * (*motion.shift_mm, motion.depth_mm)
             tilt, azimuth = motion.tilt_rad * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
             turn = rng.uniform(-motion.turn_rad, motion.turn_rad)
@@ -306,8 +309,8 @@ def _plate_pose(
     rng: np.random.Generator, views: dict[str, View], rim_mm: FloatArray, meeting_mm: FloatArray
 ) -> FloatArray:
     reach_mm = 0.12 * meeting_mm[2]
-    for attempt in range(2000):
-        reach = reach_mm * (1.0 - attempt / 2000)  # a large plate has little room
+    for attempt in range(ATTEMPTS):
+        reach = reach_mm * (1.0 - attempt / ATTEMPTS)  # a large plate has little room
         shift = rng.uniform(-1.0, 1.0, 3) * (reach, reach, 0.04 * meeting_mm[2])
         tilt, azimuth = math.radians(20.0) * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
         pose = _pose(meeting_mm + shift, tilt, azimuth, rng.uniform(-0.3, 0.3))
