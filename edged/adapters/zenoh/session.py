@@ -16,12 +16,16 @@ import zenoh
 from edged.errors import ConfigError, ListenError
 
 T = TypeVar("T")
+Mode = Literal["peer", "client", "router"]
 
 
 @dataclass(frozen=True, slots=True)
 class ZenohSettings:
     """How a cell appears on the network.
 
+    mode : None is "router" for a cell that connects somewhere and "peer" for one that only listens. A
+    Zenoh router does not forward between two peers, and those it introduces to each other may not reach
+    each other; between routers everything is forwarded. A "client" gives up when nobody is there.
     listen, connect : endpoints such as "tcp/192.168.1.10:7447". There is no multicast scouting.
     config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
     mode, endpoints and scouting wins over the fields here.
@@ -32,15 +36,16 @@ class ZenohSettings:
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
     config_file: Path | None = None
-    mode: Literal["peer", "client", "router"] = "peer"
+    mode: Mode | None = None
     trigger_timeout_s: float = 5.0
 
 
 def session_config(
-    mode: str, listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
+    mode: Mode | None, listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
 ) -> zenoh.Config:
     """A Zenoh configuration without scouting by multicast: only the endpoints that are named.
 
+    mode : as in `ZenohSettings`. What `config_file` says wins.
     Raises `ConfigError` that names the file or the endpoints that Zenoh refuses.
     """
     source = str(config_file) if config_file is not None else "zenoh"
@@ -50,7 +55,6 @@ def session_config(
         raise ConfigError(source, [plain(error)]) from error
     untouched = zenoh.Config()
     wanted: dict[str, object] = {
-        "mode": mode,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
         "scouting/multicast/enabled": False,
@@ -66,6 +70,9 @@ def session_config(
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
             raise ConfigError(source, [f"{key.replace('/', '.')}: {value!r}: {plain(error)}"]) from error
+    if json.loads(config.get_json("mode")) is None:
+        connects = json.loads(config.get_json("connect/endpoints"))
+        config.insert_json5("mode", json.dumps(mode or ("router" if connects else "peer")))
     return config
 
 

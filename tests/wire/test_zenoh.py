@@ -1,0 +1,459 @@
+"""Zenoh over real sockets, the other end in another process."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import queue
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from schema_check import load_schema, violations
+from snapshots import make_snapshot
+
+from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
+from edged.adapters.zenoh.worker import Worker
+from edged.domain import CellState, Command, CommandFailed, CommandKind, JobChanged, Status
+from edged.errors import CommandRefused, ConfigError, ListenError
+
+PEER = Path(__file__).parent / "zenoh_peer.py"
+WAIT_S = 15.0  # what a loaded machine may need; nothing here sleeps for it
+READY = CellState("READY", True, True, "flange", 1, 0)
+SCHEMA = load_schema()
+
+
+def free_port() -> int:
+    """A TCP port that nobody has now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class Peer:
+    """`zenoh_peer.py` in a process of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(PEER), *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.lines: queue.Queue[dict[str, Any]] = queue.Queue()
+        self.reader = threading.Thread(target=self._read)
+        self.reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            self.lines.put(json.loads(line))
+
+    def line(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = WAIT_S) -> dict[str, Any]:
+        """The next line that is wanted."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            line = self.lines.get(timeout=max(0.01, deadline_s - time.monotonic()))
+            if wanted(line):
+                return line
+
+    async def until(
+        self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = WAIT_S
+    ) -> dict[str, Any]:
+        """`line` without blocking the loop."""
+        return await asyncio.to_thread(self.line, wanted, timeout_s)
+
+    def close(self, *, kill: bool = False) -> None:
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
+        if kill:
+            self.process.kill()
+        self.process.wait(WAIT_S)
+        self.reader.join()
+        self.process.stdout.close()
+
+
+@contextlib.contextmanager
+def peer(what: str, *more: str, **config: object) -> Iterator[Peer]:
+    """A peer that is up; keys of config: "mode", "listen__endpoints", ..."""
+    text = json.dumps({key.replace("__", "/"): value for key, value in config.items()})
+    process = Peer(what, text, *more)
+    try:
+        if what != "get":
+            process.line(lambda line: "up" in line)
+        yield process
+    finally:
+        process.close()
+
+
+def listener(port: int) -> contextlib.AbstractContextManager[Peer]:
+    """A process that listens to every cell at this port."""
+    return peer("listen", mode="peer", listen__endpoints=[], connect__endpoints=[f"tcp/127.0.0.1:{port}"])
+
+
+async def ask(port: int, *selectors: str) -> list[dict[str, Any]]:
+    """Replies to queries of another process."""
+    config = {"mode": "client", "connect__endpoints": [f"tcp/127.0.0.1:{port}"]}
+
+    def run() -> list[dict[str, Any]]:
+        replies: list[dict[str, Any]] = []
+        with peer("get", *selectors, **config) as process:
+            process.line(lambda line: replies.append(line) is None and "done" in line)
+        return replies[:-1]
+
+    return await asyncio.to_thread(run)
+
+
+def is_message(kind: str, **fields: object) -> Callable[[dict[str, Any]], bool]:
+    """Whether a line is a message of this kind with these fields."""
+
+    def check(line: dict[str, Any]) -> bool:
+        document = line.get("document") or {}
+        wanted = {"schema": f"edged/{kind}/1", **fields}
+        return all(document.get(name) == value for name, value in wanted.items())
+
+    return check
+
+
+def ignore(command: Command) -> None:
+    """A command that is never carried out."""
+
+
+class Commander:
+    """Takes commands; what happens with one is up to the test."""
+
+    def __init__(self) -> None:
+        self.react: Callable[[Command], None] = ignore
+        self.commands: list[Command] = []
+        self.came = asyncio.Event()
+
+    def submit(self, command: Command) -> None:
+        self.commands.append(command)
+        self.came.set()
+        self.react(command)
+
+
+class Cell:
+    """A publisher with its commander, at a port of its own."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.port = free_port()
+        self.commander = Commander()
+        given = {"listen": (f"tcp/127.0.0.1:{self.port}",), **settings}
+        self.publisher = ZenohPublisher(
+            ZenohSettings("cell1", **given),
+            self.commander,
+            jobs=lambda: [(1, "flange"), (2, "cover")],
+            config=lambda: {"calibration": "cal"},
+        )
+
+    async def __aenter__(self) -> Cell:
+        await self.publisher.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.publisher.close()
+
+
+def python_threads() -> set[str]:
+    """Names of the threads that run, apart from those of the test's own executor."""
+    return {thread.name for thread in threading.enumerate() if not thread.name.startswith("asyncio_")}
+
+
+def test_every_cycle_arrives_in_order_and_documented():
+    """A subscriber in another process sees each cycle once, in order, as the schema says."""
+
+    async def main() -> list[dict[str, Any]]:
+        async with Cell() as cell:
+            with listener(cell.port) as other:
+                cell.publisher.announce(READY)
+                await other.until(is_message("state"))
+                for cycle in range(1, 21):
+                    cell.publisher.announce(make_snapshot(cycle, list(Status)[cycle % len(Status)]))
+                lines = [await other.until(is_message("target")) for _ in range(20)]
+                health = await other.until(is_message("health", cycles=20))
+                return [line["document"] for line in (*lines, health)]
+
+    *targets, health = asyncio.run(main())
+    assert [*range(1, 21)] == [target["cycle"] for target in targets]
+    assert [*range(1, 21)] == [target["sequence"] for target in targets]
+    assert 1_700_000_000_000_000_000 == targets[3]["exposed_ns"]
+    assert [] == [
+        problem for message in (*targets, health) for problem in violations(message, SCHEMA, SCHEMA)
+    ]
+    assert {"OK": 5, "NO_TARGET": 5, "LOW_QUALITY": 5, "CAPTURE_FAULT": 5} == health["cycles_by_status"]
+
+
+def test_who_comes_late_gets_the_last_result_and_state():
+    """A subscriber that appears after the last cycle learns it without another one."""
+
+    async def main() -> None:
+        async with Cell() as cell:
+            cell.publisher.announce(READY)
+            for cycle in (1, 2, 3):
+                cell.publisher.announce(make_snapshot(cycle))
+            with listener(cell.port) as other:
+                await other.until(is_message("target", cycle=3))
+                other.close()
+            with listener(cell.port) as other:
+                await other.until(is_message("state", state="READY", job="flange"))
+
+    asyncio.run(main())
+
+
+def test_a_trigger_is_answered_by_the_result_it_asked_for():
+    """The reply carries the command; a result of another cycle does not answer it."""
+
+    async def main() -> list[dict[str, Any]]:
+        async with Cell() as cell:
+
+            def react(command: Command) -> None:
+                cell.publisher.announce(make_snapshot(7))
+                cell.publisher.announce(make_snapshot(8, command=Command(CommandKind.LOCATE, "modbus", 1)))
+                cell.publisher.announce(make_snapshot(9, command=command))
+
+            cell.commander.react = react
+            return await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab")
+
+    (reply,) = asyncio.run(main())
+    assert reply["ok"]
+    assert 9 == reply["document"]["cycle"]
+    assert {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2} == reply["document"]["command"]
+    assert [] == violations(reply["document"], SCHEMA, SCHEMA)
+
+
+def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
+    """Refused, failed later, never finished, job changed: one reply each, and nothing stays pending."""
+
+    async def main() -> tuple[list[dict[str, Any]], Cell]:
+        async with Cell() as cell:
+
+            def refuse(command: Command) -> None:
+                raise CommandRefused("queue full")
+
+            reactions = iter(
+                [
+                    refuse,
+                    lambda command: cell.publisher.announce(CommandFailed(command, "job 2 is gone")),
+                    ignore,
+                    lambda command: cell.publisher.announce(JobChanged(2, "cover", command)),
+                ]
+            )
+            cell.commander.react = lambda command: next(reactions)(command)
+            selectors = ("", "?job=2", "?timeout_s=0.2", "?kind=change_job;job=2")
+            replies = await ask(cell.port, *(f"edged/cell1/trigger{selector}" for selector in selectors))
+            cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late: no harm
+            return replies, cell
+
+    replies, cell = asyncio.run(main())
+    assert [False, False, False, True] == [reply["ok"] for reply in replies]
+    errors = [reply["document"].get("error") for reply in replies]
+    assert ["queue full", "job 2 is gone", "no result within 0.2 s", None] == errors
+    assert "cover" == replies[3]["document"]["job"]
+    assert [] == [problem for reply in replies for problem in violations(reply["document"], SCHEMA, SCHEMA)]
+    assert CommandKind.CHANGE_JOB is cell.commander.commands[3].kind
+
+
+def test_wrong_parameters_are_refused_with_what_was_expected():
+    """Hostile or mistyped parameters reach nobody but the one who sent them."""
+    bad = {
+        "kind=melt": "kind: expected one of locate, change_job, grab, got 'melt'",
+        "job=-1": "job: expected a number from 0 to 65535, got '-1'",
+        "job=99999999999999999999": "job: expected a number from 0 to 65535, got '99999999999999999999'",
+        "job=²": "job: expected a number from 0 to 65535, got '²'",
+        "timeout_s=nan": "timeout_s: expected seconds up to 60, got 'nan'",
+        "timeout_s=1e9": "timeout_s: expected seconds up to 60, got '1e9'",
+        "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s",
+    }
+
+    async def main() -> tuple[list[dict[str, Any]], Cell]:
+        async with Cell() as cell:
+            return await ask(cell.port, *(f"edged/cell1/trigger?{text}" for text in bad)), cell
+
+    replies, cell = asyncio.run(main())
+    assert list(bad.values()) == [reply["document"]["error"] for reply in replies]
+    assert [] == cell.commander.commands
+
+
+def test_looking_around_with_wildcards_triggers_nothing():
+    """`get edged/**` reads what can be read and moves nothing."""
+
+    async def main() -> tuple[list[dict[str, Any]], Cell]:
+        async with Cell() as cell:
+            cell.publisher.announce(READY)
+            cell.publisher.announce(make_snapshot(5))
+            return await ask(cell.port, "edged/**", "edged/*/trigger"), cell
+
+    replies, cell = asyncio.run(main())
+    assert [] == cell.commander.commands
+    by_schema = {reply["document"]["schema"]: reply["document"] for reply in replies}
+    assert {"edged/target/1", "edged/jobs/1", "edged/config/1", "edged/error/1"} == by_schema.keys()
+    assert 5 == by_schema["edged/target/1"]["cycle"]
+    assert {"calibration": "cal"} == by_schema["edged/config/1"]["config"]
+    jobs = [{"number": 1, "name": "flange", "active": True}, {"number": 2, "name": "cover", "active": False}]
+    assert jobs == by_schema["edged/jobs/1"]["jobs"]
+    assert [] == [
+        problem for document in by_schema.values() for problem in violations(document, SCHEMA, SCHEMA)
+    ]
+
+
+def test_last_says_how_old_it_is_and_when_there_is_none():
+    """`last` before the first cycle is an error, after it the result and its age."""
+
+    async def main() -> list[dict[str, Any]]:
+        async with Cell() as cell:
+            before = await ask(cell.port, "edged/cell1/last")
+            cell.publisher.announce(make_snapshot(4, exposed_ns=time.time_ns() - 10_000_000_000))
+            return before + await ask(cell.port, "edged/cell1/last")
+
+    before, after = asyncio.run(main())
+    assert "nothing has been measured yet" == before["document"]["error"]
+    assert 10_000 <= after["document"]["age_ms"] < 10_000 + 1000 * WAIT_S
+    assert [] == violations(after["document"], SCHEMA, SCHEMA)
+
+
+def test_the_liveliness_token_goes_with_the_cell():
+    """`alive` appears with the cell and is withdrawn by its end, without any message of it."""
+
+    async def main() -> None:
+        def alive(kind: str) -> Callable[[dict[str, Any]], bool]:
+            return lambda line: (line.get("key"), line.get("kind")) == ("edged/cell1/alive", kind)
+
+        with contextlib.ExitStack() as stack:
+            async with Cell() as cell:
+                other = stack.enter_context(listener(cell.port))
+                await other.until(alive("put"))
+            await other.until(alive("delete"))
+
+    asyncio.run(main())
+
+
+def test_closing_answers_who_waits_and_leaves_no_thread():
+    """A trigger that is pending at the end gets an error at once; all our threads are gone."""
+    before = python_threads()
+
+    async def main() -> list[dict[str, Any]]:
+        async with Cell() as cell:
+            cell.publisher.announce(READY)
+            asked = asyncio.create_task(ask(cell.port, "edged/cell1/trigger?timeout_s=60"))
+            await cell.commander.came.wait()
+            await cell.publisher.close()
+            cell.publisher.announce(make_snapshot())  # the loop may still talk: nobody listens
+            return await asked
+
+    (reply,) = asyncio.run(main())
+    assert "the daemon is stopping" == reply["document"]["error"]
+    assert before == python_threads()
+
+
+def test_a_port_in_use_is_a_listen_error_that_names_it():
+    """A second cell at the same endpoint does not start, says why, and leaves nothing behind."""
+    before = python_threads()
+
+    async def main() -> int:
+        async with Cell() as cell:
+            rival = ZenohPublisher(ZenohSettings("cell2", (f"tcp/127.0.0.1:{cell.port}",)), None)
+            with pytest.raises(ListenError, match=rf"zenoh: .*{cell.port}.*Address already in use"):
+                await rival.start()
+            await rival.close()
+            return cell.port
+
+    asyncio.run(main())
+    assert before == python_threads()
+
+
+@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999x", "carrier-pigeon/roof:1"])
+def test_an_endpoint_that_cannot_be_is_refused(endpoint):
+    """A mistyped endpoint is an error of the user that shows the endpoint."""
+    publisher = ZenohPublisher(ZenohSettings("cell1", (endpoint,)), None)
+
+    async def main() -> None:
+        try:
+            await publisher.start()
+        finally:
+            await publisher.close()
+
+    with pytest.raises((ConfigError, ListenError), match=endpoint.split("/")[0]):
+        asyncio.run(main())
+
+
+@pytest.mark.parametrize("content", [None, "{", "{ mode: 'peer', lisen: 3 }"])
+def test_a_zenoh_file_with_a_mistake_is_a_config_error(tmp_path, content):
+    """A file that is missing, broken or has an unknown key is named, not ignored."""
+    file = tmp_path / "zenoh.json5"
+    if content is not None:
+        file.write_text(content)
+    publisher = ZenohPublisher(ZenohSettings("cell1", config_file=file), None)
+    with pytest.raises(ConfigError, match=r"zenoh\.json5"):
+        asyncio.run(publisher.start())
+
+
+def test_what_zenohs_own_file_says_wins(tmp_path):
+    """Endpoints of the file are used instead of those of the cell's configuration."""
+    port = free_port()
+    file = tmp_path / "zenoh.json5"
+    file.write_text(json.dumps({"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
+
+    async def main() -> list[dict[str, Any]]:
+        async with Cell(config_file=file) as cell:
+            with socket.socket() as probe:
+                assert 0 != probe.connect_ex(("127.0.0.1", cell.port)), "the other endpoint is not opened"
+            return await ask(port, "edged/cell1/jobs")
+
+    (reply,) = asyncio.run(main())
+    assert reply["ok"]
+
+
+def test_results_come_back_when_the_router_does():
+    """A fleet's router that dies and returns is found again by cell and subscriber, without a restart."""
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
+
+    async def main() -> None:
+        async with Cell(listen=(), connect=(endpoint,)) as cell:
+            with listener(port) as other:
+                for cycle in (1, 2):
+                    with peer("router", mode="router", listen__endpoints=[endpoint]) as router:
+                        heard = asyncio.create_task(other.until(is_message("target", cycle=cycle)))
+                        while not heard.done():
+                            cell.publisher.announce(make_snapshot(cycle))
+                            await asyncio.wait({heard}, timeout=0.1)
+                        await heard
+                        router.close(kill=True)
+
+    asyncio.run(main())
+
+
+def test_a_full_outbox_loses_its_oldest_job():
+    """What is queued behind a stalled send is replaced by newer jobs, counted, and done in order."""
+    worker, gate, done = Worker("test", 3), threading.Event(), []
+    started = threading.Event()
+
+    def stall() -> None:
+        started.set()
+        gate.wait(WAIT_S)
+
+    worker.start()
+    worker.post(stall)
+    assert started.wait(WAIT_S)
+    for number in range(10):
+        worker.post(lambda number=number: done.append(number))
+    gate.set()
+    worker.stop(WAIT_S)
+    assert [7, 8, 9] == done
+    assert 7 == worker.dropped
+
+
+def test_a_job_that_fails_does_not_end_the_worker(caplog):
+    """A message that cannot be shaped is logged with its trace and counted; the next one is sent."""
+    worker, done = Worker("test", 3), []
+    worker.post(lambda: 1 / 0)
+    worker.post(lambda: done.append(True))
+    worker.start()
+    worker.stop(WAIT_S)
+    assert ([True], 1) == (done, worker.failed)
+    assert "ZeroDivisionError" in caplog.text
