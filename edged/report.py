@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from edged.vision.calibration import Calibration, StereoView
+from edged.vision.boards import StereoView
+from edged.vision.calibration import Calibration
 
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:62em;color:#1b1f24}

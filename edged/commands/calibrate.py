@@ -7,28 +7,30 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from edged.domain import FloatArray
 from edged.errors import CalibrationError, UserError
 from edged.report import calibration_report
 from edged.store import load_image, save_rig, write_atomically
-from edged.vision.boards import Board, Detection, Missed, parse_board
-from edged.vision.calibration import Calibration, StereoView, calibrate_stereo
-from edged.vision.camera import LensModel
-from edged.vision.detection import detect_board
+from edged.vision.boards import Board, Detection, Missed, StereoView, parse_board
+from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
+from edged.vision.camera import CameraModel, LensModel
+from edged.vision.detection import detect_board, remeasure_board
 from edged.vision.rectification import make_rectification
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 Side = Literal["left", "right"]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,9 @@ def calibrate(
         _check_writable(path)
     pairs = find_pairs(directory)
     sizes, views = detect_views(pairs, specification, console)
+    with console.status("bundle adjustment"):
+        first = calibrate_stereo(views, *sizes, lens)
+    views = remeasure_views(pairs, views, first, console)
     with console.status("bundle adjustment"):
         calibration = calibrate_stereo(views, *sizes, lens)
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
@@ -120,14 +125,47 @@ def detect_views(
     return (sizes[0], sizes[1]), views
 
 
+def remeasure_views(
+    pairs: list[ImagePair], views: list[StereoView], calibration: Calibration, console: Console
+) -> list[StereoView]:
+    """Measure the marks of all views that were used again, with the lenses now known."""
+    rig = calibration.rig
+    files = {pair.name: pair for pair in pairs}
+    with _pool() as pool, _progress(console) as progress:
+        bar = progress.add_task("measuring the marks", total=2 * len(calibration.views))
+        futures = {
+            fit.name: (
+                pool.submit(_remeasure, files[fit.name].left, fit, "left", rig.left, fit.left_from_board),
+                pool.submit(
+                    _remeasure,
+                    files[fit.name].right,
+                    fit,
+                    "right",
+                    rig.right,
+                    rig.right_from_left @ fit.left_from_board,
+                ),
+            )
+            for fit in calibration.views
+        }
+        done = {name: [_finish(future, progress, bar) for future in pair] for name, pair in futures.items()}
+    return [
+        replace(view, left=done[view.name][0], right=done[view.name][1]) if view.name in done else view
+        for view in views
+    ]
+
+
+def _remeasure(
+    path: Path, fit: ViewFit, side: Side, camera: CameraModel, camera_from_board: FloatArray
+) -> Detection | Missed:
+    return remeasure_board(load_image(path), fit.view.board, fit.view.found(side), camera, camera_from_board)
+
+
 def _detect(path: Path, board: Board) -> tuple[tuple[int, int], Detection | Missed]:
     image = load_image(path)
     return (image.shape[1], image.shape[0]), detect_board(image, board)
 
 
-def _finish(
-    future: Future[tuple[tuple[int, int], Detection | Missed]], progress: Progress, bar: Any
-) -> tuple[tuple[int, int], Detection | Missed]:
+def _finish(future: Future[T], progress: Progress, bar: TaskID) -> T:
     result = future.result()
     progress.advance(bar)
     return result

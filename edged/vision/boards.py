@@ -124,6 +124,23 @@ class Missed:
     reason: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoView:
+    """One pair of images of one board."""
+
+    name: str
+    board: Board
+    left: Detection | Missed
+    right: Detection | Missed
+
+    def found(self, side: str) -> Detection:
+        """The detection of "left" or "right"; for views known to have it."""
+        detection = self.left if side == "left" else self.right
+        if isinstance(detection, Missed):
+            raise TypeError(f"{self.name}: no board in the {side} image: {detection.reason}")
+        return detection
+
+
 def parse_board(text: str) -> Board:
     """Read a board specification such as "chessboard:11x8:4.0".
 

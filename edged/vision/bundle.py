@@ -162,6 +162,33 @@ def residuals(state: BundleState, left: Observations, right: Observations) -> tu
     return left.pixels - state.left.project(in_left), right.pixels - state.right.project(in_right)
 
 
+def relation_information(
+    state: BundleState, left: Observations, right: Observations
+) -> tuple[FloatArray, FloatArray]:
+    """What each view alone says of right_from_left, lenses held and its board pose free.
+
+    Returns information (V, 6, 6) and gradient (V, 6) of (rotation vector on the left, translation):
+    the view's own best change of right_from_left is information^-1 @ gradient.
+    """
+    nothing = np.zeros((4 + len(state.left.distortion), 0)), np.zeros((4 + len(state.right.distortion), 0))
+    views = len(state.left_from_board)
+    information, gradient = np.empty((views, 6, 6)), np.empty((views, 6))
+    for view in range(views):
+        alone = replace(state, left_from_board=state.left_from_board[view : view + 1])
+        normal = _normal_equations(alone, _of_view(left, view), _of_view(right, view), nothing, robust=True)
+        gain = np.linalg.solve(normal.poses[0], normal.coupling[0].T)
+        information[view] = normal.rig - normal.coupling[0] @ gain
+        gradient[view] = normal.rig_right - gain.T @ normal.poses_right[0]
+    return information, gradient
+
+
+def _of_view(seen: Observations, view: int) -> Observations:
+    """The marks of one view, as view 0."""
+    kept = seen.view == view
+    first = np.zeros(int(kept.sum()), dtype=np.int64)
+    return Observations(first, seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept])
+
+
 def _in_left(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray]:
     """Turned board points R x and full points R x + t in the left camera's frame, both (N, 3)."""
     poses = state.left_from_board[seen.view]

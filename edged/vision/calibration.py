@@ -13,53 +13,53 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards import Board, Detection, IntArray, Missed
-from edged.vision.bundle import BundleResult, BundleState, LensFreedom, Observations, adjust
-from edged.vision.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig
-from edged.vision.geometry import apply, invert, rotation_matrix, rotation_vector, transform
+from edged.vision.boards import IntArray, StereoView
+from edged.vision.bundle import (
+    BundleResult,
+    BundleState,
+    LensFreedom,
+    Observations,
+    adjust,
+    relation_information,
+)
+from edged.vision.camera import DISTORTION_NAMES, LensModel, StereoRig
+from edged.vision.geometry import apply
 from edged.vision.rectification import row_difference_px
+from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
 
-MIN_VIEWS = 3  # two give no redundancy at all for the distortion
-_MIN_MARKS = 8  # in one image: a homography and as much redundancy again
-_RELEASE_T = 4.0  # |value| / sigma from which a parameter is taken to be real
+# |value| / sigma from which a parameter is taken to be real. Not less: errors of neighbouring marks are
+# alike (a bent board), which the sigma does not know; square pixels looked oblong by 4 sigma on real boards.
+_RELEASE_T = 6.0
 _OUTLIER = 6.0  # normalised residual length beyond which a mark is a mistake, not noise
 _BAD_VIEW = 5.0  # times the median view rms beyond which a view is not of the same rig or board
+_MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
+_BLURRED = 2.0  # times the median edge spread
 _MAX_FOCAL_SIGMA = 0.02  # relative; beyond it the views do not determine the camera
-_MIN_TILT_SPREAD_DEG = 3.0  # between board normals; Zhang's method is degenerate for parallel boards
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StereoView:
-    """One pair of images of one board."""
-
-    name: str
-    board: Board
-    left: Detection | Missed
-    right: Detection | Missed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewFit:
     """How one view agrees with the calibration.
 
-    left_from_board (4, 4).  ids, pixels, residuals_px (measured - projected) of both images.
+    view : with the marks as they were measured, numbered as they were used.
+    left_from_board (4, 4).
+    residuals_left_px, residuals_right_px (N, 2) : measured - projected.
     """
 
-    name: str
-    board: Board
+    view: StereoView
     left_from_board: FloatArray
-    ids_left: IntArray
-    ids_right: IntArray
-    pixels_left: FloatArray
-    pixels_right: FloatArray
     residuals_left_px: FloatArray
     residuals_right_px: FloatArray
+
+    @property
+    def name(self) -> str:
+        """The view's name."""
+        return self.view.name
 
     @property
     def rms_px(self) -> float:
@@ -102,143 +102,14 @@ def calibrate_stereo(
     calibration is possible: fewer than three usable pairs, parallel boards, swapped images,
     a camera that moved between the views.
     """
-    usable, excluded = _usable(views)
-    left_camera, left_poses = _zhang(usable, "left", left_size, model)
-    right_camera, right_poses = _zhang(usable, "right", right_size, model)
-    usable, right_from_left = _agree(usable, left_poses, right_poses)
-    _check_sides(right_from_left)
+    usable, excluded = usable_views(views)
+    left_camera, left_poses = zhang(usable, "left", left_size, model)
+    right_camera, right_poses = zhang(usable, "right", right_size, model)
+    usable, right_from_left = agree(usable, left_poses, right_poses)
+    check_sides(right_from_left)
     state = BundleState(left_camera, right_camera, right_from_left, np.array(left_poses))
     solution = _solve_and_clean(usable, state, model, excluded)
     return _summarise(solution, excluded)
-
-
-# --- start values -------------------------------------------------------------------------------
-
-
-def _usable(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tuple[str, str]]]:
-    usable, excluded = [], []
-    for view in views:
-        problem = next(
-            (
-                f"{side}: {found.reason}"
-                for side, found in (("left", view.left), ("right", view.right))
-                if isinstance(found, Missed)
-            ),
-            None,
-        )
-        if problem is None and min(len(_detection(view, s).ids) for s in ("left", "right")) < _MIN_MARKS:
-            problem = f"fewer than {_MIN_MARKS} marks in one image"
-        if problem is None:
-            usable.append(view)
-        else:
-            excluded.append((view.name, problem))
-    if len(usable) < MIN_VIEWS:
-        reasons = "".join(f"\n  {name}: {reason}" for name, reason in excluded)
-        raise CalibrationError(
-            f"{len(usable)} of {len(views)} pairs show the board in both images, "
-            f"expected at least {MIN_VIEWS} (20 are good){reasons}"
-        )
-    return usable, excluded
-
-
-def _detection(view: StereoView, side: str) -> Detection:
-    found = view.left if side == "left" else view.right
-    if isinstance(found, Missed):
-        raise TypeError("a missed view was not sorted out")
-    return found
-
-
-def _zhang(
-    views: Sequence[StereoView], side: str, size: tuple[int, int], model: LensModel
-) -> tuple[CameraModel, list[FloatArray]]:
-    """Camera and camera_from_board for each view."""
-    found = [_detection(view, side) for view in views]
-    boards = [
-        view.board.points_mm[seen.ids].astype(np.float32) for view, seen in zip(views, found, strict=True)
-    ]
-    pixels = [seen.pixels.astype(np.float32).reshape(-1, 1, 2) for seen in found]
-    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
-    try:
-        _, K, distortion, rotations, translations = cv2.calibrateCamera(
-            boards, pixels, size, np.eye(3), np.zeros(5), flags=flags
-        )
-    except cv2.error as error:
-        raise CalibrationError(f"{side} camera: no start values from these views: {error.err}") from error
-    poses = [
-        transform(rotation_matrix(np.ravel(r)), np.ravel(t))
-        for r, t in zip(rotations, translations, strict=True)
-    ]
-    _check_tilt(poses, side)
-    # To first order both models bend alike: r (1 + k1 r²) and r (1 + kappa r²)
-    k1 = float(np.ravel(distortion)[0])
-    values = (k1,) if model == "division" else (k1, 0.0, 0.0, 0.0, 0.0)
-    camera = CameraModel(model, *size, float(K[0, 0]), float(K[0, 0]), float(K[0, 2]), float(K[1, 2]), values)
-    return camera, poses
-
-
-def _check_tilt(poses: Sequence[FloatArray], side: str) -> None:
-    normals = np.array([pose[:3, 2] for pose in poses])
-    spread = float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1, 1))))
-    if spread < _MIN_TILT_SPREAD_DEG:
-        raise CalibrationError(
-            f"{side} camera: the board is parallel to itself in all views (normals within {spread:.1f}°): "
-            "focal length and distance cannot be told apart; tilt it by 20° to 40° in different directions"
-        )
-
-
-def _agree(
-    views: list[StereoView], left: list[FloatArray], right: list[FloatArray]
-) -> tuple[list[StereoView], FloatArray]:
-    """Which way round a symmetric board was seen, and the relation most views agree on.
-
-    The relation of the cameras is the same in every view; a board that was numbered from the
-    other end in one image gives another one in each.
-    """
-    candidates: list[list[FloatArray]] = []
-    for view, left_pose, right_pose in zip(views, left, right, strict=True):
-        relations = [right_pose @ invert(left_pose)]
-        if view.board.is_symmetric:
-            relations.append(right_pose @ _half_turn(view.board) @ invert(left_pose))
-        candidates.append(relations)
-    best: tuple[float, FloatArray, list[int]] | None = None
-    for relation in (relation for relations in candidates for relation in relations):
-        distances = [[_distance(relation, other) for other in relations] for relations in candidates]
-        # the median, so that views that are wrong altogether have no say
-        score = float(np.median([min(d) for d in distances]))
-        if best is None or score < best[0]:
-            best = score, relation, [int(np.argmin(d)) for d in distances]
-    if best is None:
-        raise CalibrationError("no view to calibrate from")
-    turned = [
-        replace(view, right=_renumbered(_detection(view, "right"), view.board)) if choice else view
-        for view, choice in zip(views, best[2], strict=True)
-    ]
-    return turned, best[1]
-
-
-def _half_turn(board: Board) -> FloatArray:
-    """board_from_board (4, 4) that maps each mark to the mark with the number counted from the end."""
-    return transform(np.diag([-1.0, -1.0, 1.0]), board.points_mm[-1])
-
-
-def _renumbered(seen: Detection, board: Board) -> Detection:
-    return replace(seen, ids=len(board.points_mm) - 1 - seen.ids)
-
-
-def _distance(a: FloatArray, b: FloatArray) -> float:
-    """How far two relations differ: angle plus shift relative to the baseline."""
-    angle = float(np.linalg.norm(rotation_vector(a[:3, :3].T @ b[:3, :3])))
-    shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
-    return angle + shift / max(float(np.linalg.norm(a[:3, 3])), 1e-9)
-
-
-def _check_sides(right_from_left: FloatArray) -> None:
-    centre = invert(right_from_left)[:3, 3]
-    if centre[0] < 0 and abs(centre[0]) > abs(centre[1]):
-        raise CalibrationError(
-            "left and right look swapped: the camera of the *_right images lies on the left of the other; "
-            "rename the images (for cameras that hang upside down, too)"
-        )
 
 
 # --- estimation ---------------------------------------------------------------------------------
@@ -269,6 +140,7 @@ def _solve_and_clean(
     basic = LensFreedom(True, tuple(n for n in DISTORTION_NAMES[model] if n != "k3"))
     while True:
         solution = _estimate(_problem(views), state, (basic, basic))
+        _check_movement(solution)
         worst = _worst_view(solution)
         if worst is None:
             break
@@ -289,7 +161,7 @@ def _problem(views: list[StereoView]) -> _Problem:
 
 
 def _observations(views: Sequence[StereoView], side: str) -> Observations:
-    found = [_detection(view, side) for view in views]
+    found = [view.found(side) for view in views]
     return Observations(
         np.concatenate([np.full(len(seen.ids), i, dtype=np.int64) for i, seen in enumerate(found)]),
         np.concatenate([v.board.points_mm[seen.ids] for v, seen in zip(views, found, strict=True)]),
@@ -363,6 +235,33 @@ def _model_error(seen: Observations, residuals: FloatArray, share: float) -> flo
         middle = 0.5 * (low + high)
         low, high = (middle, high) if chi2(middle) > target else (low, middle)
     return high
+
+
+def _check_movement(solution: _Solution) -> None:
+    """Raise `CalibrationError` if one change of right_from_left between two views explains the residuals.
+
+    A likelihood ratio test over all places where the sequence of views can be cut.
+    """
+    problem, result = solution.problem, solution.result
+    errors = solution.model_error_px
+    left, right = _with_error(problem.left, errors[0]), _with_error(problem.right, errors[1])
+    information, gradient = relation_information(result.state, left, right)
+    before, score = np.cumsum(information, axis=0)[:-1], np.cumsum(gradient, axis=0)[:-1]
+    after, rest = information.sum(axis=0) - before, gradient.sum(axis=0) - score
+    step_before = np.linalg.solve(before, score[..., None])[..., 0]
+    step_after = np.linalg.solve(after, rest[..., None])[..., 0]
+    gain = np.sum(step_before * score, axis=1) + np.sum(step_after * rest, axis=1)
+    last = len(problem.views) - 2  # a single view at either end is a bad view, not a movement
+    inner = gain[1:last]
+    if not inner.size or inner.max() < _MOVED_SHARE * result.chi2:
+        return
+    cut = 1 + int(np.argmax(inner))
+    change = step_after[cut] - step_before[cut]
+    raise CalibrationError(
+        f"a camera was moved between {problem.views[cut].name} and {problem.views[cut + 1].name}: by about "
+        f"{np.degrees(np.linalg.norm(change[:3])):.3f}° and {np.linalg.norm(change[3:]):.3f} mm "
+        "against the other; take the views again without touching the cameras"
+    )
 
 
 def _worst_view(solution: _Solution) -> tuple[int, float, float] | None:
@@ -450,9 +349,10 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
     rig = _rig(result, "")
     rig = replace(rig, calibration_id=_identity(rig))
     fits = tuple(
-        _view_fit(view, i, rig, result.state.left_from_board[i]) for i, view in enumerate(problem.views)
+        fit_of_view(view, rig, pose)
+        for view, pose in zip(problem.views, result.state.left_from_board, strict=True)
     )
-    rows = np.concatenate([epipolar_errors_px(rig, fit) for fit in fits])
+    rows = np.concatenate([epipolar_errors_px(rig, fit.view) for fit in fits])
     return Calibration(
         rig=rig,
         views=fits,
@@ -463,30 +363,43 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
         model_error_px=solution.model_error_px,
         outliers=solution.outliers,
         excluded=tuple(excluded),
-        notes=(),
+        notes=_notes(problem.views),
     )
 
 
-def _view_fit(view: StereoView, index: int, rig: StereoRig, left_from_board: FloatArray) -> ViewFit:
-    del index
-    left, right = _detection(view, "left"), _detection(view, "right")
+def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
+    notes = []
+    for side in ("left", "right"):
+        blur = np.array([view.found(side).blur_px for view in views])
+        notes += [
+            f"{view.name}: the {side} image is blurred (edges of {b:.1f} px, usually {np.median(blur):.1f} px)"
+            for view, b in zip(views, blur, strict=True)
+            if b > _BLURRED * np.median(blur)
+        ]
+    return tuple(notes)
+
+
+def fit_of_view(view: StereoView, rig: StereoRig, left_from_board: FloatArray) -> ViewFit:
+    """Residuals of a view whose board pose is known."""
+    left, right = view.found("left"), view.found("right")
     in_left = apply(left_from_board, view.board.points_mm)
-    projected_left = rig.left.project(in_left)
-    projected_right = rig.right.project(apply(rig.right_from_left, in_left))
+    in_right = apply(rig.right_from_left, in_left)
     return ViewFit(
-        view.name,
-        view.board,
+        view,
         left_from_board,
-        left.ids,
-        right.ids,
-        left.pixels,
-        right.pixels,
-        left.pixels - projected_left[left.ids],
-        right.pixels - projected_right[right.ids],
+        left.pixels - rig.left.project(in_left[left.ids]),
+        right.pixels - rig.right.project(in_right[right.ids]),
     )
 
 
-def epipolar_errors_px(rig: StereoRig, fit: ViewFit) -> FloatArray:
-    """Rectified row differences of the marks seen in both images of a view."""
-    _, left, right = np.intersect1d(fit.ids_left, fit.ids_right, return_indices=True)
-    return row_difference_px(rig, fit.pixels_left[left], fit.pixels_right[right])
+def epipolar_errors_px(rig: StereoRig, view: StereoView) -> FloatArray:
+    """Rectified row differences (M,) of the marks seen in both images of a view."""
+    _, left, right = marks_in_both(view)
+    return row_difference_px(rig, left, right)
+
+
+def marks_in_both(view: StereoView) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Ids (M,), left pixels (M, 2) and right pixels (M, 2) of the marks seen in both images."""
+    left, right = view.found("left"), view.found("right")
+    ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
+    return ids, left.pixels[in_left], right.pixels[in_right]

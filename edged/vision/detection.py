@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from edged.domain import Image
+from edged.domain import FloatArray, Image
 from edged.vision.boards import Board, Chessboard, Detection, Missed
-from edged.vision.chessboard import detect_chessboard
+from edged.vision.camera import CameraModel
+from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
 
 
 def detect_board(image: Image, board: Board) -> Detection | Missed:
@@ -12,3 +13,20 @@ def detect_board(image: Image, board: Board) -> Detection | Missed:
     if isinstance(board, Chessboard):
         return detect_chessboard(image, board)
     return Missed(f"no detector for {board}")
+
+
+def remeasure_board(
+    image: Image,
+    board: Board,
+    found: Detection,
+    camera: CameraModel,
+    camera_from_board: FloatArray,  # noqa: ARG001  (for boards of dots)
+) -> Detection | Missed:
+    """Measure the marks again now that lens and pose are known roughly.
+
+    That takes the small errors away that come from edges bent by the lens and from
+    ellipses whose middle is not the image of the dot's centre.
+    """
+    if isinstance(board, Chessboard):
+        return remeasure_chessboard(image, board, found, camera)
+    return found

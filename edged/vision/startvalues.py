@@ -1,0 +1,143 @@
+"""Start values for the bundle adjustment, and the sorting out of what cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+from edged.vision.boards import Board, Detection, Missed, StereoView
+from edged.vision.camera import CameraModel, LensModel
+from edged.vision.geometry import invert, rotation_matrix, rotation_vector, transform
+
+MIN_VIEWS = 3  # two give no redundancy at all for the distortion
+MIN_MARKS = 8  # in one image: a homography and as much redundancy again
+_MIN_TILT_SPREAD_DEG = 3.0  # between board normals; Zhang's method is degenerate for parallel boards
+
+
+def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tuple[str, str]]]:
+    """Views with the board in both images, and (name, reason) of the others.
+
+    Raises `CalibrationError` with all reasons if fewer than `MIN_VIEWS` are left.
+    """
+    usable, excluded = [], []
+    for view in views:
+        problem = next(
+            (
+                f"{side}: {found.reason}"
+                for side, found in (("left", view.left), ("right", view.right))
+                if isinstance(found, Missed)
+            ),
+            None,
+        )
+        if problem is None and min(len(view.found(s).ids) for s in ("left", "right")) < MIN_MARKS:
+            problem = f"fewer than {MIN_MARKS} marks in one image"
+        if problem is None:
+            usable.append(view)
+        else:
+            excluded.append((view.name, problem))
+    if len(usable) < MIN_VIEWS:
+        reasons = "".join(f"\n  {name}: {reason}" for name, reason in excluded)
+        raise CalibrationError(
+            f"{len(usable)} of {len(views)} pairs show the board in both images, "
+            f"expected at least {MIN_VIEWS} (20 are good){reasons}"
+        )
+    return usable, excluded
+
+
+def zhang(
+    views: Sequence[StereoView], side: str, size: tuple[int, int], model: LensModel
+) -> tuple[CameraModel, list[FloatArray]]:
+    """Camera and camera_from_board for each view."""
+    found = [view.found(side) for view in views]
+    boards = [
+        view.board.points_mm[seen.ids].astype(np.float32) for view, seen in zip(views, found, strict=True)
+    ]
+    pixels = [seen.pixels.astype(np.float32).reshape(-1, 1, 2) for seen in found]
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    try:
+        _, K, distortion, rotations, translations = cv2.calibrateCamera(
+            boards, pixels, size, np.eye(3), np.zeros(5), flags=flags
+        )
+    except cv2.error as error:
+        raise CalibrationError(f"{side} camera: no start values from these views: {error.err}") from error
+    poses = [
+        transform(rotation_matrix(np.ravel(r)), np.ravel(t))
+        for r, t in zip(rotations, translations, strict=True)
+    ]
+    _check_tilt(poses, side)
+    # To first order both models bend alike: r (1 + k1 r²) and r (1 + kappa r²)
+    k1 = float(np.ravel(distortion)[0])
+    values = (k1,) if model == "division" else (k1, 0.0, 0.0, 0.0, 0.0)
+    camera = CameraModel(model, *size, float(K[0, 0]), float(K[0, 0]), float(K[0, 2]), float(K[1, 2]), values)
+    return camera, poses
+
+
+def _check_tilt(poses: Sequence[FloatArray], side: str) -> None:
+    normals = np.array([pose[:3, 2] for pose in poses])
+    spread = float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1, 1))))
+    if spread < _MIN_TILT_SPREAD_DEG:
+        raise CalibrationError(
+            f"{side} camera: the board is parallel to itself in all views (normals within {spread:.1f}°): "
+            "focal length and distance cannot be told apart; tilt it by 20° to 40° in different directions"
+        )
+
+
+def agree(
+    views: list[StereoView], left: list[FloatArray], right: list[FloatArray]
+) -> tuple[list[StereoView], FloatArray]:
+    """Which way round a symmetric board was seen, and the relation most views agree on.
+
+    The relation of the cameras is the same in every view; a board that was numbered from the
+    other end in one image gives another one in each.
+    """
+    candidates: list[list[FloatArray]] = []
+    for view, left_pose, right_pose in zip(views, left, right, strict=True):
+        relations = [right_pose @ invert(left_pose)]
+        if view.board.is_symmetric:
+            relations.append(right_pose @ _half_turn(view.board) @ invert(left_pose))
+        candidates.append(relations)
+    best: tuple[float, FloatArray, list[int]] | None = None
+    for relation in (relation for relations in candidates for relation in relations):
+        distances = [[_distance(relation, other) for other in relations] for relations in candidates]
+        # the median, so that views that are wrong altogether have no say
+        score = float(np.median([min(d) for d in distances]))
+        if best is None or score < best[0]:
+            best = score, relation, [int(np.argmin(d)) for d in distances]
+    if best is None:
+        raise CalibrationError("no view to calibrate from")
+    turned = [
+        replace(view, right=_renumbered(view.found("right"), view.board)) if choice else view
+        for view, choice in zip(views, best[2], strict=True)
+    ]
+    return turned, best[1]
+
+
+def _half_turn(board: Board) -> FloatArray:
+    """board_from_board (4, 4) that maps each mark to the mark with the number counted from the end."""
+    return transform(np.diag([-1.0, -1.0, 1.0]), board.points_mm[-1])
+
+
+def _renumbered(seen: Detection, board: Board) -> Detection:
+    return replace(seen, ids=len(board.points_mm) - 1 - seen.ids)
+
+
+def _distance(a: FloatArray, b: FloatArray) -> float:
+    """How far two relations differ: angle plus shift relative to the baseline."""
+    angle = float(np.linalg.norm(rotation_vector(a[:3, :3].T @ b[:3, :3])))
+    shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
+    return angle + shift / max(float(np.linalg.norm(a[:3, 3])), 1e-9)
+
+
+def check_sides(right_from_left: FloatArray) -> None:
+    """Raise `CalibrationError` where the right camera stands on the left."""
+    centre = invert(right_from_left)[:3, 3]
+    if centre[0] < 0 and abs(centre[0]) > abs(centre[1]):
+        raise CalibrationError(
+            "left and right look swapped: the camera of the *_right images lies on the left of the other; "
+            "rename the images (for cameras that hang upside down, too)"
+        )
