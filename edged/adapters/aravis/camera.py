@@ -4,8 +4,9 @@ Responsible for: one control thread and one pump thread, deadlines, and the proo
 the last trigger. Not responsible for: trying again (`capture` does), what is in the image.
 
 Times. `device_ns` is the camera's own time stamp. `exposed_ns` is host UTC: for the software trigger the
-middle of the trigger command's round trip (half of which bounds the error); for every other trigger source
-the arrival of the first packet, which is late by exposure and readout.
+moment its command left this program, which the exposure follows by the network's and the camera's delay
+(0.1 ms on a quiet network; the answer bounds it, and a command that had to be repeated is a fault); for every
+other trigger source the arrival of the first packet, which is late by exposure and readout.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ class AravisCamera:
         self._arrivals: deque[Arrival] = deque()
         self._news = asyncio.Event()
         self._awaiting = False
-        self._command_ns = (0, 0)
+        self._sent_ns = 0
         self._reference: tuple[int, int] | None = None
         self._last_frame_id = 0
 
@@ -162,12 +163,12 @@ class AravisCamera:
         self._awaiting = True
         self._arrivals.clear()
 
-        def fire() -> tuple[int, int]:
+        def fire() -> int:
             if restart:  # an exposure that nobody waited for is still under way
                 session.restart()
             return session.trigger()
 
-        self._command_ns = await self._call(connection, fire, REPLY_S)
+        self._sent_ns = await self._call(connection, fire, REPLY_S)
 
     async def frame(self) -> Frame:
         """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
@@ -184,7 +185,7 @@ class AravisCamera:
             raise FrameIncomplete(self._name, arrival.problem)
         self._last_frame_id = arrival.frame_id
         self._reference = (arrival.arrived_ns, arrival.device_ns)
-        exposed_ns = sum(self._command_ns) // 2 if session.by_software else arrival.arrived_ns
+        exposed_ns = self._sent_ns if session.by_software else arrival.arrived_ns
         return Frame(self._name, arrival.frame_id, arrival.image, arrival.device_ns, exposed_ns)
 
     async def close(self) -> None:
@@ -247,7 +248,7 @@ class AravisCamera:
         passed_ns = arrival.device_ns - reference_device_ns
         if passed_ns == 0:  # a camera without a clock
             return False
-        least_ns = self._command_ns[0] - reference_ns
+        least_ns = self._sent_ns - reference_ns
         return passed_ns < least_ns * (1 - CLOCK_DRIFT) - STALE_MARGIN_NS
 
 

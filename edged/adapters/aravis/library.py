@@ -8,6 +8,7 @@ import ipaddress
 import math
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -55,7 +56,10 @@ def _load() -> Library | str:
         import gi
 
         gi.require_version("Aravis", "0.8")
-        from gi.repository import Aravis, GLib
+        with warnings.catch_warnings():
+            # PyGObject before 3.44 still has the importer of Python 2, and Python says so
+            warnings.simplefilter("ignore", ImportWarning)
+            from gi.repository import Aravis, GLib
     except ImportError as error:
         return f"PyGObject is missing ({error}); {INSTALL_HINT}"
     except ValueError as error:

@@ -20,7 +20,7 @@ import numpy as np
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import connect, library, translated
 from edged.domain import Image
-from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, FrameTimeout
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +32,9 @@ PUMP_POLL_US = 100_000
 
 CONTROL_PRIVILEGE_REGISTER = 0x0A00
 """GigE Vision 2.0, table 28-1: control channel privilege; bits 0 and 1 tell whether anybody has control."""
+
+REPEAT_S = 0.5
+"""Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
 
 BLOCK_IDS = 65_535
 """GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again."""
@@ -103,7 +106,7 @@ class Session:
         self._stream: Any = None
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
-        self._counter = _FrameCounter(first_frame_id)
+        self._counter = FrameCounter(first_frame_id)
         self._camera: Any = connect(name, settings.device)
         try:
             with self._talking("setting up"):
@@ -119,16 +122,21 @@ class Session:
         """Whether `trigger` makes the exposure, or something else does."""
         return self.settings.trigger_source == "Software"
 
-    def trigger(self) -> tuple[int, int]:
-        """Start an exposure; host UTC ns before and after the command, which the exposure begins between.
+    def trigger(self) -> int:
+        """Start an exposure; host UTC ns at which the command left.
 
-        For a trigger source other than software there is no command: both are now, the exposure comes later.
+        Aravis repeats a command that is not answered; when the exposure began is then anybody's guess, and
+        that is a `FrameTimeout`. For a trigger source other than software there is no command to send.
         """
-        before_ns = time.time_ns()
+        sent_ns = time.time_ns()
         if self.by_software:
+            began_s = time.monotonic()
             with self._talking("software trigger"):
                 self._camera.software_trigger()
-        return before_ns, time.time_ns()
+            took_s = time.monotonic() - began_s
+            if took_s >= REPEAT_S:
+                raise FrameTimeout(self.name, f"the trigger command was answered only after {took_s:.2f} s")
+        return sent_ns
 
     def restart(self) -> None:
         """Stop and start acquisition: an exposure that is still under way is given up."""
@@ -281,7 +289,7 @@ class Session:
         self._on_lost()
 
 
-class _FrameCounter:
+class FrameCounter:
     """Frame ids that only rise, from a camera's counter that wraps and starts again.
 
     A counter that stands still or falls a little gives the same or a smaller id: a repeated frame.
@@ -297,6 +305,7 @@ class _FrameCounter:
         self._base = self._highest
 
     def count(self, raw: int) -> int:
+        """The frame id for the camera's own number."""
         if self._last_raw == 0:
             self._base = self._highest + 1 - raw
         elif raw <= BLOCK_IDS and self._last_raw - raw > BLOCK_IDS // 2:
@@ -311,7 +320,7 @@ def _pump(
     libraries: Any,
     stream: Any,
     stop: threading.Event,
-    counter: _FrameCounter,
+    counter: FrameCounter,
     deliver: Callable[[Arrival], None],
 ) -> None:
     """Take buffers out of the stream until told to stop; each goes back at once, copied."""
@@ -326,7 +335,7 @@ def _pump(
         deliver(arrival)
 
 
-def _arrival(aravis: Any, buffer: Any, counter: _FrameCounter) -> Arrival:
+def _arrival(aravis: Any, buffer: Any, counter: FrameCounter) -> Arrival:
     frame_id = counter.count(buffer.get_frame_id())
     device_ns, arrived_ns = buffer.get_timestamp(), buffer.get_system_timestamp()
 
