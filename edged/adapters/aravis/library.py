@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import ipaddress
 import math
+import socket
+import struct
 import threading
 import time
 import warnings
@@ -16,6 +19,17 @@ from typing import Any, NamedTuple
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError
 
 INSTALL_HINT = "install it with: apt install gir1.2-aravis-0.8 python3-gi"
+
+GVCP_PORT = 3956
+
+ANSWER_S = 0.3
+"""A camera answers a read within milliseconds."""
+
+CONTROL_PRIVILEGE_REGISTER = 0x0A00
+"""GigE Vision bootstrap register "control channel privilege"."""
+
+CONTROLLED = 0b11
+"""Bits of it: exclusive access, control access. Neither: nobody controls the camera."""
 
 DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "WRONG_FEATURE": CameraSetupError,
@@ -112,6 +126,7 @@ class CameraInfo:
 
     device_id : Aravis' own name for it. address : IP address, or USB bus position.
     protocol : "GigEVision" or "USB3Vision". physical_id : MAC address, or USB GUID.
+    control : "free", "controlled" by some program, or why it cannot be used; "" where not asked.
     """
 
     device_id: str
@@ -121,6 +136,7 @@ class CameraInfo:
     address: str
     protocol: str
     physical_id: str
+    control: str = ""
 
 
 def list_cameras() -> list[CameraInfo]:
@@ -128,7 +144,12 @@ def list_cameras() -> list[CameraInfo]:
 
     Blocks: call it in a thread. Raises `CameraSetupError` when Aravis is missing.
     """
-    return _discovery.run(max_age_s=0.0)
+    return [
+        dataclasses.replace(info, control=control_state(info.address))
+        if info.protocol == "GigEVision"
+        else info
+        for info in _discovery.run(max_age_s=0.0)
+    ]
 
 
 class _Discovery:
@@ -168,6 +189,32 @@ def _info(aravis: Any, index: int) -> CameraInfo:
         protocol=aravis.get_device_protocol(index) or "",
         physical_id=aravis.get_device_physical_id(index) or "",
     )
+
+
+def control_state(address: str) -> str:
+    """Whether a GigE Vision camera is "free" or "controlled", asked without taking control of it.
+
+    A camera that answered the broadcast but not this lies in another network than the host's port.
+    """
+    request_id = 1
+    # GVCP READREG_CMD: key, flags (answer wanted), command, length, id, register address
+    command = struct.pack(">BBHHHI", 0x42, 0x01, 0x0080, 4, request_id, CONTROL_PRIVILEGE_REGISTER)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.settimeout(ANSWER_S)
+        try:
+            udp.connect((address, GVCP_PORT))
+            for _ in range(2):  # one datagram may be lost
+                udp.send(command)
+                with contextlib.suppress(TimeoutError):
+                    answer = udp.recv(64)
+                    break
+            else:
+                return "does not answer: is its address in the network of this port?"
+        except OSError as error:
+            return f"cannot be reached: {error.strerror or error}"
+    if len(answer) < 12 or answer[:4] != b"\x00\x00\x00\x81":  # success, READREG_ACK
+        return "does not tell who controls it"
+    return "controlled" if int.from_bytes(answer[8:12]) & CONTROLLED else "free"
 
 
 def connect(camera: str, device: str) -> Any:

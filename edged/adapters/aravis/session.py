@@ -18,7 +18,13 @@ from typing import Any
 import numpy as np
 
 from edged.adapters.aravis.features import Features, Value
-from edged.adapters.aravis.library import connect, library, translated
+from edged.adapters.aravis.library import (
+    CONTROL_PRIVILEGE_REGISTER,
+    CONTROLLED,
+    connect,
+    library,
+    translated,
+)
 from edged.domain import Image
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, FrameTimeout
 
@@ -30,8 +36,8 @@ BUFFERS = 4
 PUMP_POLL_US = 100_000
 """How long a stopping pump may still wait; nothing else depends on it."""
 
-CONTROL_PRIVILEGE_REGISTER = 0x0A00
-"""GigE Vision 2.0, table 28-1: control channel privilege; bits 0 and 1 tell whether anybody has control."""
+HEARTBEAT_REGISTER = 0x0938
+"""GigE Vision bootstrap register "heartbeat timeout", in ms."""
 
 REPEAT_S = 0.5
 """Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
@@ -103,6 +109,7 @@ class Session:
         self._on_lost = lost
         self._deliver = deliver
         self._handler = 0
+        self._heartbeat_ms = 0
         self._stream: Any = None
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
@@ -146,13 +153,19 @@ class Session:
             self._camera.start_acquisition()
 
     def probe(self) -> None:
-        """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`."""
+        """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`.
+
+        A write tells whether another host has taken control (it is denied then); but a camera that was
+        restarted belongs to nobody, and may take writes from anybody: hence the read.
+        """
         if not self._camera.is_gv_device():
             return  # USB tells by itself when it is unplugged
+        device = self._camera.get_device()
         with self._talking("looking whether it is alive"):
-            privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
-        if privilege & 0b11 == 0:
-            raise CameraUnreachable(self.name, "it has been restarted, or gave up the connection")
+            device.write_register(HEARTBEAT_REGISTER, self._heartbeat_ms)
+            privilege = device.read_register(CONTROL_PRIVILEGE_REGISTER)
+            if privilege & CONTROLLED == 0:
+                raise CameraUnreachable(self.name, "it has been restarted, or gave up the connection")
 
     def close(self) -> None:
         """Take everything down, politely if the camera still answers; never raises."""
@@ -190,6 +203,8 @@ class Session:
         device = camera.get_device()
         if camera.is_gv_device() and not device.is_controller():
             raise CameraBusy(self.name, f"{settings.device} is controlled by another host or program")
+        if camera.is_gv_device():
+            self._heartbeat_ms = device.read_register(HEARTBEAT_REGISTER)
         self._handler = device.connect("control-lost", self._control_lost)
         with contextlib.suppress(self._library.glib.Error):
             camera.stop_acquisition()  # a host that crashed may have left it running

@@ -1,0 +1,525 @@
+"""The Aravis adapter, with the real Aravis, against GigE Vision cameras over real UDP."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from edged.sim.gige import GigeCamera
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
+from edged.adapters.aravis.features import Features
+from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
+from edged.adapters.aravis.session import BLOCK_IDS, FrameCounter
+from edged.capture import StereoHead
+from edged.domain import Frame, Image
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    FrameTimeout,
+)
+from edged.sim.exposure import ExposureRequest
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+WIDTH, HEIGHT = 320, 240
+LEFT, RIGHT = "127.0.40.1", "127.0.40.2"
+NOBODY = "127.0.40.9"
+
+
+class Sensor:
+    """Renders noise and remembers every picture by its frame id."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = np.random.default_rng(seed)
+        self.shown: dict[int, Image] = {}
+        self.requests: list[ExposureRequest] = []
+
+    def __call__(self, request: ExposureRequest) -> Image:
+        image = self._random.integers(0, 256, (request.height, request.width), dtype=np.uint8)
+        self.shown[request.frame_id] = image
+        self.requests.append(request)
+        return image
+
+    def saw(self, image: Image) -> int:
+        """The frame id of a picture; fails for one that was never shown."""
+        return next(number for number, shown in self.shown.items() if np.array_equal(shown, image))
+
+
+class Cell:
+    """Two simulated cameras, and what an adapter needs to reach them."""
+
+    def __init__(self) -> None:
+        self.left_sensor, self.right_sensor = Sensor(1), Sensor(2)
+        self.left = GigeCamera(LEFT, "EDGED-T1", self.left_sensor, width=WIDTH, height=HEIGHT)
+        self.right = GigeCamera(RIGHT, "EDGED-T2", self.right_sensor, width=WIDTH, height=HEIGHT)
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    """A running cell."""
+    cell = Cell()
+    with cell.left, cell.right:
+        yield cell
+
+
+def left_camera(device: str = LEFT, **settings: Any) -> AravisCamera:
+    """The adapter under test."""
+    return AravisCamera("left", AravisSettings(device, **settings))
+
+
+def run(script: Callable[..., Awaitable[Any]], *cameras: Any, limit_s: float = 60.0) -> Any:
+    """Run a script with cameras (or heads) that are closed afterwards."""
+
+    async def main() -> Any:
+        try:
+            return await script(*cameras)
+        finally:
+            for camera in cameras:
+                await camera.close()
+
+    return asyncio.run(asyncio.wait_for(main(), limit_s))
+
+
+async def shoot(camera: AravisCamera) -> Frame:
+    """One exposure."""
+    await camera.trigger()
+    return await camera.frame()
+
+
+async def settles(
+    camera: AravisCamera | StereoHead, action: Callable[[], Awaitable[Any]], limit_s: float
+) -> Any:
+    """The first result without a `CaptureError`; any other exception fails the test."""
+    deadline_s = time.monotonic() + limit_s
+    while True:
+        try:
+            return await action()
+        except CaptureError:
+            assert time.monotonic() < deadline_s, "did not recover in time"
+            await asyncio.sleep(0.05)
+
+
+def count(folder: str) -> int:
+    """Entries of a folder of /proc: threads, Aravis' own included, or open files."""
+    return len(list(Path("/proc/self", folder).iterdir()))
+
+
+# --- errors -----------------------------------------------------------------------------------------
+
+
+def test_every_aravis_device_error_is_translated() -> None:
+    """The table names exactly the codes that this Aravis has, and each becomes its exception."""
+    aravis, glib = library("left")
+    codes = {
+        name: int(getattr(aravis.DeviceError, name)) for name in dir(aravis.DeviceError) if name.isupper()
+    }
+
+    assert set(codes) == set(DEVICE_ERRORS)
+    for name, code in codes.items():
+        error = glib.Error.new_literal(aravis.device_error_quark(), "it says no", code)
+        translated = translate("left", "asking", error)
+        assert DEVICE_ERRORS[name] is type(translated)
+        assert "camera left: asking: it says no" == str(translated)
+
+
+def test_every_genicam_error_is_a_setting_that_does_not_fit() -> None:
+    """All of `Aravis.GcError` become `CameraSetupError`."""
+    aravis, glib = library("left")
+    for code in (int(getattr(aravis.GcError, name)) for name in dir(aravis.GcError) if name.isupper()):
+        error = glib.Error.new_literal(aravis.gc_error_quark(), "no such entry", code)
+        assert CameraSetupError is type(translate("left", "setting", error))
+
+
+def test_errors_of_other_domains_and_unknown_codes_are_faults_too() -> None:
+    """A socket error or a code of a later Aravis is "unreachable", never a stack trace."""
+    aravis, glib = library("left")
+    for quark, code in ((glib.quark_from_string("g-io-error-quark"), 38), (aravis.device_error_quark(), 999)):
+        error = glib.Error.new_literal(quark, "host unreachable", code)
+        assert CameraUnreachable is type(translate("left", "sending", error))
+
+
+def test_without_aravis_the_message_says_what_to_install() -> None:
+    """On a machine without PyGObject the package imports, and a camera fails with the apt command."""
+    program = """
+import sys
+sys.modules["gi"] = None
+import asyncio
+from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
+from edged.errors import CameraSetupError
+assert "apt install gir1.2-aravis-0.8 python3-gi" in aravis_missing()
+camera = AravisCamera("left", AravisSettings("127.0.40.9"))
+async def main():
+    try:
+        await camera.open()
+    except CameraSetupError as error:
+        assert "apt install" in str(error), error
+    else:
+        raise SystemExit("no error")
+    await camera.close()
+asyncio.run(main())
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+# --- frame ids --------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(1, 3), min_size=1, max_size=200), st.integers(1, BLOCK_IDS), st.integers(0, 2**40)
+)
+def test_frame_ids_rise_through_the_wrap_of_a_16_bit_counter(
+    steps: list[int], start: int, first: int
+) -> None:
+    """A counter that runs 1 to 65535 and round again is counted on, with the same gaps."""
+    counter = FrameCounter(first)
+    true_count = np.cumsum([start, *steps])
+
+    ids = [counter.count(int((count - 1) % BLOCK_IDS) + 1) for count in true_count]
+
+    np.testing.assert_array_equal(np.diff(true_count), np.diff(ids))
+    assert first + 1 == ids[0]
+
+
+@given(st.integers(1, 2**63), st.integers(1, 1000))
+def test_frame_ids_of_64_bits_do_not_wrap(start: int, step: int) -> None:
+    """GigE Vision 2 and USB count with 64 bits."""
+    counter = FrameCounter(0)
+    assert step == -counter.count(start) + counter.count(start + step)
+
+
+def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
+    """A duplicate is seen as one; after a restart ids rise whether or not the camera begins at 1."""
+    counter = FrameCounter(10)
+    assert [11, 12, 12, 11] == [counter.count(raw) for raw in (5, 6, 6, 5)]
+    counter.restart()
+    assert [13, 14] == [counter.count(raw) for raw in (1, 2)]
+    counter.restart()
+    assert [15] == [counter.count(raw) for raw in (7,)]
+
+
+# --- features ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def device() -> Any:
+    """A device of Aravis' own, in memory."""
+    return library("left").aravis.FakeDevice.new("TEST")
+
+
+def test_every_misfit_is_named_before_anything_is_written(device: Any) -> None:
+    """Names, types and choices are checked for all settings at once."""
+    features = Features("left", device)
+    before = device.get_integer_feature_value("Width")
+
+    with pytest.raises(CameraSetupError) as caught:
+        features.require(
+            {
+                "Width": 64,
+                "Shutter": 3,
+                "TriggerMode": "Perhaps",
+                "ExposureTimeAbs": True,
+                "GainRaw": 2.5,
+                "TestBoolean": 1,
+                "AcquisitionStart": 0,
+                "DeviceUserName": 7,
+            }
+        )
+
+    message = str(caught.value)
+    for part in (
+        "Shutter: the camera has no such feature",
+        "TriggerMode: 'Perhaps' is none of Off, On",
+        "ExposureTimeAbs: expected a number, got True",
+        "GainRaw: expected a whole number, got 2.5",
+        "TestBoolean: expected true or false, got 1",
+        "AcquisitionStart: a command; expected true, got 0",
+        "DeviceUserName: the camera has no such feature",
+    ):
+        assert part in message
+    assert before == device.get_integer_feature_value("Width")
+
+
+def test_what_the_camera_cannot_do_is_named_with_its_limits(device: Any) -> None:
+    """Out of range and read-only settings are refused, each with the reason; the good ones are set."""
+    problems = Features("left", device).apply(
+        {"ExposureTimeAbs": 5e9, "GainRaw": 99, "SensorWidth": 3, "DeviceVendorName": "me", "Width": 128}
+    )
+
+    text = "; ".join(problems)
+    assert "ExposureTimeAbs: 5000000000.0 is outside 10 to 1e+07" in text
+    assert "GainRaw: 99 is outside 0 to 10" in text
+    assert "SensorWidth: can only be read" in text
+    assert "DeviceVendorName: can only be read" in text
+    assert 4 == len(problems)
+    assert 128 == device.get_integer_feature_value("Width")
+    assert "Aravis" == device.get_string_feature_value("DeviceVendorName")
+
+
+def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any) -> None:
+    """A region that only fits once the last one has been moved away: size before offset."""
+    features = Features("left", device)
+    assert [] == features.apply({"Width": 100, "Height": 50, "OffsetX": 1900, "OffsetY": 1900})
+    assert [] == features.apply({"OffsetX": 8, "Width": 2000, "TriggerMode": "On", "ExposureTimeAbs": 1234})
+
+    values = [device.get_integer_feature_value(name) for name in ("Width", "OffsetX", "OffsetY")]
+    assert [2000, 8, 0] == values
+    assert "On" == device.get_string_feature_value("TriggerMode")
+
+
+# --- images -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
+@pytest.mark.parametrize("packet_size", [None, 1500], ids=["negotiated", "1500"])
+def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
+    """Twenty exposures are the pictures the sensor saw, in order, new each time, owned and writable."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        return [await shoot(camera) for _ in range(20)]
+
+    frames = run(script, left_camera(user_socket=user_socket, packet_size=packet_size))
+
+    for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
+        np.testing.assert_array_equal(cell.left_sensor.shown[request.frame_id], frame.image)
+        assert frame.image.flags.owndata
+        assert frame.image.flags.writeable
+        assert request.device_ns == frame.device_ns
+        assert abs(request.exposed_ns - frame.exposed_ns) < 50e6
+    assert (np.diff([frame.frame_id for frame in frames]) == 1).all()
+
+
+def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
+    """Discovery names both cameras, and each is reached by serial number."""
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    listed = {info.serial: info.address for info in list_cameras()}
+    frame = run(script, AravisCamera("right", AravisSettings("EDGED-T2")))
+
+    assert (LEFT, RIGHT) == (listed["EDGED-T1"], listed["EDGED-T2"])
+    assert 1 == cell.right_sensor.saw(frame.image)
+
+
+def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
+    """Pairs of one instant through capture, adapter, Aravis and UDP."""
+    head = StereoHead(
+        left_camera(), AravisCamera("right", AravisSettings(RIGHT)), timeout_s=5, max_skew_s=0.05
+    )
+
+    async def script(head: StereoHead) -> list[int]:
+        pairs = [await head.capture() for _ in range(10)]
+        return [
+            cell.left_sensor.saw(pair.left.image) - cell.right_sensor.saw(pair.right.image) for pair in pairs
+        ]
+
+    assert [0] * 10 == run(script, head)
+
+
+# --- set-up -----------------------------------------------------------------------------------------
+
+
+def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
+    """What the config says is what the sensor is told, automatic off, and free features too."""
+    camera = left_camera(exposure_us=1234.0, gain_db=6.0, features={"Width": 160, "OffsetX": 32})
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    frame = run(script, camera)
+
+    request = cell.left_sensor.requests[-1]
+    assert 1234.0 == pytest.approx(request.exposure_us, rel=0.01)
+    assert 6.0 == pytest.approx(request.gain_db, abs=0.1)
+    assert (HEIGHT, 160) == frame.image.shape
+
+
+@pytest.mark.parametrize(
+    "settings, reason",
+    [
+        ({"features": {"Nonsense": 1}}, "Nonsense: the camera has no such feature"),
+        ({"features": {"PixelFormat": "RGB8"}}, "PixelFormat: only"),
+        ({"exposure_us": 1e9}, "ExposureTime: 1000000000.0 is outside"),
+        ({"gain_db": 59.0}, "Gain: 59.0 is outside"),
+        ({"features": {"DeviceVendorName": "me"}}, "DeviceVendorName: can only be read"),
+    ],
+)
+def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
+    cell: Cell, settings: dict[str, Any], reason: str
+) -> None:
+    """The error tells what and why; while it is still held, another program can take the camera."""
+
+    async def script(wrong: AravisCamera, right: AravisCamera) -> str:
+        with pytest.raises(CameraSetupError) as caught:
+            await wrong.open()
+        await right.open()
+        await shoot(right)
+        return str(caught.value)
+
+    assert reason in run(script, left_camera(**settings), left_camera())
+
+
+# --- faults -----------------------------------------------------------------------------------------
+
+
+def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
+    """Neither an address nor a serial number without a camera is waited for longer than 8 s."""
+
+    async def script(by_address: AravisCamera, by_serial: AravisCamera) -> None:
+        with pytest.raises(CameraUnreachable, match=NOBODY):
+            await asyncio.wait_for(by_address.open(), 8)
+        with pytest.raises(CameraUnreachable, match="no camera with serial number 'NO-SUCH-SERIAL'"):
+            await asyncio.wait_for(by_serial.open(), 8)
+
+    run(script, left_camera(NOBODY), left_camera("NO-SUCH-SERIAL"))
+
+
+def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> None:
+    """`CameraBusy` for who comes second; when the first has closed, the second succeeds."""
+
+    async def script(first: AravisCamera, second: AravisCamera) -> None:
+        await first.open()
+        with pytest.raises(CameraBusy, match="controlled by another"):
+            await second.open()
+        await second.close()
+        await shoot(first)
+        await first.close()
+        await second.open()
+        await shoot(second)
+
+    run(script, left_camera(), left_camera())
+
+
+def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
+    """No call hangs for want of an earlier one."""
+
+    async def script(camera: AravisCamera) -> None:
+        for call in (camera.trigger, camera.frame):
+            with pytest.raises(CameraUnreachable, match="not open"):
+                await call()
+        await camera.close()
+        await camera.open()
+        with pytest.raises(FrameTimeout, match="no exposure"):
+            await camera.frame()
+        await camera.close()
+        await camera.close()
+
+    run(script, left_camera())
+
+
+class Process:
+    """A camera in a process of its own, to be killed."""
+
+    def __init__(self, address: str, serial: str) -> None:
+        self._command = [sys.executable, "-m", "edged.sim.gige", address, serial]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL)
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.send_signal(signal.SIGKILL)
+            self._process.wait(10)
+            self._process = None
+
+
+@pytest.fixture
+def process() -> Iterator[Process]:
+    """A camera process at LEFT."""
+    process = Process(LEFT, "EDGED-T1")
+    process.start()
+    yield process
+    process.kill()
+
+
+def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
+    """kill -9: only `CaptureError`s while it is gone, good images again after its return."""
+    head = StereoHead(
+        left_camera(),
+        AravisCamera("right", AravisSettings(RIGHT)),
+        timeout_s=0.5,
+        max_skew_s=0.1,
+        max_backoff_s=0.5,
+        detect_frozen=False,
+    )
+
+    async def script(head: StereoHead) -> None:
+        await settles(head, head.capture, 20)
+        process.kill()
+        faults = []
+        gone_until_s = time.monotonic() + 4.0
+        while time.monotonic() < gone_until_s:
+            with pytest.raises(CaptureError) as caught:
+                await asyncio.wait_for(head.capture(), 3.0)
+            faults.append(caught.value.camera)
+            await asyncio.sleep(0.05)
+        assert {"left"} == set(faults)
+        process.start()
+        pair = await settles(head, head.capture, 25)
+        assert "left" == pair.left.camera
+        for _ in range(3):
+            await settles(head, head.capture, 5)
+
+    with GigeCamera(RIGHT, "EDGED-T2", Sensor(2), width=1280, height=960):
+        run(script, head)
+
+
+def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(process: Process) -> None:
+    """Looking after an idle camera finds the new one that does not know us, and takes it again."""
+
+    async def script(head: StereoHead) -> None:
+        await settles(head, head.open, 20)
+        process.kill()
+        process.start()
+        deadline_s = time.monotonic() + 10
+        with pytest.raises(CaptureError):
+            while time.monotonic() < deadline_s:
+                await head.open()
+                await asyncio.sleep(0.1)
+        await settles(head, head.open, 20)
+        await settles(head, head.capture, 10)
+
+    with GigeCamera(RIGHT, "EDGED-T2", Sensor(2)):
+        run(
+            script, StereoHead(left_camera(), AravisCamera("right", AravisSettings(RIGHT)), max_backoff_s=0.5)
+        )
+
+
+def test_thirty_connections_leave_nothing_behind(cell: Cell) -> None:
+    """Threads and file descriptors are the same after every close."""
+
+    async def cycle(camera: AravisCamera) -> tuple[int, int]:
+        await camera.open()
+        await shoot(camera)
+        await camera.close()
+        deadline_s = time.monotonic() + 5
+        while any(thread.name.endswith("left") for thread in threading.enumerate()):
+            assert time.monotonic() < deadline_s, "a thread of the adapter is still there"
+            await asyncio.sleep(0.002)
+        return count("task"), count("fd")
+
+    async def script(camera: AravisCamera) -> list[tuple[int, int]]:
+        await cycle(camera)  # threads that GLib keeps for good are made by the first
+        return [await cycle(camera) for _ in range(30)]
+
+    used = run(script, left_camera())
+
+    assert {used[0]} == set(used)
