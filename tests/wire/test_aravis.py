@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edged.sim.gige import GigeCamera
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,6 +31,8 @@ from edged.errors import (
     FrameTimeout,
 )
 from edged.sim.exposure import ExposureRequest
+
+GigeCamera = pytest.importorskip("edged.sim.gige").GigeCamera
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 
