@@ -28,6 +28,7 @@ SILENCE_HINT_S = 3.0
 INBOX_LENGTH = 10_000  # a reader that is stopped for long loses news, never memory
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+MAX_TEXT = 200
 STYLES = {"OK": "green", "READY": "green", "BUSY": "green", "CAPTURE_FAULT": "bold red", "FAULT": "bold red"}
 GONE = "GONE"
 
@@ -61,7 +62,7 @@ class CellView:
         if news.kind == "alive":
             self.state = GONE if not document["alive"] else ("?" if self.state == GONE else self.state)
         elif news.kind == "state":
-            self.state, self.error = str(document.get("state")), str(document.get("error") or "")
+            self.state, self.error = _text(document, "state"), _text(document, "error")
         elif news.kind == "health":
             self.rate_hz = _number(document.get("rate_hz"))
         elif news.kind == "target":
@@ -202,9 +203,8 @@ def _line(news: News) -> str:
     if pose:
         sigma = _triple(pose.get("sigma_mm"), "{:.3f}")
         place = f"  {_triple(pose.get('position_mm'), '{:9.3f}')} mm ({frame})  sigma {sigma}"
-    error = f"  {document['error']}" if document.get("error") else ""
-    cycle, status, job = (str(document.get(name)) for name in ("cycle", "status", "job"))
-    return f"{news.cell}  cycle {cycle:>6s}  {status:13s} {job}{place}{error}"
+    cycle, status, job, error = (_text(document, name) for name in ("cycle", "status", "job", "error"))
+    return f"{news.cell}  cycle {cycle:>6s}  {status:13s} {job}{place}  {error}".rstrip()
 
 
 def _table(cells: dict[str, CellView], now_s: float) -> Table:
@@ -212,7 +212,7 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
     errors = [
         f"{name}: {error}"
         for name, cell in sorted(cells.items())
-        if (error := cell.error or str(cell.target.get("error") or ""))
+        if (error := cell.error or _text(cell.target, "error"))
     ]
     table = Table(
         box=box.SIMPLE_HEAD,
@@ -229,11 +229,11 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for name, cell in sorted(cells.items()):
         frame, pose = _pose(cell.target)
-        status = str(cell.target.get("status", ""))
+        status = _text(cell.target, "status")
         table.add_row(
             name,
             _styled(cell.state),
-            str(cell.target.get("job", "")),
+            Text(_text(cell.target, "job")),
             _styled(status).append(" sim" if cell.target.get("simulated") else "", style="yellow"),
             f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}" if pose else "",
             _largest(pose.get("sigma_mm")),
@@ -246,6 +246,13 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
 
 def _styled(word: str) -> Text:
     return Text(word, style=STYLES.get(word, "yellow"))
+
+
+def _text(document: Document, name: str) -> str:
+    """A field as a short text without control characters: what others publish must not steer a terminal."""
+    value = document.get(name)
+    text = "" if value is None else str(value)[:MAX_TEXT]
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def _first(document: Document) -> Document:

@@ -143,9 +143,9 @@ class Cell:
     def __init__(self, **settings: Any) -> None:
         self.port = free_port()
         self.commander = Commander()
-        given = {"listen": (f"tcp/127.0.0.1:{self.port}",), **settings}
+        given = {"cell": "cell1", "listen": (f"tcp/127.0.0.1:{self.port}",), **settings}
         self.publisher = ZenohPublisher(
-            ZenohSettings("cell1", **given),
+            ZenohSettings(**given),
             self.commander,
             jobs=lambda: [(1, "flange"), (2, "cover")],
             config=lambda: {"calibration": "cal"},

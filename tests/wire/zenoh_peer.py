@@ -4,7 +4,7 @@
     zenoh_peer.py get CONFIG SELECTOR   prints a JSON line for every reply
     zenoh_peer.py router CONFIG         routes
 
-CONFIG: JSON object of Zenoh keys and values, or a list of a file and such an object. Prints "up"
+CONFIG: JSON object of Zenoh keys and values; "file" is a configuration to begin with. Prints "up"
 when the session is open; ends when stdin does.
 """
 
@@ -26,8 +26,8 @@ def say(**what: object) -> None:
 
 def config_of(text: str) -> zenoh.Config:
     """A configuration from the command line."""
-    given = json.loads(text)
-    file, values = given if isinstance(given, list) else (None, given)
+    values = json.loads(text)
+    file = values.pop("file", None)
     config = zenoh.Config.from_file(file) if file else zenoh.Config()
     for key, value in {"scouting/multicast/enabled": False, **values}.items():
         config.insert_json5(key, json.dumps(value))

@@ -151,6 +151,13 @@ class ZenohPublisher:
         except (ListenError, zenoh.ZError) as error:
             log.warning("zenoh: the session did not close in order: %s", plain(error))
 
+    def links(self) -> int:
+        """How many other Zenoh nodes this one is connected to now."""
+        if self._session is None:
+            return 0
+        info = self._session.info
+        return len(info.routers_zid()) + len(info.peers_zid())
+
     # --- publishing ------------------------------------------------------------------------
 
     def _declare(self, session: zenoh.Session) -> None:
@@ -201,6 +208,7 @@ class ZenohPublisher:
             health = {
                 "state": "STARTING" if self._state is None else self._state.state,
                 **self._health.to_json(),
+                "links": self.links(),
                 "pending_triggers": len(self._pending),
                 "messages_dropped": self._outbox.dropped,
                 "messages_failed": self._outbox.failed,
