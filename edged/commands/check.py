@@ -1,0 +1,48 @@
+"""`edged check`: is this configuration, with its rig and its jobs, fit to run?"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from edged.app import load_cell
+from edged.errors import ConfigError
+
+
+def check(path: Path, *, as_json: bool) -> int:
+    """Print what was found; 0 when the daemon would start with it, 2 when not."""
+    try:
+        loaded = load_cell(path)
+    except ConfigError as error:
+        if as_json:
+            print(json.dumps({"ok": False, "file": str(path), "problems": error.problems}))
+        else:
+            sys.stderr.write(f"edged: {error}\n")
+        return 2
+    config, setup = loaded.config, loaded.setup
+    jobs = [{"number": job.number, "name": job.name} for job in loaded.jobs]
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "ok": True,
+                    "file": str(path),
+                    "problems": [],
+                    "cell": config.cell.name,
+                    "fingerprint": setup.fingerprint,
+                    "calibration": setup.calibration_id,
+                    "robot_frame": setup.robot_from_rig is not None,
+                    "jobs": jobs,
+                }
+            )
+        )
+        return 0
+    print(f"{path}: good")
+    print(f"  cell         {config.cell.name}, fingerprint {setup.fingerprint}")
+    frame = "robot" if setup.robot_from_rig is not None else "rig (not registered to a robot)"
+    print(f"  rig          {setup.calibration_id}; coordinates in the frame: {frame}")
+    print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
+    when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"
+    print(f"  cameras      {config.cameras.source}, {when}")
+    return 0

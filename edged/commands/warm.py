@@ -1,0 +1,45 @@
+"""`edged warm`: compile the kernels before they are needed."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import sys
+from pathlib import Path
+
+import cv2
+import numba
+
+import edged
+from edged.store import write_atomically
+
+
+def warm(*, only_if_needed: bool) -> int:
+    """Import every module of the numerical core and the virtual cell: kernels compile at import.
+
+    With `only_if_needed` a stamp in NUMBA_CACHE_DIR tells that nothing changed since the last time.
+    """
+    cache = os.environ.get("NUMBA_CACHE_DIR")
+    stamp = Path(cache) / "edged-warm" if cache else None
+    key = _key()
+    if only_if_needed and stamp is not None and stamp.is_file() and stamp.read_text() == key:
+        return 0
+    sys.stderr.write("edged: compiling numerical kernels (once, up to a minute)\n")
+    import edged.sim
+    import edged.vision
+
+    for package in (edged.vision, edged.sim):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    if stamp is not None:
+        write_atomically(stamp, key.encode())
+    return 0
+
+
+def _key() -> str:
+    """What the cached kernels depend on: our sources and the compiler's versions."""
+    root = Path(edged.__file__).parent
+    sources = sorted(root.rglob("*.py"))
+    newest_ns = max(source.stat().st_mtime_ns for source in sources)
+    return f"{newest_ns} {len(sources)} numba {numba.__version__} cv2 {cv2.__version__} python {sys.version}"

@@ -1,0 +1,76 @@
+"""The method, top to bottom: one stereo exposure in, located parts out.
+
+Pure: no clock, no I/O, bit-identical when replayed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from edged.domain import FramePair, Outcome, Reject, Status
+from edged.errors import ImageError
+from edged.vision.camera import StereoRig
+from edged.vision.job import Job
+from edged.vision.measurement import Images, Measured, measure
+from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.shape.search import find_shapes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedRig:
+    """A rig with its rectification maps, built once."""
+
+    rig: StereoRig
+    rectification: Rectification
+
+
+def prepare(rig: StereoRig) -> PreparedRig:
+    """Build the maps. Raises `CalibrationError` for a rig that cannot be rectified."""
+    return PreparedRig(rig, make_rectification(rig))
+
+
+def _no_lap(stage: str) -> None:
+    pass
+
+
+def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Outcome:
+    """Locate the job's part in one stereo exposure (paper, sections 3.2 to 5.2).
+
+    lap : called with the name of each stage as it ends, for timing.
+    Raises `ImageError` when the images do not fit the rig.
+    """
+    return judge([measured for measured in inspect(pair, job, rig, lap)])
+
+
+def inspect(
+    pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
+) -> list[Measured]:
+    """`locate` with the evidence: every part that was found, with the edges it stands on."""
+    images = _rectified(pair, rig)
+    lap("rectify")
+    matches = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
+    lap("find")
+    measured = [measure(images, rig.rectification, job, match) for match in matches]
+    lap("measure")
+    return [one for one in measured if one is not None]
+
+
+def judge(measured: list[Measured]) -> Outcome:
+    """OK when at least one part is good; the good ones come first, each group by score."""
+    if not measured:
+        return Outcome(Status.NO_TARGET)
+    targets = sorted((one.target for one in measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score))
+    good = targets[0].reject == Reject.NONE
+    return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets))
+
+
+def _rectified(pair: FramePair, rig: PreparedRig) -> Images:
+    for side, frame, camera in (("left", pair.left, rig.rig.left), ("right", pair.right, rig.rig.right)):
+        if frame.image.shape != (camera.height, camera.width):
+            height, width = frame.image.shape[:2]
+            raise ImageError(
+                f"{side} image: {width}x{height}, the rig was calibrated for {camera.width}x{camera.height}"
+            )
+    left, right = pair.left.image, pair.right.image
+    return Images(left, right, rig.rectification.left_image(left), rig.rectification.right_image(right))

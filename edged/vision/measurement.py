@@ -1,0 +1,282 @@
+"""From a found shape to a part in space: circles, pose, covariance, and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
+from edged.vision.circlefit import CircleFit, CircleFitParams, fit_circle
+from edged.vision.geometry import apply
+from edged.vision.job import CircleFeature, Job
+from edged.vision.rectification import Rectification, row_difference_px
+from edged.vision.shape.search import ShapeMatch
+from edged.vision.startplane import Plane, find_plane
+
+DEPTH_MARGIN = 0.05
+"""The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
+OUTLINE_POINTS = 240
+PLACE_TOLERANCE = 0.02
+"""A feature farther from its place than this share of the part's size is another edge."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Images:
+    """One exposure: raw and rectified images (H, W) uint8."""
+
+    left: Image
+    right: Image
+    rectified_left: Image
+    rectified_right: Image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A target and the edges it stands on (for pictures)."""
+
+    target: Target
+    fits: tuple[CircleFit, ...]
+
+
+def measure(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Measured | None:
+    """Measure one found part; None when the right camera does not show what the left one found."""
+    reference = job.reference_circle
+    face = _face(images, rectification, job, match, reference)
+    if face is None:
+        return None
+    main = _fit(images, rectification, job, match, face, reference, face_known=False)
+    if main is None:
+        return None
+    normal = main.circle.normal
+    face = Plane(normal, float(normal @ main.circle.centre_mm))
+    others = [
+        fit
+        for circle in job.circles
+        if circle is not reference
+        and (fit := _fit(images, rectification, job, match, face, circle, face_known=True)) is not None
+    ]
+    start = _start_rotation(rectification, job, match, face, main)
+    rotation, sigma_turn, used = _rotation(job, main, others, start)
+    rig_from_part = np.eye(4)
+    rig_from_part[:3, :3] = rotation
+    rig_from_part[:3, 3] = main.circle.centre_mm
+    fits = (main, *(others[index] for index in used))
+    origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
+    epipolar = _epipolar_rms(rectification, main)
+    target = Target(
+        job=job.name,
+        match=Match(
+            float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
+        ),
+        rig_from_part=rig_from_part,
+        covariance=_pose_covariance(main, sigma_turn),
+        circles=tuple(_in_order(job, fits)),
+        epipolar_rms_px=epipolar,
+        reject=_judge(job, match, main, rig_from_part, epipolar, _pose_covariance(main, sigma_turn)),
+    )
+    return Measured(target, fits)
+
+
+def _predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
+    """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
+    taught = rectification.rectify_points(
+        "left", rectification.rig.left.project(apply(job.rig_from_part, points_mm))
+    )
+    local = taught - job.shape.origin_px
+    return np.asarray(match.apply(local))
+
+
+def _outline(circle: CircleFeature, count: int) -> FloatArray:
+    phase = np.arange(count) * (2 * np.pi / count)
+    ring = np.column_stack([np.cos(phase), np.sin(phase), np.zeros(count)])
+    return np.asarray(circle.centre_mm + circle.radius_mm * ring)
+
+
+def _face(
+    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, reference: CircleFeature
+) -> Plane | None:
+    """The plane of the part's face, from the reference circle's outline in both rectified images."""
+    points = _predicted(rectification, job, match, _outline(reference, OUTLINE_POINTS))
+    centre = points.mean(axis=0)
+    tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals *= np.where(np.sum(normals * (points - centre), axis=1) < 0, -1.0, 1.0)[:, None]
+    taught_depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
+    depth = taught_depth / np.sqrt(match.scale_x * match.scale_y)
+    return find_plane(
+        rectification,
+        images.rectified_left,
+        images.rectified_right,
+        points,
+        normals,
+        _polarity(reference, match),
+        (depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)),
+    )
+
+
+def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
+    return -circle.polarity if match.inverted else circle.polarity
+
+
+def _rays(rectification: Rectification, rectified_px: FloatArray) -> FloatArray:
+    normalised = rectification.rig.left.normalise(rectification.raw_points("left", rectified_px))
+    return np.column_stack([normalised, np.ones(len(normalised))])
+
+
+def _fit(
+    images: Images,
+    rectification: Rectification,
+    job: Job,
+    match: ShapeMatch,
+    face: Plane,
+    circle: CircleFeature,
+    *,
+    face_known: bool,
+) -> CircleFit | None:
+    """Measure one circle near the place where the match and the face say it is."""
+    pixel = _predicted(rectification, job, match, circle.centre_mm[None])
+    rays = _rays(rectification, pixel)
+    if not np.isfinite(rays).all():
+        return None
+    centre = face.meet(rays)[0]
+    fit = fit_circle(
+        rectification.rig,
+        images.left,
+        images.right,
+        circle.name,
+        centre,
+        face.normal,
+        circle.radius_mm,
+        _polarity(circle, match),
+        CircleFitParams(reach_px=(3.0, 2.5, 2.0)) if face_known else CircleFitParams(),
+        fixed_normal=face_known,
+    )
+    if fit is None:
+        return None
+    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + 0.1
+    near = np.linalg.norm(fit.circle.centre_mm - centre) < (limit if face_known else 10 * limit)
+    sized = abs(fit.circle.radius_mm - circle.radius_mm) < (limit if face_known else 0.1 * circle.radius_mm)
+    supported = min(fit.support_left, fit.support_right) >= (0.4 if face_known else 0.15)
+    return fit if near and sized and supported else None
+
+
+def _start_rotation(
+    rectification: Rectification, job: Job, match: ShapeMatch, face: Plane, main: CircleFit
+) -> FloatArray:
+    """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
+    radius = job.reference_circle.radius_mm
+    tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
+    space = face.meet(_rays(rectification, _predicted(rectification, job, match, tips)))
+    return _frame(main.circle.normal, space[0] - space[1], space[2] - space[3])
+
+
+def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
+    """Columns x, y, z with z away from the cameras and x as both directions in the face want it."""
+    z = -normal
+    x = along_x / np.linalg.norm(along_x) + np.cross(along_y / np.linalg.norm(along_y), z)
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _rotation(
+    job: Job, main: CircleFit, others: list[CircleFit], start: FloatArray
+) -> tuple[FloatArray, float, list[int]]:
+    """Turn the start rotation about the normal until the circles lie where they were taught.
+
+    Returns the rotation, its sigma about the normal in rad, and the indices of the circles that agree.
+    A part with one circle, or only concentric ones, keeps the shape's rotation.
+    """
+    taught = {circle.name: circle.centre_mm for circle in job.circles}
+    reference = taught[job.reference]
+    angles, variances, indices = [], [], []
+    for index, fit in enumerate(others):
+        arm = (taught[fit.circle.name] - reference)[:2]
+        lever = float(np.linalg.norm(arm))
+        if lever < 0.15 * job.reference_circle.radius_mm:
+            continue
+        seen = (start.T @ (fit.circle.centre_mm - main.circle.centre_mm))[:2]
+        angles.append(float(np.arctan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen)))
+        in_face = start[:, :2].T @ (fit.circle.covariance[:3, :3] + main.circle.covariance[:3, :3]) @ start[:, :2]
+        across = np.array([-arm[1], arm[0]]) / lever
+        variances.append(float(across @ in_face @ across) / lever**2)
+        indices.append(index)
+    concentric = [index for index in range(len(others)) if index not in indices]
+    if not angles:
+        # the shape's own precision: a few hundredths of a pixel at the rim
+        return start, 0.05 * job.reference_circle.radius_mm / job.shape.radius_px, concentric
+    values, weights = np.array(angles), 1 / np.maximum(np.array(variances), 1e-10)
+    middle = float(np.median(values))
+    spread = max(1.4826 * float(np.median(np.abs(values - middle))), 2e-4)
+    good = np.abs(values - middle) < 4 * spread
+    turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
+    chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
+    sigma = float(np.sqrt(max(chi2, 1.0) / np.sum(weights[good])))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    agreeing = [index for index, use in zip(indices, good, strict=True) if use]
+    return start @ about_z, sigma, sorted(concentric + agreeing)
+
+
+def _pose_covariance(main: CircleFit, sigma_turn: float) -> FloatArray:
+    """(6, 6) of position (mm) and rotation vector (rad, rig axes)."""
+    u, v = main.axes
+    normal = np.cross(u, v)
+    # a tilt about u moves the point at v up the normal: rotation vector +u; about v, the point at u: -v
+    spread = np.zeros((6, 6))
+    spread[:3, :3] = np.eye(3)
+    spread[3:, 3], spread[3:, 4], spread[3:, 5] = u, -v, normal
+    inner = np.zeros((6, 6))
+    inner[:5, :5] = main.covariance[:5, :5]
+    inner[5, 5] = sigma_turn**2
+    return np.asarray(spread @ inner @ spread.T)
+
+
+def _epipolar_rms(rectification: Rectification, fit: CircleFit) -> float:
+    """Rms row difference of the reference circle's edge points, left against right.
+
+    Both cameras measure the same points of the circle only up to a motion along the edge; the part of the
+    row difference that a motion along the edge can explain is taken out.
+    """
+    both = (fit.weights_left > 0.1) & (fit.weights_right > 0.1)
+    if both.sum() < 8:
+        return float("nan")
+    rows = row_difference_px(rectification.rig, fit.points_left[both], fit.points_right[both])
+    right = rectification.rectify_points("right", fit.points_right)
+    tangent = (np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0))[both]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
+    usable = rows[~vague & np.isfinite(rows)]
+    return float(np.sqrt(np.mean(usable**2))) if len(usable) >= 4 else float("nan")
+
+
+def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
+    by_name = {fit.circle.name: fit.circle for fit in fits}
+    return [by_name[circle.name] for circle in job.circles if circle.name in by_name]
+
+
+def _judge(
+    job: Job, match: ShapeMatch, main: CircleFit, rig_from_part: FloatArray, epipolar_px: float, covariance: FloatArray
+) -> Reject:
+    limits = job.limits
+    reject = Reject.NONE
+    if min(main.support_left, main.support_right) < limits.min_support:
+        reject |= Reject.FEW_EDGES
+    if main.rms_px > limits.max_rms_px:
+        reject |= Reject.RESIDUAL
+    if float(np.sqrt(np.diag(covariance)[:3].max())) > limits.max_sigma_mm:
+        reject |= Reject.SIGMA_LIMIT
+    if epipolar_px > limits.max_epipolar_px:
+        reject |= Reject.LEFT_RIGHT_MISMATCH
+    if not limits.depth_mm[0] <= rig_from_part[2, 3] <= limits.depth_mm[1]:
+        reject |= Reject.OUT_OF_VOLUME
+    tolerance = limits.radius_tolerance_mm
+    if tolerance is not None and abs(main.circle.radius_mm - job.reference_circle.radius_mm) > tolerance:
+        reject |= Reject.TOLERANCE
+    if match.ambiguous:
+        reject |= Reject.AMBIGUOUS_ROTATION
+    return reject
+
+

@@ -1,0 +1,199 @@
+"""The taught shape: edge points with directions on every pyramid level (paper, 4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.errors import TeachError
+from edged.vision.edges import edges_along_normals
+
+MAX_POINTS = (600, 400, 240, 160, 160)
+"""Points kept on each level: enough for the precision of the finest, few for the exhaustive top."""
+MIN_POINTS = 24
+MIN_TOP_RADIUS_PX = 20.0
+MAX_LEVELS = 5
+EDGE_SHARE = 0.5
+"""Contrast threshold as a share of the strong edges of the region (their 95th percentile)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeLevel:
+    """points (N, 2) relative to the origin, px of this level; normals (N, 2) unit, along the gradient."""
+
+    points: FloatArray
+    normals: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeModel:
+    """A shape to look for.
+
+    levels : finest first.  origin_px (2,) : where the origin was in the teaching image.
+    radius_px : farthest point from the origin.  contrast : median slope of the model's edges, grey
+    values per px.
+    """
+
+    levels: tuple[ShapeLevel, ...]
+    origin_px: FloatArray
+    radius_px: float
+    contrast: float
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Plain arrays for a file."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "origin_px": self.origin_px,
+            "numbers": np.array([self.radius_px, self.contrast, len(self.levels)], np.float64),
+        }
+        for index, level in enumerate(self.levels):
+            arrays[f"points{index}"], arrays[f"normals{index}"] = level.points, level.normals
+        return arrays
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> ShapeModel:
+        """Inverse of `to_arrays`; raises `ValueError` that names what is wrong."""
+        numbers = _checked(arrays, "numbers", (3,))
+        origin = _checked(arrays, "origin_px", (2,))
+        radius, contrast, count = (float(number) for number in numbers)
+        if not (0 < radius < 1e5 and 0 < contrast < 1e4 and count in range(1, MAX_LEVELS + 1)):
+            raise ValueError(f"numbers: impossible values {numbers.tolist()}")
+        levels = []
+        for index in range(int(count)):
+            points = _checked(arrays, f"points{index}", (-1, 2))
+            normals = _checked(arrays, f"normals{index}", (len(points), 2))
+            if len(points) < MIN_POINTS or np.abs(points).max() > 1e5:
+                raise ValueError(f"points{index}: too few or too far points")
+            if np.abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-6:
+                raise ValueError(f"normals{index}: not unit vectors")
+            levels.append(ShapeLevel(points, normals))
+        return ShapeModel(tuple(levels), origin, radius, contrast)
+
+
+def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> FloatArray:
+    if name not in arrays:
+        raise ValueError(f"{name}: missing")
+    value = arrays[name]
+    fits = value.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, value.shape, strict=True))
+    if not fits or value.dtype != np.float64 or not np.isfinite(value).all():
+        raise ValueError(f"{name}: expected finite float64 of the shape {shape}, got {value.dtype} {value.shape}")
+    return np.ascontiguousarray(value)
+
+
+def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None) -> ShapeModel:
+    """Learn the shape inside a mask.
+
+    image : (H, W) uint8, rectified.  mask : (H, W) uint8, non-zero where the part is.
+    origin_px (2,) : the point whose position a match reports; default: the centre of the mask.
+    Raises `TeachError` when there are too few edges.
+    """
+    if image.dtype != np.uint8 or image.ndim != 2 or image.shape != mask.shape:
+        raise TeachError(f"a model needs an 8-bit grey image and a mask of its size, got {image.shape}, {mask.shape}")
+    if np.count_nonzero(mask) < 64:
+        raise TeachError("the region is empty or tiny: expected at least 64 pixels")
+    if origin_px is None:
+        ys, xs = np.nonzero(mask)
+        origin_px = np.array([(xs.min() + xs.max()) / 2, (ys.min() + ys.max()) / 2])
+    origin = np.asarray(origin_px, dtype=np.float64)
+    levels: list[ShapeLevel] = []
+    contrast = 0.0
+    level_image, level_mask = image, mask
+    for index in range(MAX_LEVELS):
+        extracted = _edge_points(level_image, level_mask)
+        if extracted is None or len(extracted[0]) < MIN_POINTS:
+            break
+        points, normals, slope = extracted
+        level_origin = (origin + 0.5) / 2**index - 0.5
+        relative = points - level_origin
+        if levels and np.linalg.norm(relative, axis=1).max() < MIN_TOP_RADIUS_PX:
+            break
+        keep = _spread(relative, MAX_POINTS[index])
+        levels.append(ShapeLevel(np.ascontiguousarray(relative[keep]), np.ascontiguousarray(normals[keep])))
+        contrast = contrast or slope
+        level_image = cv2.resize(level_image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        shape = (level_image.shape[1], level_image.shape[0])
+        level_mask = cv2.resize(level_mask, shape, interpolation=cv2.INTER_NEAREST)
+    if not levels:
+        raise TeachError(
+            f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
+            "is the part inside the region, lit and in focus?"
+        )
+    radius = float(np.linalg.norm(levels[0].points, axis=1).max())
+    return ShapeModel(tuple(levels), origin, radius, contrast)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrongEdges:
+    """thin (H, W) uint8, 1 on the edges that were kept; gx, gy (H, W) int16, Sobel (8 x the slope per px)."""
+
+    thin: Image
+    gx: npt.NDArray[np.int16]
+    gy: npt.NDArray[np.int16]
+
+
+def strong_edges(image: Image, mask: Image) -> StrongEdges | None:
+    """The strong, connected edges inside a mask; None when there are nearly none.
+
+    Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
+    """
+    # twice the width of the measuring operator: narrow marks average out, outlines stay
+    smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
+    gx = cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3)
+    gy = cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3)
+    thin = cv2.Canny(gx, gy, 8, 16, L2gradient=True)
+    thin[mask == 0] = 0
+    magnitude = np.hypot(gx.astype(np.float64), gy) / 8
+    values = magnitude[thin > 0]
+    if len(values) < MIN_POINTS:
+        return None
+    # hysteresis with thresholds from the region itself
+    high = EDGE_SHARE * float(np.percentile(values, 95))
+    linked = ((thin > 0) & (magnitude > 0.6 * high)).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
+    strong = np.bincount(labels[(thin > 0) & (magnitude > high)], minlength=len(stats))
+    keep = (stats[:, cv2.CC_STAT_AREA] >= 0.08 * np.sqrt(np.count_nonzero(mask))) & (strong >= 4)
+    keep[0] = False
+    return StrongEdges(keep[labels].astype(np.uint8), gx, gy)  # type: ignore[arg-type]
+
+
+def _edge_points(image: Image, mask: Image) -> tuple[FloatArray, FloatArray, float] | None:
+    """Sub-pixel edge points, unit gradients and median slope of the strong edges in the mask."""
+    edges = strong_edges(image, mask)
+    if edges is None:
+        return None
+    ys, xs = np.nonzero(edges.thin)
+    if len(xs) < MIN_POINTS:
+        return None
+    points = np.column_stack([xs, ys]).astype(np.float64)
+    normals = np.column_stack([edges.gx[ys, xs], edges.gy[ys, xs]]).astype(np.float64)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    # measured with the operator that will measure the image: its bias at corners and arcs cancels
+    offsets, slopes = edges_along_normals(image, points, normals, 1.5, 1)
+    good = np.isfinite(offsets)
+    if good.sum() < MIN_POINTS:
+        return None
+    points = points[good] + normals[good] * offsets[good, None]
+    return points, normals[good], float(np.median(slopes[good]))
+
+
+def _spread(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
+    """Indices of at most `count` points, spread evenly along the edges, in a fixed random order."""
+    order = np.random.default_rng(0).permutation(len(points))
+    if len(points) <= count:
+        return order
+    # the largest distance at which enough points remain: points closer than that repeat each other
+    low, high = 0.0, float(np.ptp(points, axis=0).max())
+    best = order[:count]
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        cells = np.unique(np.floor(points[order] / max(middle, 1e-9)), axis=0, return_index=True)[1]
+        if len(cells) >= count:
+            low, best = middle, order[np.sort(cells)][:count]
+        else:
+            high = middle
+    return best

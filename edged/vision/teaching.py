@@ -1,0 +1,218 @@
+"""From one stereo pair and a region to a job: shape model, circles, part frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.errors import ImageError, TeachError
+from edged.vision.circlefit import CircleFit, CircleFitParams, fit_circle
+from edged.vision.ellipses import ImageEllipse, find_ellipses
+from edged.vision.geometry import apply, invert
+from edged.vision.job import CircleFeature, Job, Limits
+from edged.vision.rectification import Rectification
+from edged.vision.shape.model import create_model
+from edged.vision.shape.search import SearchParams
+from edged.vision.startplane import Plane, find_plane
+
+DEPTH_SHARE = 0.12
+"""Default depth limits of a job: this much nearer and farther than it lay at teaching."""
+FACE_TOLERANCE_MM = 0.15
+"""A circle farther from the face belongs to another plane: shading displaces such edges, they are left out."""
+MIN_SUPPORT = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A rectangle of the raw left image, px: x, y of its upper left corner, width, height."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+def teach(
+    left: Image, right: Image, rectification: Rectification, region: Region, name: str, number: int = 1
+) -> Job:
+    """Learn the part inside a region.
+
+    left, right : raw images (H, W) uint8.  Raises `TeachError` when the region shows no usable shape or no
+    circle that both cameras see, `ImageError` when the images do not fit the rig.
+    """
+    for side, image, camera in (
+        ("left", left, rectification.rig.left),
+        ("right", right, rectification.rig.right),
+    ):
+        if image.shape != (camera.height, camera.width):
+            raise ImageError(
+                f"{side} image: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for {camera.width}x{camera.height}"
+            )
+    mask = _mask(region, rectification)
+    rectified_left, rectified_right = rectification.left_image(left), rectification.right_image(right)
+    ellipses = find_ellipses(rectified_left, mask)
+    if not ellipses:
+        raise TeachError("no circle found inside the region: a job needs at least one that both cameras see")
+    face, reference = _reference(left, right, rectified_left, rectified_right, rectification, ellipses)
+    fits = [reference, *_others(left, right, rectification, ellipses, face, reference)]
+    fits = _named(fits)
+    rig_from_part = _part_frame(fits[0])
+    depth = float(rig_from_part[2, 3])
+    features = tuple(
+        CircleFeature(
+            fit.circle.name,
+            apply(invert(rig_from_part), fit.circle.centre_mm),
+            fit.circle.radius_mm,
+            fit.polarity,
+        )
+        for fit in fits
+    )
+    origin = rectification.rectify_points("left", rectification.rig.left.project(rig_from_part[None, :3, 3]))[0]
+    limits = Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE)))
+    return Job(
+        name=name,
+        number=number,
+        shape=create_model(rectified_left, mask, origin),
+        circles=features,
+        reference=features[0].name,
+        rig_from_part=rig_from_part,
+        limits=limits,
+        search=SearchParams(scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8),
+    )
+
+
+def _mask(region: Region, rectification: Rectification) -> Image:
+    """(h, w) uint8: the region as it lies in the rectified left image."""
+    camera = rectification.rig.left
+    numbers = (region.x, region.y, region.width, region.height)
+    if not all(np.isfinite(numbers)) or region.width < 16 or region.height < 16:
+        raise TeachError(f"region {numbers}: expected X,Y,W,H with a width and height of at least 16 px")
+    x0, y0 = max(region.x, 0.0), max(region.y, 0.0)
+    x1 = min(region.x + region.width, camera.width - 1.0)
+    y1 = min(region.y + region.height, camera.height - 1.0)
+    if x1 - x0 < 16 or y1 - y0 < 16:
+        raise TeachError(f"region {numbers}: outside the {camera.width}x{camera.height} image")
+    t = np.linspace(0, 1, 20)
+    border = np.concatenate(
+        [
+            np.column_stack([x0 + t * (x1 - x0), np.full(20, y0)]),
+            np.column_stack([np.full(20, x1), y0 + t * (y1 - y0)]),
+            np.column_stack([x1 - t * (x1 - x0), np.full(20, y1)]),
+            np.column_stack([np.full(20, x0), y1 - t * (y1 - y0)]),
+        ]
+    )
+    polygon = rectification.rectify_points("left", border)
+    mask = np.zeros((rectification.size[1], rectification.size[0]), np.uint8)
+    cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 255)
+    return np.asarray(np.minimum(mask, rectification.valid_left))
+
+
+def _reference(
+    left: Image,
+    right: Image,
+    rectified_left: Image,
+    rectified_right: Image,
+    rectification: Rectification,
+    ellipses: list[ImageEllipse],
+) -> tuple[Plane, CircleFit]:
+    """The largest circle that both cameras see, and the plane it lies in."""
+    for ellipse in ellipses:
+        points, normals = ellipse.outline(240)
+        plane = find_plane(
+            rectification,
+            rectified_left,
+            rectified_right,
+            points,
+            normals,
+            ellipse.polarity,
+            _common_depths(rectification),
+        )
+        if plane is None:
+            continue
+        fit = _fit_on(plane, left, right, rectification, ellipse, fixed_normal=False)
+        if fit is not None and min(fit.support_left, fit.support_right) >= MIN_SUPPORT:
+            centre, normal = fit.circle.centre_mm, fit.circle.normal
+            return Plane(normal, float(normal @ centre)), fit
+    raise TeachError(
+        f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
+        "is the part seen by both cameras, and does the rig belong to these images?"
+    )
+
+
+def _others(
+    left: Image,
+    right: Image,
+    rectification: Rectification,
+    ellipses: list[ImageEllipse],
+    face: Plane,
+    reference: CircleFit,
+) -> list[CircleFit]:
+    """The other circles of the face, each verified in both images."""
+    found: list[CircleFit] = []
+    for ellipse in ellipses:
+        fit = _fit_on(face, left, right, rectification, ellipse, fixed_normal=True)
+        if fit is None or min(fit.support_left, fit.support_right) < MIN_SUPPORT:
+            continue
+        circle = fit.circle
+        off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
+        sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
+        if off_face > max(FACE_TOLERANCE_MM, 3 * sigma) or circle.radius_mm > 0.98 * reference.circle.radius_mm:
+            continue
+        # the two edges of a chamfer are one feature: the first, stronger one stays
+        if any(_twins(fit, other) for other in (reference, *found)):
+            continue
+        found.append(fit)
+    return found
+
+
+def _twins(one: CircleFit, other: CircleFit) -> bool:
+    apart = float(np.linalg.norm(one.circle.centre_mm - other.circle.centre_mm))
+    return apart < 0.3 and abs(one.circle.radius_mm - other.circle.radius_mm) < 0.3
+
+
+def _fit_on(
+    plane: Plane, left: Image, right: Image, rectification: Rectification, ellipse: ImageEllipse, *, fixed_normal: bool
+) -> CircleFit | None:
+    outline, _ = ellipse.outline(32)
+    rays = np.column_stack(
+        [rectification.rig.left.normalise(rectification.raw_points("left", outline)), np.ones(len(outline))]
+    )
+    space = plane.meet(rays)
+    if not np.isfinite(space).all() or (space[:, 2] <= 0).any():
+        return None
+    centre = space.mean(axis=0)
+    radius = float(np.linalg.norm(space - centre, axis=1).mean())
+    reach = CircleFitParams(reach_px=(4.0, 3.0, 2.0))
+    return fit_circle(
+        rectification.rig, left, right, "c", centre, plane.normal, radius, ellipse.polarity, reach, fixed_normal=fixed_normal
+    )
+
+
+def _common_depths(rectification: Rectification) -> tuple[float, float]:
+    """Rectified depths that both images can show at all."""
+    strength = rectification.focal_px * rectification.baseline_mm
+    shift = rectification.centre_right_px[0] - rectification.centre_left_px[0]
+    width = rectification.size[0]
+    nearest = strength / (width + shift) if width + shift > 0 else strength / width
+    farthest = strength / max(shift - width, 0.02 * strength / nearest)
+    return max(nearest, 1.0), min(farthest, 20 * nearest)
+
+
+def _named(fits: list[CircleFit]) -> list[CircleFit]:
+    """c0, c1, ... by falling radius; equal ones in reading order, so that names are repeatable."""
+    ordered = sorted(fits, key=lambda f: (-round(f.circle.radius_mm, 1), *np.round(f.circle.centre_mm[1::-1], 1)))
+    return [fit.renamed(f"c{index}") for index, fit in enumerate(ordered)]
+
+
+def _part_frame(reference: CircleFit) -> FloatArray:
+    """Origin in the centre, z away from the cameras, x the rig's x axis projected into the face."""
+    z = -reference.circle.normal
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    x /= np.linalg.norm(x)
+    rig_from_part = np.eye(4)
+    rig_from_part[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    rig_from_part[:3, 3] = reference.circle.centre_mm
+    return rig_from_part
