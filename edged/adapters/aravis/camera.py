@@ -3,10 +3,11 @@
 Responsible for: one control thread and one pump thread, deadlines, and the proof that an image belongs to
 the last trigger. Not responsible for: trying again (`capture` does), what is in the image.
 
-Times. `device_ns` is the camera's own time stamp. `exposed_ns` is host UTC: for the software trigger the
-moment its command left this program, which the exposure follows by the network's and the camera's delay
-(0.1 ms on a quiet network; the answer bounds it, and a command that had to be repeated is a fault); for every
-other trigger source the arrival of the first packet, which is late by exposure and readout.
+Times. `device_ns` is the camera's own time stamp of the image. `exposed_ns` is the same moment in host UTC,
+by a map between both clocks that is kept up to date with every trigger; `clock_bound_ns` bounds its error.
+For a camera whose clock cannot be read it is, with the software trigger, the moment the command left this
+program (the exposure follows by the network's and the camera's delay, 0.1 ms on a quiet network; a command
+that had to be repeated is a fault), and with every other trigger source the arrival of the first packet.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from edged.adapters.aravis.clock import CLOCK_DRIFT
 from edged.adapters.aravis.session import AravisSettings, Arrival, Session
 from edged.domain import Frame
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
@@ -40,11 +42,8 @@ thread for up to 10 s, but then there is no control to give up."""
 FRAME_S = 10.0
 """No image is waited for longer than this, whatever the caller's own deadline."""
 
-STALE_MARGIN_NS = 1_000_000
+CLOCK_STEP_NS = 1_000_000
 """Some cameras count time in steps of a millisecond."""
-
-CLOCK_DRIFT = 200e-6
-"""A camera's crystal against the host's, over temperature and age."""
 
 Result = TypeVar("Result")
 
@@ -106,7 +105,10 @@ def _bare(error: CaptureError) -> CaptureError:
 
 
 class AravisCamera:
-    """One GenICam camera. Construct it anywhere; use it from one event loop."""
+    """One GenICam camera. Construct it anywhere; use it from one event loop.
+
+    clock_bound_ns : bound of the error of the last frame's `exposed_ns`; None where there is no clock map.
+    """
 
     def __init__(self, name: str, settings: AravisSettings) -> None:
         self._name = name
@@ -119,6 +121,8 @@ class AravisCamera:
         self._sent_ns = 0
         self._reference: tuple[int, int] | None = None
         self._last_frame_id = 0
+        self._clock_fits = True
+        self.clock_bound_ns: int | None = None
 
     @property
     def name(self) -> str:
@@ -144,6 +148,7 @@ class AravisCamera:
         self._arrivals, self._news = arrivals, news
         self._awaiting = False
         self._reference = None
+        self._clock_fits = True
 
         def arrived(arrival: Arrival) -> None:
             arrivals.append(arrival)
@@ -185,7 +190,7 @@ class AravisCamera:
             raise FrameIncomplete(self._name, arrival.problem)
         self._last_frame_id = arrival.frame_id
         self._reference = (arrival.arrived_ns, arrival.device_ns)
-        exposed_ns = self._sent_ns if session.by_software else arrival.arrived_ns
+        exposed_ns, self.clock_bound_ns = self._exposed(session, arrival)
         return Frame(self._name, arrival.frame_id, arrival.image, arrival.device_ns, exposed_ns)
 
     async def close(self) -> None:
@@ -229,27 +234,44 @@ class AravisCamera:
         while True:
             while self._arrivals:
                 arrival = self._arrivals.popleft()
-                if not self._is_stale(arrival):
+                if not self._is_stale(session, arrival):
                     return arrival
                 log.debug("camera %s: frame %d came too late and is dropped", self._name, arrival.frame_id)
             self._raise_if_lost(session)
             self._news.clear()
             await self._news.wait()
 
-    def _is_stale(self, arrival: Arrival) -> bool:
-        """Whether a buffer was exposed before the last trigger command was sent.
-
-        The image before had been exposed when its first packet came in, this one cannot have been before its
-        own command was sent: at least so much must have passed on the camera's clock, but for its drift.
-        """
-        if self._reference is None:
-            return False
-        reference_ns, reference_device_ns = self._reference
+    def _is_stale(self, session: Session, arrival: Arrival) -> bool:
+        """Whether a buffer was exposed before the last trigger command was sent."""
+        if not session.by_software or self._reference is None:
+            return False  # the first image after the start can be of nothing but the first trigger
+        mapped = session.clock.utc_ns(arrival.device_ns) if self._clock_fits else None
+        if mapped is not None:
+            return mapped[0] + mapped[1] + CLOCK_STEP_NS < self._sent_ns
+        # Without a map: the image before had been exposed when its first packet came in, this one cannot have
+        # been before its command: at least so much must have passed on the camera's clock, but for its drift.
+        arrived_ns, reference_device_ns = self._reference
         passed_ns = arrival.device_ns - reference_device_ns
         if passed_ns == 0:  # a camera without a clock
             return False
-        least_ns = self._sent_ns - reference_ns
-        return passed_ns < least_ns * (1 - CLOCK_DRIFT) - STALE_MARGIN_NS
+        return passed_ns < (self._sent_ns - arrived_ns) * (1 - CLOCK_DRIFT) - CLOCK_STEP_NS
+
+    def _exposed(self, session: Session, arrival: Arrival) -> tuple[int, int | None]:
+        """Host UTC ns of the exposure, and the bound of its error where it is known."""
+        mapped = session.clock.utc_ns(arrival.device_ns) if self._clock_fits else None
+        if mapped is not None:
+            exposed_ns, bound_ns = mapped
+            earliest_ns = self._sent_ns if session.by_software else 0
+            margin_ns = bound_ns + CLOCK_STEP_NS
+            if earliest_ns - margin_ns <= exposed_ns <= arrival.arrived_ns + margin_ns:
+                return mapped
+            self._clock_fits = False
+            log.warning(
+                "camera %s: its time stamps do not fit its clock (%.3f s off): host time is used",
+                self._name,
+                (exposed_ns - self._sent_ns) * 1e-9,
+            )
+        return (self._sent_ns if session.by_software else arrival.arrived_ns), None
 
 
 def _on_loop(action: Callable[..., object]) -> Callable[..., None]:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from edged.adapters.aravis.clock import ClockMap, Latch, find_latch, read_clock
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
@@ -38,6 +39,9 @@ PUMP_POLL_US = 100_000
 
 HEARTBEAT_REGISTER = 0x0938
 """GigE Vision bootstrap register "heartbeat timeout", in ms."""
+
+CLOCK_READINGS = 5
+"""At the start; one more comes with every trigger. The quietest of them counts."""
 
 REPEAT_S = 0.5
 """Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
@@ -105,6 +109,8 @@ class Session:
         self.name = name
         self.settings = settings
         self.lost = threading.Event()
+        self.clock = ClockMap()
+        self._latch: Latch | None = None
         self._library = library(name)
         self._on_lost = lost
         self._deliver = deliver
@@ -143,7 +149,13 @@ class Session:
             took_s = time.monotonic() - began_s
             if took_s >= REPEAT_S:
                 raise FrameTimeout(self.name, f"the trigger command was answered only after {took_s:.2f} s")
+            self._read_clock()
         return sent_ns
+
+    def _read_clock(self) -> None:
+        if self._latch is not None:
+            with self._talking("reading its clock"):
+                self.clock.add(read_clock(self._camera.get_device(), self._latch))
 
     def restart(self) -> None:
         """Stop and start acquisition: an exposure that is still under way is given up."""
@@ -212,6 +224,9 @@ class Session:
         features.require(self._ordinary_features(features))
         features.require(self._exposure_features(features))
         self._arm(features)
+        self._latch = find_latch(device, features)
+        for _ in range(CLOCK_READINGS):
+            self._read_clock()
         self._start_stream()
 
     def _ordinary_features(self, features: Features) -> dict[str, Value]:
