@@ -1,0 +1,76 @@
+"""`edged locate`: one stereo pair, offline."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import cv2
+from rich.console import Console
+from rich.table import Table
+
+from edged.domain import Frame, FramePair, Outcome, Status
+from edged.jobs import load_job
+from edged.payload import outcome_to_json
+from edged.pipeline import inspect, judge, prepare
+from edged.store import load_image, load_rig, write_atomically
+from edged.vision.overlay import draw_pair
+
+
+def locate(
+    rig: Path, job: Path, left: Path, right: Path, as_json: bool, console: Console, *, overlay: Path | None = None
+) -> int:
+    """Locate and print; 0 when a good target was found, 1 when not."""
+    prepared, taught = prepare(load_rig(rig)), load_job(job)
+    pair = FramePair(*(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right))))
+    timing_ms: dict[str, float] = {}
+    last_s = time.perf_counter()
+
+    def lap(stage: str) -> None:
+        nonlocal last_s
+        now_s = time.perf_counter()
+        timing_ms[stage] = round((now_s - last_s) * 1e3, 3)
+        last_s = now_s
+
+    measured = inspect(pair, taught, prepared, lap)
+    outcome = judge(measured)
+    if overlay is not None:
+        done, png = cv2.imencode(".png", draw_pair(pair.left.image, pair.right.image, measured))
+        if done:
+            write_atomically(overlay, png.tobytes())
+    if as_json:
+        print(
+            json.dumps(
+                outcome_to_json(
+                    outcome,
+                    cycle=0,
+                    calibration=prepared.rig.calibration_id,
+                    timing_ms=timing_ms,
+                    robot_from_rig=prepared.rig.robot_from_rig,
+                )
+            )
+        )
+    else:
+        _print(outcome, console)
+    return 0 if outcome.status is Status.OK else 1
+
+
+def _print(outcome: Outcome, console: Console) -> None:
+    console.print(f"status {outcome.status}")
+    for target in outcome.targets:
+        table = Table(title=f"{target.job}, score {target.match.score:.3f}", title_justify="left")
+        for column in ("", "x mm", "y mm", "z mm", "radius mm", "sigma mm"):
+            table.add_column(column, justify="right")
+        rows = [("position", target.position_mm, None, target.sigma_mm)]
+        rows += [(c.name, c.centre_mm, c.radius_mm, c.sigma_centre_mm) for c in target.circles]
+        for name, place, radius, sigma in rows:
+            table.add_row(
+                name,
+                *(f"{value:.4f}" for value in place),
+                "" if radius is None else f"{radius:.4f}",
+                " ".join(f"{value:.4f}" for value in sigma),
+            )
+        console.print(table)
+        if target.reject:
+            console.print(f"  not good: {target.reject.name}")
