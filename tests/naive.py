@@ -94,3 +94,35 @@ def sensor_expose(
         grey = sensor.black + electrons / sensor.full_well_e * 255 * 10 ** (gain_db / 20)
         image[index] = max(0, min(255, math.floor(grey + 0.5)))
     return image
+
+
+# --- chessboard corners -------------------------------------------------------------------------
+
+
+def corner_model(
+    image: np.ndarray, p: np.ndarray, window: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grey values, corner model and its Jacobian (by central differences) over a disc.
+
+    p : x, y, two edge directions, log blur, grey, half contrast, slope x, slope y.
+    window : x, y, radius, curvatures of both edges.
+    """
+
+    def model(q: np.ndarray, x: int, y: int) -> float:
+        sides = []
+        for angle, curvature in ((q[2], window[3]), (q[3], window[4])):
+            along = (x - q[0]) * math.cos(angle) + (y - q[1]) * math.sin(angle)
+            beside = (y - q[1]) * math.cos(angle) - (x - q[0]) * math.sin(angle)
+            sides.append(math.erf((beside - 0.5 * curvature * along**2) / (math.sqrt(2) * math.exp(q[4]))))
+        return q[5] + q[6] * sides[0] * sides[1] + q[7] * (x - q[0]) + q[8] * (y - q[1])
+
+    values, models, rows = [], [], []
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            if (x - window[0]) ** 2 + (y - window[1]) ** 2 > window[2] ** 2:
+                continue
+            values.append(float(image[y, x]))
+            models.append(model(p, x, y))
+            steps = np.eye(len(p)) * 1e-5
+            rows.append([(model(p + step, x, y) - model(p - step, x, y)) / 2e-5 for step in steps])
+    return np.array(values), np.array(models), np.array(rows)

@@ -36,7 +36,9 @@ from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views
 # alike (a bent board), which the sigma does not know; square pixels looked oblong by 4 sigma on real boards.
 _RELEASE_T = 6.0
 _OUTLIER = 6.0  # normalised residual length beyond which a mark is a mistake, not noise
-_BAD_VIEW = 5.0  # times the median view rms beyond which a view is not of the same rig or board
+_BAD_VIEW = 5.0  # times the usual residual beyond which a view is not of the same rig or board
+_START_ERROR_PX = 0.5  # far above any real detector's, so that the first fit is a plain one
+_ESTIMATE_ROUNDS = 8
 _MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
 _BLURRED = 2.0  # times the median edge spread
 _MAX_FOCAL_SIGMA = 0.02  # relative; beyond it the views do not determine the camera
@@ -129,7 +131,6 @@ class _Solution:
     problem: _Problem
     result: BundleResult
     model_error_px: tuple[float, float]
-    outliers: int
     freedoms: tuple[LensFreedom, LensFreedom]
 
 
@@ -144,14 +145,14 @@ def _solve_and_clean(
         worst = _worst_view(solution)
         if worst is None:
             break
-        index, rms, typical = worst
-        excluded.append((views[index].name, f"residuals of {rms:.2f} px, {typical:.3f} px in the others"))
+        index, residual, usual = worst
+        excluded.append((views[index].name, f"residuals of {residual:.2f} px, usually {usual:.3f} px"))
         views = [view for i, view in enumerate(views) if i != index]
         if len(views) < MIN_VIEWS:
             raise CalibrationError(f"the views contradict each other: {excluded[-1][1]}")
         state = solution.result.state
         state = replace(state, left_from_board=np.delete(state.left_from_board, index, axis=0))
-    solution = _release(solution)
+    solution = _release(_without_outliers(solution))
     _check_determined(solution.result)
     return solution
 
@@ -171,10 +172,10 @@ def _observations(views: Sequence[StereoView], side: str) -> Observations:
 
 
 def _estimate(problem: _Problem, state: BundleState, freedoms: tuple[LensFreedom, LensFreedom]) -> _Solution:
-    """Adjust, estimate the model error, drop outliers, until nothing changes."""
+    """Adjust and estimate the model error in turn until it settles."""
+    errors = _START_ERROR_PX, _START_ERROR_PX
     try:
-        errors, outliers = (0.5, 0.5), 0
-        for _ in range(8):
+        for _ in range(_ESTIMATE_ROUNDS):
             left, right = _with_error(problem.left, errors[0]), _with_error(problem.right, errors[1])
             result = adjust(state, left, right, *freedoms)
             state, before = result.state, errors
@@ -183,17 +184,7 @@ def _estimate(problem: _Problem, state: BundleState, freedoms: tuple[LensFreedom
                 _model_error(problem.left, result.residuals_left_px, share),
                 _model_error(problem.right, result.residuals_right_px, share),
             )
-            kept_left, kept_right = (
-                _inliers(problem.left, result.residuals_left_px, errors[0]),
-                _inliers(problem.right, result.residuals_right_px, errors[1]),
-            )
-            dropped = int((~kept_left).sum() + (~kept_right).sum())
-            if dropped:
-                problem = replace(
-                    problem, left=_pick(problem.left, kept_left), right=_pick(problem.right, kept_right)
-                )
-                outliers += dropped
-            elif np.allclose(errors, before, rtol=0.01, atol=1e-5):
+            if np.allclose(errors, before, rtol=0.01, atol=1e-5):
                 break
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
@@ -201,7 +192,20 @@ def _estimate(problem: _Problem, state: BundleState, freedoms: tuple[LensFreedom
         ) from error
     if not result.converged:
         raise CalibrationError("the bundle adjustment does not converge: these views contradict each other")
-    return _Solution(problem, result, errors, outliers, freedoms)
+    return _Solution(problem, result, errors, freedoms)
+
+
+def _without_outliers(solution: _Solution) -> _Solution:
+    """Drop marks that are mistakes, a few times: without the worst ones the next stand out."""
+    for _ in range(_ESTIMATE_ROUNDS):
+        problem, result = solution.problem, solution.result
+        kept_left = _inliers(problem.left, result.residuals_left_px, solution.model_error_px[0])
+        kept_right = _inliers(problem.right, result.residuals_right_px, solution.model_error_px[1])
+        if kept_left.all() and kept_right.all():
+            break
+        kept = replace(problem, left=_pick(problem.left, kept_left), right=_pick(problem.right, kept_right))
+        solution = _estimate(kept, result.state, solution.freedoms)
+    return solution
 
 
 def _with_error(seen: Observations, error_px: float) -> Observations:
@@ -265,19 +269,16 @@ def _check_movement(solution: _Solution) -> None:
 
 
 def _worst_view(solution: _Solution) -> tuple[int, float, float] | None:
-    """Index, rms and median rms of the view that does not belong, if there is one."""
+    """Index, residual and usual residual of the view that does not belong, if there is one.
+
+    By the median over a view's marks: a few wrong marks do not condemn a view.
+    """
     result, problem = solution.result, solution.problem
-    squares = np.zeros(len(problem.views))
-    counts = np.zeros(len(problem.views))
-    for seen, residuals in (
-        (problem.left, result.residuals_left_px),
-        (problem.right, result.residuals_right_px),
-    ):
-        squares = squares + np.bincount(seen.view, np.sum(residuals**2, axis=1), len(squares))
-        counts = counts + np.bincount(seen.view, minlength=len(counts))
-    rms = np.asarray(np.sqrt(squares / np.maximum(counts, 1)), dtype=np.float64)
-    index, typical = int(np.argmax(rms)), float(np.median(rms))
-    return (index, float(rms[index]), typical) if rms[index] > _BAD_VIEW * typical else None
+    view = np.concatenate([problem.left.view, problem.right.view])
+    length = np.linalg.norm(np.concatenate([result.residuals_left_px, result.residuals_right_px]), axis=1)
+    medians = np.array([np.median(length[view == i]) for i in range(len(problem.views))])
+    index, typical = int(np.argmax(medians)), float(np.median(medians))
+    return (index, float(medians[index]), typical) if medians[index] > _BAD_VIEW * typical else None
 
 
 def _release(solution: _Solution) -> _Solution:
@@ -352,6 +353,7 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
         fit_of_view(view, rig, pose)
         for view, pose in zip(problem.views, result.state.left_from_board, strict=True)
     )
+    marks = sum(len(view.found(side).ids) for view in problem.views for side in ("left", "right"))
     rows = np.concatenate([epipolar_errors_px(rig, fit.view) for fit in fits])
     return Calibration(
         rig=rig,
@@ -361,7 +363,7 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
         rms_px=_rms(result.residuals_left_px, result.residuals_right_px),
         epipolar_rms_px=float(np.sqrt(np.mean(rows**2))) if rows.size else float("nan"),
         model_error_px=solution.model_error_px,
-        outliers=solution.outliers,
+        outliers=marks - len(problem.left.view) - len(problem.right.view),
         excluded=tuple(excluded),
         notes=_notes(problem.views),
     )
@@ -372,7 +374,7 @@ def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
     for side in ("left", "right"):
         blur = np.array([view.found(side).blur_px for view in views])
         notes += [
-            f"{view.name}: the {side} image is blurred (edges of {b:.1f} px, usually {np.median(blur):.1f} px)"
+            f"{view.name}: the {side} image is blurred (edges of {b:.1f} px, else {np.median(blur):.1f})"
             for view, b in zip(views, blur, strict=True)
             if b > _BLURRED * np.median(blur)
         ]

@@ -65,16 +65,23 @@ def zhang(
         )
     except cv2.error as error:
         raise CalibrationError(f"{side} camera: no start values from these views: {error.err}") from error
+    # OpenCV's threads make the last digits differ from run to run. Cut off, the same views give the
+    # same calibration, bit for bit.
     poses = [
-        transform(rotation_matrix(np.ravel(r)), np.ravel(t))
+        transform(rotation_matrix(np.round(_column(r), 6)), np.round(_column(t), 5))
         for r, t in zip(rotations, translations, strict=True)
     ]
+    focal, cx, cy = (float(np.round(value, 3)) for value in (K[0, 0], K[0, 2], K[1, 2]))
     _check_tilt(poses, side)
     # To first order both models bend alike: r (1 + k1 r²) and r (1 + kappa r²)
-    k1 = float(np.ravel(distortion)[0])
+    k1 = float(np.round(np.ravel(distortion)[0], 6))
     values = (k1,) if model == "division" else (k1, 0.0, 0.0, 0.0, 0.0)
-    camera = CameraModel(model, *size, float(K[0, 0]), float(K[0, 0]), float(K[0, 2]), float(K[1, 2]), values)
+    camera = CameraModel(model, *size, focal, focal, cx, cy, values)
     return camera, poses
+
+
+def _column(vector: cv2.typing.MatLike) -> FloatArray:
+    return np.asarray(vector, dtype=np.float64).ravel()
 
 
 def _check_tilt(poses: Sequence[FloatArray], side: str) -> None:

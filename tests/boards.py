@@ -1,0 +1,192 @@
+"""Pictures of calibration boards, and marks without pictures, for tests.
+
+A board is drawn as a smooth function of the place on its plane, sampled where each pixel's ray
+meets it: exact for any lens, with edges of a known spread and no sampling error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from scipy.special import erf
+
+from edged.domain import FloatArray, Image
+from edged.vision.boards import Board, Chessboard, Detection, DotGrid, StereoView
+from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry import apply, rotation_matrix, rotation_vector, transform
+
+BLACK, WHITE, BACKGROUND = 25.0, 210.0, 60.0
+
+
+def draw_board(
+    board: Board,
+    camera: CameraModel,
+    camera_from_board: FloatArray,
+    noise: float = 0.0,
+    seed: int = 0,
+    blur_mm: float = 0.08,
+) -> Image:
+    """The picture (H, W) uint8 a camera takes of a board. blur_mm : edge spread (sigma) on the board."""
+    rays = _rays(camera)
+    normal, offset = camera_from_board[:3, 2], camera_from_board[:3, 3]
+    with np.errstate(divide="ignore"):
+        depth = (normal @ offset) / (rays @ normal)
+    plane = (rays * depth[..., None] - offset) @ camera_from_board[:3, :2]
+    shade = _chessboard if isinstance(board, Chessboard) else _dots
+    image = shade(board, plane[..., 0], plane[..., 1], blur_mm)  # type: ignore[arg-type]
+    image = np.where(depth > 0, image, BACKGROUND)
+    image = image + np.random.default_rng(seed).normal(0, noise, image.shape) if noise else image
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@cache
+def _rays(camera: CameraModel) -> FloatArray:
+    y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+    normalised = camera.normalise(np.stack([x, y], axis=-1))
+    return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+
+
+def _step(distance_mm: FloatArray, blur_mm: float) -> FloatArray:
+    """0 for far below zero, 1 far above."""
+    return np.asarray(0.5 + 0.5 * erf(distance_mm / (np.sqrt(2) * blur_mm)))
+
+
+def _box(
+    x: FloatArray, y: FloatArray, bounds: tuple[float, float, float, float], blur_mm: float
+) -> FloatArray:
+    """1 inside the rectangle (x0, y0, x1, y1)."""
+    inside_x = _step(x - bounds[0], blur_mm) * _step(bounds[2] - x, blur_mm)
+    return np.asarray(inside_x * _step(y - bounds[1], blur_mm) * _step(bounds[3] - y, blur_mm))
+
+
+def _chessboard(board: Chessboard, x: FloatArray, y: FloatArray, blur_mm: float) -> FloatArray:
+    p = board.pitch_mm
+
+    def wave(t: FloatArray) -> FloatArray:
+        # sign changes at every multiple of the pitch, + in the first square
+        nearest = np.rint(t / p)
+        return np.asarray(erf((t - nearest * p) / (np.sqrt(2) * blur_mm)) * np.where(nearest % 2 == 0, 1, -1))
+
+    squares = BLACK + (WHITE - BLACK) * (0.5 - 0.5 * wave(x) * wave(y))
+    field = _box(x, y, (-p, -p, board.columns * p, board.rows * p), blur_mm)
+    sheet = _box(x, y, (-1.6 * p, -1.6 * p, (board.columns + 0.6) * p, (board.rows + 0.6) * p), blur_mm)
+    paper = WHITE + (squares - WHITE) * field
+    return np.asarray(BACKGROUND + (paper - BACKGROUND) * sheet)
+
+
+def _dots(board: DotGrid, x: FloatArray, y: FloatArray, blur_mm: float) -> FloatArray:
+    p = board.pitch_mm
+    column = np.clip(np.rint(x / p), 0, board.columns - 1)
+    row = np.clip(np.rint(y / p), 0, board.rows - 1)
+    radius = np.hypot(x - column * p, y - row * p)
+    dark = _step(board.diameter_mm / 2 - radius, blur_mm)
+    far_x, far_y = (board.columns - 1) * p, (board.rows - 1) * p
+    inner = _box(x, y, (-0.75 * p, -0.75 * p, far_x + 0.75 * p, far_y + 0.75 * p), blur_mm)
+    outer = _box(x, y, (-p, -p, far_x + p, far_y + p), blur_mm)
+    sheet = _box(x, y, (-1.1 * p, -1.1 * p, far_x + 1.1 * p, far_y + 1.1 * p), blur_mm)
+    corner = _step(-1.5 * p + p - (x + y + 0.0) / np.sqrt(2) - 0.5 * p, blur_mm)
+    dark = np.maximum(dark, np.maximum(outer * (1 - inner), corner * outer))
+    paper = WHITE + (BLACK - WHITE) * dark
+    return np.asarray(BACKGROUND + (paper - BACKGROUND) * sheet)
+
+
+def board_poses(rig: StereoRig, board: Board, n: int, seed: int, tilt_deg: float = 25.0) -> list[FloatArray]:
+    """Poses left_from_board (4, 4) that both cameras see completely, tilted differently."""
+    rng = np.random.default_rng(seed)
+    points = board.points_mm
+    centre, margin = points.mean(axis=0), 1.2 * board.pitch_mm
+    edge = np.array(
+        [
+            [x, y, 0]
+            for x in (-margin, points[:, 0].max() + margin)
+            for y in (-margin, points[:, 1].max() + margin)
+        ]
+    )
+    vergence = float(np.arccos(np.clip(rig.right_from_left[2, 2], -1, 1)))
+    far = rig.baseline_mm / max(2 * np.tan(vergence / 2), 0.3)
+    poses: list[FloatArray] = []
+    for _ in range(100_000):
+        tilt = np.radians(rng.uniform(-tilt_deg, tilt_deg, 2))
+        rotation = rotation_matrix(np.array([tilt[0], tilt[1], 0])) @ rotation_matrix(
+            np.array([0, 0, rng.uniform(-0.4, 0.4)])
+        )
+        pixel = rng.uniform((0, 0), (rig.left.width, rig.left.height))
+        place = np.append(rig.left.normalise(pixel), 1.0) * far * rng.uniform(0.85, 1.25)
+        pose = transform(rotation, place - rotation @ centre)
+        if _visible(rig, apply(pose, edge)):
+            poses.append(pose)
+            if len(poses) == n:
+                return poses
+    raise ValueError("the board does not fit into this rig's common view")
+
+
+def _visible(rig: StereoRig, points: FloatArray) -> bool:
+    for camera, place in ((rig.left, points), (rig.right, apply(rig.right_from_left, points))):
+        if (place[:, 2] <= 0).any():
+            return False
+        pixels = camera.project(place)
+        if not ((pixels > 1) & (pixels < (camera.width - 2, camera.height - 2))).all():
+            return False
+    return True
+
+
+def synthetic_views(
+    rig: StereoRig,
+    board: Board,
+    poses: list[FloatArray],
+    sigma_px: float,
+    seed: int,
+    disturb: Callable[[int, StereoRig], StereoRig] = lambda _, rig: rig,
+    stated_sigma_px: float | None = None,
+) -> list[StereoView]:
+    """Marks with Gaussian noise, as a perfect detector would give them.
+
+    disturb(view number, rig) : the rig as it really was at that view.
+    """
+    rng = np.random.default_rng(seed)
+    ids = np.arange(len(board.points_mm))
+    views = []
+    for number, pose in enumerate(poses):
+        real = disturb(number, rig)
+        points = apply(pose, board.points_mm)
+        found = []
+        for camera, place in ((real.left, points), (real.right, apply(real.right_from_left, points))):
+            pixels = camera.project(place) + rng.normal(0, sigma_px, (len(ids), 2))
+            sigma = np.full(len(ids), stated_sigma_px or max(sigma_px, 1e-4))
+            found.append(Detection(ids, pixels, sigma, 0.6, 150.0))
+        views.append(StereoView(f"view_{number:02}", board, found[0], found[1]))
+    return views
+
+
+def right_pose(rig: StereoRig, left_from_board: FloatArray) -> FloatArray:
+    """right_from_board (4, 4)."""
+    return rig.right_from_left @ left_from_board
+
+
+def relation_error(found: StereoRig, true: StereoRig) -> FloatArray:
+    """(6,) true minus found of right_from_left: rotation vector on the left, translation."""
+    turn = rotation_vector(true.right_from_left[:3, :3] @ found.right_from_left[:3, :3].T)
+    return np.concatenate([turn, true.right_from_left[:3, 3] - found.right_from_left[:3, 3]])
+
+
+def parameter_error(found: StereoRig, true: StereoRig) -> FloatArray:
+    """(P,) true minus found, in the order of `StereoRig.parameter_names`."""
+    values = [
+        np.array([getattr(c, n) for c in pair for n in ("fx", "fy", "cx", "cy")]).reshape(2, 4)
+        for pair in ((true.left, found.left), (true.right, found.right))
+    ]
+    lenses = [
+        np.subtract(true.left.distortion, found.left.distortion),
+        np.subtract(true.right.distortion, found.right.distortion),
+    ]
+    return np.concatenate(
+        [
+            values[0][0] - values[0][1],
+            lenses[0],
+            values[1][0] - values[1][1],
+            lenses[1],
+            relation_error(found, true),
+        ]
+    )

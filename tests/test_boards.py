@@ -1,0 +1,216 @@
+"""Boards: specifications, and marks found where they are, in an order both cameras agree on."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from boards import board_poses, draw_board, right_pose
+from hypothesis import given
+from hypothesis import strategies as st
+from naive import corner_model
+from rigs import make_rig
+
+from edged.errors import CalibrationError
+from edged.vision.boards import Charuco, Chessboard, Detection, DotGrid, Missed, parse_board
+from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
+from edged.vision.cornerfit import accumulate_corner, fit_corners, solve_spd
+
+SMALL = make_rig(focal_px=1590.0, size=(640, 480))
+
+
+def test_specifications_are_read() -> None:
+    """Each kind of board is read as it is written in the manual, and written as it is read."""
+    assert parse_board("chessboard:11x8:4.0") == Chessboard(11, 8, 4.0)
+    assert parse_board(" Chessboard:9X6:25 ") == Chessboard(9, 6, 25.0)
+    assert parse_board("dots:7x7:5.0") == DotGrid(7, 7, 5.0, 2.5)
+    assert parse_board("dots:7x7:5.0:2") == DotGrid(7, 7, 5.0, 2.0)
+    assert parse_board("charuco:12x9:4:3:DICT_5X5_250") == Charuco(12, 9, 4.0, 3.0, "5X5_250")
+    for text in ("chessboard:11x8:4", "dots:7x6:5:2.5", "charuco:12x9:4:3:5X5_250"):
+        assert str(parse_board(text)) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "not a kind of board"),
+        ("checkers:8x8:1", "not a kind of board"),
+        ("chessboard", "values after the kind"),
+        ("chessboard:11x8:4:1", "values after the kind"),
+        ("chessboard:11:4", "not COLSxROWS"),
+        ("chessboard:11x-8:4", "not COLSxROWS"),
+        ("chessboard:2x8:4", "3 to 100"),
+        ("chessboard:99999999999x8:4", "3 to 100"),
+        ("chessboard:11x8:0", "not a length"),
+        ("chessboard:11x8:nan", "not a length"),
+        ("chessboard:11x8:4mm", "not a length"),
+        ("dots:7x7:5:5", "overlap"),
+        ("charuco:12x9:4:4:5X5_250", "do not fit"),
+        ("charuco:12x9:4:3:9X9_1", "not an ArUco dictionary"),
+    ],
+)
+def test_a_wrong_specification_is_named(text: str, expected: str) -> None:
+    """The error names what is wrong in the specification."""
+    with pytest.raises(CalibrationError, match=expected):
+        parse_board(text)
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_a_board_or_an_error(text: str) -> None:
+    """No text crashes the parser."""
+    try:
+        assert len(parse_board(text).points_mm) >= 4
+    except CalibrationError as error:
+        assert "board" in str(error)
+
+
+def found_in(image: np.ndarray, board: Chessboard) -> Detection:
+    """The detection, which must succeed."""
+    found = detect_chessboard(image, board)
+    assert isinstance(found, Detection), found
+    return found
+
+
+@pytest.mark.parametrize("spec", ["chessboard:11x8:2.4", "chessboard:9x7:2.6", "chessboard:7x7:3"])
+def test_corners_are_found_to_a_hundredth_of_a_pixel(spec: str) -> None:
+    """With pixel noise of 2 grey values the corners are right to 0.02 px rms, without bias."""
+    board = parse_board(spec)
+    assert isinstance(board, Chessboard)
+    errors = []
+    for seed, pose in enumerate(board_poses(SMALL, board, 3, seed=4)):
+        found = found_in(draw_board(board, SMALL.left, pose, noise=2.0, seed=seed), board)
+        true = SMALL.left.project(board.points_mm @ pose[:3, :3].T + pose[:3, 3])
+        if board.is_symmetric and np.linalg.norm(found.pixels[0] - true[0]) > 5:
+            true = true[::-1]
+        assert len(found.ids) == len(true)
+        errors.append(found.pixels - true)
+    error = np.concatenate(errors)
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.abs(error.mean(axis=0)).max() < 0.004
+
+
+def test_the_stated_sigma_is_the_scatter() -> None:
+    """Over many noise draws the normalised error of a corner is 1, and more noise means a larger sigma."""
+    board = Chessboard(6, 5, 4.0)
+    pose = board_poses(SMALL, board, 1, seed=1)[0]
+    clean = found_in(draw_board(board, SMALL.left, pose), board)
+    for noise in (2.0, 8.0):
+        squares, sigmas = [], []
+        for seed in range(12):
+            image = draw_board(board, SMALL.left, pose, noise=noise, seed=seed)
+            found = remeasure_chessboard(image, board, clean, SMALL.left)
+            assert isinstance(found, Detection)
+            truth = SMALL.left.project(board.points_mm @ pose[:3, :3].T + pose[:3, 3])
+            squares.append(((found.pixels - truth) / found.sigma_px[:, None]) ** 2)
+            sigmas.append(found.sigma_px)
+        assert np.mean(squares) == pytest.approx(1, abs=0.2)
+        assert np.median(sigmas) == pytest.approx(noise * np.median(sigmas) / noise)
+    assert np.median(sigmas) > 3 * np.median(clean.sigma_px)
+
+
+def test_both_cameras_number_the_corners_alike() -> None:
+    """An asymmetric board turned by any angle starts at its black corner square in both images."""
+    board = Chessboard(8, 5, 3.0)
+    turns = [np.diag([-1.0, -1.0, 1.0, 1.0]), np.eye(4)]
+    for pose in board_poses(SMALL, board, 2, seed=7):
+        for turn in turns:
+            middle = np.eye(4)
+            middle[:3, 3] = board.points_mm.mean(axis=0)
+            turned = pose @ middle @ turn @ np.linalg.inv(middle)
+            for camera, camera_pose in ((SMALL.left, turned), (SMALL.right, right_pose(SMALL, turned))):
+                found = found_in(draw_board(board, camera, camera_pose), board)
+                true = camera.project(board.points_mm @ camera_pose[:3, :3].T + camera_pose[:3, 3])
+                assert np.abs(found.pixels - true).max() < 0.1
+
+
+def test_a_bent_edge_is_no_bias_once_the_lens_is_known() -> None:
+    """A strong lens bends edges in the window; measured again with the lens, the radial bias is gone."""
+    rig = make_rig(focal_px=800.0, size=(640, 480), vergence_deg=10)
+    board = Chessboard(8, 6, 8.0)
+    pose = board_poses(rig, board, 1, seed=11, tilt_deg=5)[0]
+    image = draw_board(board, rig.left, pose, blur_mm=0.12)
+    true = rig.left.project(board.points_mm @ pose[:3, :3].T + pose[:3, 3])
+    straight = found_in(image, board)
+    bent = remeasure_chessboard(image, board, straight, rig.left)
+    assert isinstance(bent, Detection)
+    before, after = straight.pixels - true, bent.pixels - true
+    assert np.sqrt(np.mean(after**2)) < 0.6 * np.sqrt(np.mean(before**2))
+    assert np.abs(after).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.full((480, 640), 128, np.uint8), "no 8x5 inner corners"),
+        (np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8), "no 8x5 inner corners"),
+        (np.zeros((3, 2), np.uint8), "no 8x5 inner corners"),
+    ],
+)
+def test_a_picture_without_the_board_is_a_miss_with_a_reason(image: np.ndarray, reason: str) -> None:
+    """No board is no exception, but says why."""
+    found = detect_chessboard(image, Chessboard(8, 5, 3.0))
+    assert isinstance(found, Missed)
+    assert reason in found.reason
+
+
+def test_a_picture_with_hardly_any_contrast_is_a_miss() -> None:
+    """Five grey values between black and white are no measurement."""
+    board = Chessboard(8, 5, 3.0)
+    image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=7)[0])
+    flat = np.rint(100 + image * (5 / 255)).astype(np.uint8)
+    assert isinstance(detect_chessboard(flat, board), Missed)
+
+
+def test_a_covered_corner_is_left_out() -> None:
+    """A corner under a thumb is not in the detection; the others are where they are."""
+    board = Chessboard(8, 5, 6.0)
+    pose = board_poses(SMALL, board, 1, seed=7)[0]
+    image = draw_board(board, SMALL.left, pose)
+    true = SMALL.left.project(board.points_mm @ pose[:3, :3].T + pose[:3, 3])
+    found = found_in(image, board)
+    x, y = np.rint(true[17]).astype(int)
+    covered = cv2.circle(image.copy(), (int(x) + 5, int(y) + 4), 14, 90, -1)
+    again = remeasure_chessboard(covered, board, found, SMALL.left)
+    assert isinstance(again, Detection)
+    assert 17 not in again.ids
+    assert np.abs(again.pixels - true[again.ids]).max() < 0.1
+
+
+def test_corner_kernel_equals_its_plain_twin() -> None:
+    """Residuals, normal equations and gradient of the kernel are those of the formula and its differences."""
+    rng = np.random.default_rng(3)
+    image = rng.integers(20, 200, (40, 40), dtype=np.uint8)
+    p = np.array([19.3, 20.1, 0.2, 1.9, -0.3, 110.0, 40.0, 0.3, -0.2])
+    window = np.array([19.0, 20.5, 7.5, 2e-3, -1e-3])
+    normal, gradient = np.empty((9, 9)), np.empty(9)
+    total, count = accumulate_corner(image, p, window, normal, gradient, False)
+    values, model, jacobian = corner_model(image, p, window)
+    residuals = values - model
+    assert count == len(values)
+    assert total == pytest.approx(residuals @ residuals, rel=1e-12)
+    lower = np.tril_indices(9)
+    assert np.allclose(normal[lower], (jacobian.T @ jacobian)[lower], rtol=1e-5, atol=1e-4)
+    assert np.allclose(gradient, jacobian.T @ residuals, rtol=1e-5, atol=1e-3)
+    accumulate_corner(image, p, window, normal, gradient, True)
+    weighted = (jacobian * residuals[:, None] ** 2).T @ jacobian
+    assert np.allclose(normal[lower], weighted[lower], rtol=1e-5, atol=1e-2)
+
+
+def test_cholesky_solves_and_refuses() -> None:
+    """solve_spd is numpy's solve for a positive definite matrix, and False for another."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(9, 9))
+    matrix, right = root @ root.T + np.eye(9), rng.normal(size=9)
+    solution = right.copy()
+    assert solve_spd(matrix.copy(), solution, 9)
+    assert np.allclose(solution, np.linalg.solve(matrix, right))
+    assert not solve_spd(-matrix, right.copy(), 9)
+
+
+def test_a_corner_outside_the_image_is_refused() -> None:
+    """Starts outside the image, or on a flat field, end with ok = 0."""
+    image = np.full((60, 60), 100, np.uint8)
+    start = np.array([[-5.0, 30, 0, 1.5, 8, 0, 0], [30.0, 30, 0, 1.5, 8, 0, 0], [59.0, 59, 0, 1.5, 8, 0, 0]])
+    result = np.empty((3, 6))
+    fit_corners(image, start, result)
+    assert (result[:, 5] == 0).all()

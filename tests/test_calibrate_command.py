@@ -1,0 +1,205 @@
+"""`edged calibrate`: from a folder of pictures to a rig file; every bad folder has its own message."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from boards import board_poses, draw_board, right_pose
+from rich.console import Console
+from rigs import make_rig
+
+from edged.commands.calibrate import calibrate, find_pairs
+from edged.errors import CalibrationError, ImageError, UserError
+from edged.store import load_rig
+from edged.vision.boards import parse_board
+
+SPEC = "chessboard:8x6:6"
+RIG = make_rig(focal_px=1590.0, size=(640, 480))
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six pairs of a board drawn through RIG, with noise."""
+    folder = tmp_path_factory.mktemp("pictures")
+    board = parse_board(SPEC)
+    for number, pose in enumerate(board_poses(RIG, board, 6, seed=3)):
+        for side, camera, camera_pose in (
+            ("left", RIG.left, pose),
+            ("right", RIG.right, right_pose(RIG, pose)),
+        ):
+            image = draw_board(board, camera, camera_pose, noise=1.5, seed=number)
+            cv2.imwrite(str(folder / f"v{number}_{side}.png"), image)
+    return folder
+
+
+@pytest.fixture
+def folder(pictures: Path, tmp_path: Path) -> Path:
+    """A copy of the pictures that a test may spoil."""
+    return Path(shutil.copytree(pictures, tmp_path / "pictures"))
+
+
+def run(
+    folder: Path, output: Path, report: Path | None = None, board: str = SPEC, model: str = "division"
+) -> str:
+    """Run the command; returns what it said."""
+    said = io.StringIO()
+    assert calibrate(folder, board, output, model, report, Console(file=said, width=200)) == 0
+    return said.getvalue()
+
+
+def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
+    """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same."""
+    output, report = tmp_path / "rig.json", tmp_path / "report.html"
+    said = run(pictures, output, report)
+    rig = load_rig(output)
+    assert rig.covariance is not None
+    sigma = np.sqrt(np.diag(rig.covariance))
+    names = list(rig.parameter_names)
+    for side, found, true in (("left", rig.left, RIG.left), ("right", rig.right, RIG.right)):
+        for name in ("fx", "cx", "cy"):
+            error = getattr(found, name) - getattr(true, name)
+            assert abs(error) < 4 * sigma[names.index(f"{side}.{name}")]
+    shift = rig.right_from_left[:3, 3] - RIG.right_from_left[:3, 3]
+    assert (np.abs(shift) < 4 * sigma[-3:]).all()
+    quality = json.loads(output.read_text())["quality"]
+    assert quality["stereo_rms_px"] < 0.04
+    assert quality["views"] == 6
+    assert "stereo rms" in said
+    page = report.read_text()
+    assert rig.calibration_id in page
+    assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+
+    again = tmp_path / "again.json"
+    run(pictures, again)
+    assert json.loads(again.read_text()) == json.loads(output.read_text())
+
+
+def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
+    """The old file stays beside the new one under its own calibration id."""
+    output = tmp_path / "rig.json"
+    run(pictures, output)
+    old = output.read_bytes()
+    said = run(pictures, output, model="brown")
+    kept = tmp_path / f"rig.{json.loads(old)['calibration_id']}.json"
+    assert kept.read_bytes() == old
+    assert kept.name in said
+    assert output.read_bytes() != old
+
+
+def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
+    """Pictures may be of any format OpenCV reads without loss of meaning."""
+    for number, suffix in ((0, ".jpg"), (1, ".bmp"), (2, ".TIF")):
+        for side in ("left", "right"):
+            path = folder / f"v{number}_{side}.png"
+            cv2.imwrite(str(path.with_suffix(suffix.lower())), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+            path.with_suffix(suffix.lower()).rename(path.with_suffix(suffix))
+            path.unlink()
+    run(folder, tmp_path / "rig.json")
+    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
+
+
+def test_a_view_without_a_board_is_named(folder: Path, tmp_path: Path) -> None:
+    """A picture of nothing is left out by name; the rest calibrates."""
+    cv2.imwrite(str(folder / "v3_right.png"), np.full((480, 640), 90, np.uint8))
+    said = run(folder, tmp_path / "rig.json")
+    assert "v3" in said
+    assert "right: no 8x6 inner corners found" in said
+
+
+def refused(folder: Path, tmp_path: Path, expected: str, board: str = SPEC, model: str = "division") -> None:
+    """The command raises a UserError that says `expected`, and leaves an existing rig alone."""
+    output = tmp_path / "rig.json"
+    output.write_text("precious")
+    with pytest.raises(UserError, match=expected):
+        run(folder, output, board=board, model=model)
+    assert output.read_text() == "precious"
+    assert sorted(path.name for path in tmp_path.glob("*rig*")) == ["rig.json"]
+
+
+def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
+    """A picture without its partner is an error that names both."""
+    (folder / "v2_right.png").unlink()
+    (folder / "v4_left.png").unlink()
+    refused(folder, tmp_path, r"v2_left.png: v2_right is missing(.|\n)*v4_right.png: v4_left is missing")
+
+
+def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
+    """A picture of another size is named with its size and the usual one."""
+    image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(folder / "v1_left.png"), image[:400])
+    refused(folder, tmp_path, r"640 x 480(.|\n)*v1_left.png: 640 x 400")
+
+
+def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
+    """A file that is no picture is named."""
+    (folder / "v5_left.png").write_bytes(b"not a picture")
+    refused(folder, tmp_path, "v5_left.png: not an image")
+
+
+def test_two_pictures_of_one_name_are_refused(folder: Path) -> None:
+    """v0_left.png and v0_left.jpg leave it open which is meant."""
+    shutil.copy(folder / "v0_left.png", folder / "v0_left.jpg")
+    with pytest.raises(CalibrationError, match=r"v0_left.* is another picture"):
+        find_pairs(folder)
+
+
+@pytest.mark.parametrize("content", ["missing", "empty", "file"])
+def test_a_folder_without_pairs_is_refused(content: str, tmp_path: Path) -> None:
+    """No folder, an empty one, and a file are told apart from a folder of pairs."""
+    place = tmp_path / "place"
+    if content == "empty":
+        place.mkdir()
+    elif content == "file":
+        place.write_text("")
+    with pytest.raises(CalibrationError, match="no pictures" if content == "empty" else "not a folder"):
+        find_pairs(place)
+
+
+def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
+    """A board specification that fits no picture is refused, with the reason of every view."""
+    refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: no 9x7 inner corners", board="chessboard:9x7:6")
+
+
+def test_swapped_pictures_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Left named right and right named left is found out."""
+    for left in list(folder.glob("*_left.png")):
+        right = left.with_name(left.name.replace("left", "right"))
+        left.rename(folder / "moving")
+        right.rename(left)
+        (folder / "moving").rename(right)
+    refused(folder, tmp_path, "swapped")
+
+
+def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:
+    """What can be known to fail before the work is refused before the work."""
+    refused(folder, tmp_path, "expected one of brown, division", model="fisheye")
+    for output in (tmp_path, tmp_path / "nowhere" / "rig.json"):
+        with pytest.raises(UserError, match="folder"):
+            run(folder, output)
+
+
+def test_an_interrupt_leaves_no_file(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C during the work leaves the output folder as it was, and no worker behind."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("edged.commands.calibrate.detect_board", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, tmp_path / "rig.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+
+
+def test_a_coloured_picture_is_refused(folder: Path, tmp_path: Path) -> None:
+    """A colour image is not silently made grey."""
+    image = cv2.imread(str(folder / "v1_left.png"))
+    image[..., 0] //= 2
+    cv2.imwrite(str(folder / "v1_left.png"), image)
+    with pytest.raises(ImageError, match="colour"):
+        run(folder, tmp_path / "rig.json")
