@@ -1,0 +1,319 @@
+"""Kernels of affine least-squares matching along a row (A. Gruen, 1985).
+
+gain * right(x - disparity(x, y), y) + offset = left(x, y) over a window, where the disparity is a
+plane: shift + slope_x u + slope_y v, with (u, v) from the window's middle. Both sides are smoothed
+*after* the right image was resampled onto the left one's pixels, so that a slanted face is smoothed
+alike on both, and what is left over is noise. Resampling is by cubic splines (M. Unser, 1999): the
+shorter cubics pull towards half pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import Image
+from edged.vision.jit import kernel
+
+SMOOTHING_PX = 0.7  # takes noise from the gradients; less costs precision, more as well
+RADIUS = 3
+_OFFSETS = np.arange(-RADIUS, RADIUS + 1)
+TAPS = np.exp(-0.5 * (_OFFSETS / SMOOTHING_PX) ** 2) / np.exp(-0.5 * (_OFFSETS / SMOOTHING_PX) ** 2).sum()
+NOISE_GAIN = float(np.sum(TAPS**2) ** 2)
+"""Variance of smoothed white noise of variance 1."""
+TAP2_COVARIANCE = float(np.sum(TAPS**2) * np.sum(TAPS[2:] * TAPS[:-2]))
+"""Covariance of smoothed white noise two pixels apart in x."""
+
+SLOPE_SIGMA = 0.5
+"""Prior of the slopes: a face inclined by 45° at a distance of 2 baselines. Without any, an edge with
+nothing beside it leaves the slope open, and the fit goes astray."""
+MAX_ITERATIONS = 20
+MAX_STEP_PX = 1.5  # the fit refines the peak that the search chose; it must not look for another
+MAX_SLOPE = 0.8
+CONVERGED_PX = 1e-3  # the steps shrink tenfold each: what remains is a tenth of this
+POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
+
+SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)
+LEFT_PATCH, DIVERGED = -1.0, -2.0
+
+F64 = npt.NDArray[np.float64]
+
+
+class Patches(NamedTuple):
+    """What a fit works on, and the memory for it. n is the window's size, r the smoothing's radius.
+
+    left (n, n) smoothed; spline (n + 2r, m) coefficients of the right image's rows.
+    """
+
+    left: F64
+    spline: F64
+    value: F64
+    slope: F64
+    rows: F64
+    smooth_value: F64
+    smooth_slope: F64
+    normal: F64
+    gradient: F64
+
+
+@kernel()
+def make_patches(half: int) -> Patches:
+    """Memory for windows of 2 half + 1 pixels."""
+    size, wide = 2 * half + 1, 2 * (half + RADIUS) + 1
+    # room for slopes up to MAX_SLOPE in both directions, for the steps of the fit and for the spline
+    columns = 2 * math.ceil((1.0 + 2.0 * MAX_SLOPE) * (half + RADIUS) + MAX_STEP_PX + 3.0) + 1
+    return Patches(
+        np.empty((size, size)),
+        np.empty((wide, columns)),
+        np.empty((wide, wide)),
+        np.empty((wide, wide)),
+        np.empty((size, wide)),
+        np.empty((size, size)),
+        np.empty((size, size)),
+        np.empty((5, 5)),
+        np.empty(5),
+    )
+
+
+@kernel("void(u1[:, ::1], i8, i8, f8[:, ::1])")
+def cut_out(image: Image, x: int, y: int, patch: F64) -> None:
+    """patch = the image around (x, y); beyond the border its last pixels go on."""
+    rows, columns = patch.shape
+    height, width = image.shape
+    for j in range(rows):
+        row = min(max(y - rows // 2 + j, 0), height - 1)
+        for i in range(columns):
+            patch[j, i] = image[row, min(max(x - columns // 2 + i, 0), width - 1)]
+
+
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[:, ::1])")
+def smooth(patch: F64, rows: F64, result: F64) -> None:
+    """Gaussian smoothing (n + 2r, n + 2r) -> (n, n). rows (n, n + 2r) is scratch."""
+    size, wide = result.shape[0], patch.shape[1]
+    for j in range(size):
+        for i in range(wide):
+            value = TAPS[0] * (patch[j, i] + patch[j + 6, i]) + TAPS[1] * (patch[j + 1, i] + patch[j + 5, i])
+            value += TAPS[2] * (patch[j + 2, i] + patch[j + 4, i]) + TAPS[3] * patch[j + 3, i]
+            rows[j, i] = value
+        for i in range(size):
+            value = TAPS[0] * (rows[j, i] + rows[j, i + 6]) + TAPS[1] * (rows[j, i + 1] + rows[j, i + 5])
+            value += TAPS[2] * (rows[j, i + 2] + rows[j, i + 4]) + TAPS[3] * rows[j, i + 3]
+            result[j, i] = value
+
+
+@kernel("void(f8[:, ::1])")
+def spline_rows(patch: F64) -> None:
+    """Turn rows of samples into coefficients of the cubic spline through them, in place.
+
+    The ends go on as constants; their error is gone after a few pixels (POLE^5 = 1e-3).
+    """
+    rows, columns = patch.shape
+    for j in range(rows):
+        state = patch[j, 0] / (1.0 - POLE)
+        patch[j, 0] = state
+        for i in range(1, columns):
+            state = patch[j, i] + POLE * state
+            patch[j, i] = state
+        state *= -POLE / (1.0 - POLE)
+        patch[j, columns - 1] = 6.0 * state
+        for i in range(columns - 2, -1, -1):
+            state = POLE * (state - patch[j, i])
+            patch[j, i] = 6.0 * state
+
+
+@kernel("b1(f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1])")
+def resample(spline: F64, unknowns: F64, value: F64, slope: F64) -> bool:
+    """The right image and its derivative by x at the matches of the left window's pixels.
+
+    False where a match leaves the patch.
+    """
+    size = value.shape[0]
+    half, centre, last = size // 2, spline.shape[1] // 2, spline.shape[1] - 3
+    step = 1.0 - unknowns[SLOPE_X]
+    for j in range(size):
+        start = centre - unknowns[SHIFT] - unknowns[SLOPE_Y] * (j - half) - step * half
+        end = start + step * (size - 1)
+        if not (min(start, end) >= 1.0 and max(start, end) < last):
+            return False
+        for i in range(size):
+            position = start + step * i
+            k = int(position)
+            t = position - k
+            a, b, c, d = spline[j, k - 1], spline[j, k], spline[j, k + 1], spline[j, k + 2]
+            # the four pieces of the cubic B-spline, by Horner's rule
+            p0, p1, p2, p3 = (a + 4.0 * b + c) / 6.0, 0.5 * (c - a), 0.5 * (a + c) - b, (d - a) / 6.0
+            p3 += 0.5 * (b - c)
+            value[j, i] = p0 + t * (p1 + t * (p2 + t * p3))
+            slope[j, i] = p1 + t * (2.0 * p2 + 3.0 * t * p3)
+    return True
+
+
+@kernel("f8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])")
+def normal_equations(left: F64, value: F64, slope: F64, unknowns: F64, normal: F64, gradient: F64) -> float:
+    """Sum up JᵀJ (lower triangle) and -Jᵀr at `unknowns`; returns the sum of squared residuals."""
+    size = left.shape[0]
+    half, gain, offset = size // 2, unknowns[GAIN], unknowns[OFFSET]
+    normal[:] = 0.0
+    gradient[:] = 0.0
+    squares = 0.0
+    for j in range(size):
+        v = float(j - half)
+        gg, ggu, gguu, gr, gru, grv, rr = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        gv, gvu, g1, g1u, vv, v1, er, ev = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(size):
+            u, f, g = float(i - half), value[j, i], -gain * slope[j, i]
+            r = gain * f + offset - left[j, i]
+            gu = g * u
+            gg += g * g
+            ggu += g * gu
+            gguu += gu * gu
+            gv += g * f
+            gvu += gu * f
+            g1 += g
+            g1u += gu
+            vv += f * f
+            v1 += f
+            gr += g * r
+            gru += gu * r
+            ev += f * r
+            er += r
+            rr += r * r
+        grv = gr * v
+        normal[0, 0] += gg
+        normal[1, 0] += ggu
+        normal[1, 1] += gguu
+        normal[2, 0] += gg * v
+        normal[2, 1] += ggu * v
+        normal[2, 2] += gg * v * v
+        normal[3, 0] += gv
+        normal[3, 1] += gvu
+        normal[3, 2] += gv * v
+        normal[3, 3] += vv
+        normal[4, 0] += g1
+        normal[4, 1] += g1u
+        normal[4, 2] += g1 * v
+        normal[4, 3] += v1
+        gradient[0] -= gr
+        gradient[1] -= gru
+        gradient[2] -= grv
+        gradient[3] -= ev
+        gradient[4] -= er
+        squares += rr
+    normal[4, 4] = float(size * size)
+    return squares
+
+
+@kernel()
+def _substitute(factor: F64, vector: F64) -> None:
+    n = vector.shape[0]
+    for i in range(n):
+        for k in range(i):
+            vector[i] -= factor[i, k] * vector[k]
+        vector[i] /= factor[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            vector[i] -= factor[k, i] * vector[k]
+        vector[i] /= factor[i, i]
+
+
+@kernel("f8(f8[:, ::1], f8[::1])")
+def solve_positive(matrix: F64, vector: F64) -> float:
+    """Solve matrix x = vector in place by Cholesky, from the lower triangle, which becomes the factor.
+
+    Returns the smallest pivot relative to its diagonal, so that the unit of an unknown does not
+    matter; 0 if the matrix is not positive.
+    """
+    n = vector.shape[0]
+    smallest = 1.0
+    for j in range(n):
+        diagonal = matrix[j, j]
+        pivot = diagonal
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return 0.0
+        smallest = min(smallest, pivot / diagonal)
+        matrix[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, n):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = value / matrix[j, j]
+    _substitute(matrix, vector)
+    return smallest
+
+
+@kernel()
+def fit(unknowns: F64, p: Patches) -> float:
+    """Gauss-Newton from `unknowns`, in place; p.normal is left factorised at the solution.
+
+    Returns the variance of the difference of two pixels, as the residuals have it, not yet corrected for
+    the unknowns; LEFT_PATCH where the window leaves the patch, DIVERGED where there is no solution.
+    """
+    for iteration in range(MAX_ITERATIONS):
+        if not resample(p.spline, unknowns, p.value, p.slope):
+            return LEFT_PATCH
+        smooth(p.value, p.rows, p.smooth_value)
+        smooth(p.slope, p.rows, p.smooth_slope)
+        if iteration == 0:
+            unknowns[OFFSET] = p.left.mean() - unknowns[GAIN] * p.smooth_value.mean()
+        squares = normal_equations(p.left, p.smooth_value, p.smooth_slope, unknowns, p.normal, p.gradient)
+        variance = squares / (p.left.size * NOISE_GAIN)
+        for a in (SLOPE_X, SLOPE_Y):
+            p.normal[a, a] += variance / SLOPE_SIGMA**2
+            p.gradient[a] -= variance / SLOPE_SIGMA**2 * unknowns[a]
+        if solve_positive(p.normal, p.gradient) < 1e-12:
+            return DIVERGED
+        unknowns += p.gradient
+        steepest = max(abs(unknowns[SLOPE_X]), abs(unknowns[SLOPE_Y]))
+        if not (abs(unknowns[SHIFT]) <= MAX_STEP_PX and steepest <= MAX_SLOPE):
+            return DIVERGED
+        turn_px = max(abs(p.gradient[SLOPE_X]), abs(p.gradient[SLOPE_Y])) * 0.5 * p.left.shape[0]
+        if max(abs(p.gradient[SHIFT]), turn_px) < CONVERGED_PX:
+            return variance
+    return DIVERGED
+
+
+@kernel()
+def variance_of(weights: F64, unknowns: F64, variance: float, p: Patches) -> float:
+    """Variance of weights · unknowns after `fit` returned `variance`. weights is overwritten.
+
+    White noise e of both images reaches the fit as S e, S being the smoothing; the estimate moves by
+    aᵀ S e with a the influence of each residual. So its variance is that of e times |Sᵀ a|².
+    """
+    size, wide = p.left.shape[0], p.value.shape[0]
+    half, area = size // 2, float(p.left.size)
+    _substitute(p.normal, weights)
+    # a, set into zeros so that Sᵀ a is complete: S spreads it over the window's rim
+    field, rows = p.value, p.slope
+    field[:] = 0.0
+    plain = 0.0
+    for j in range(size):
+        for i in range(size):
+            g = -unknowns[GAIN] * p.smooth_slope[j, i]
+            influence = g * (weights[SHIFT] + weights[SLOPE_X] * (i - half) + weights[SLOPE_Y] * (j - half))
+            influence += weights[GAIN] * p.smooth_value[j, i] + weights[OFFSET]
+            field[j + RADIUS, i + RADIUS] = influence
+            plain += influence * influence
+    spread = 0.0
+    for j in range(wide):
+        for i in range(wide):
+            total = 0.0
+            for k in range(max(j - RADIUS, 0), min(j + RADIUS + 1, wide)):
+                total += TAPS[k - j + RADIUS] * field[k, i]
+            rows[j, i] = total
+        for i in range(wide):
+            total = 0.0
+            for k in range(max(i - RADIUS, 0), min(i + RADIUS + 1, wide)):
+                total += TAPS[k - i + RADIUS] * rows[j, k]
+            spread += total * total
+    # the residuals lack what the fit took from them: the mean's share is 1, that of the other
+    # unknowns is how much of a smoothed field like theirs the smoothed noise fills
+    degrees = area * NOISE_GAIN
+    corrected = variance * degrees / max(degrees - 1.0 - 4.0 * spread / max(plain, 1e-300), 1.0)
+    # the prior holds the slopes back: what it contributes to the estimate has the prior's own variance
+    pull = variance / SLOPE_SIGMA * math.hypot(weights[SLOPE_X], weights[SLOPE_Y])
+    return float(corrected * spread + pull * pull)

@@ -1,0 +1,375 @@
+"""Stereo matching of single points along their rectified rows: search by NCC, then least squares.
+
+1. Zero-mean NCC (paper, eq. 8) of a square window around the left point with all windows of
+   the search range in the right image; for slanted faces also with the window sheared as a slanted
+   face would be. The best position must be a real peak, clear of the second one, and must find
+   its way back from right to left.
+2. Affine least-squares matching from there (A. Gruen, 1985, with the row fixed):
+   gain * right(x - disparity(x, y), y) + offset = left(x, y), disparity a plane in x and y. Its
+   sigma is that of white noise which went through the whole estimate, with the level of noise
+   taken from the residuals: what the model cannot explain widens it.
+
+A point that cannot be measured is rejected with a reason, never guessed.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.errors import ImageError
+from edged.vision.jit import kernel
+from edged.vision.leastsquares import (
+    GAIN,
+    LEFT_PATCH,
+    NOISE_GAIN,
+    SHIFT,
+    SLOPE_X,
+    SLOPE_Y,
+    TAP2_COVARIANCE,
+    Patches,
+    cut_out,
+    fit,
+    make_patches,
+    smooth,
+    spline_rows,
+    variance_of,
+)
+from edged.vision.ncc import find_peak, ncc_along_row, sheared_window
+
+SLOPES = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
+"""Shears of the search window; what lies between is within 1 px at the rim of a window of 21 px."""
+SURE_SCORE = 0.9  # no other shear is tried once one fits as well as this
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
+
+
+class Reason(enum.IntEnum):
+    """Why a point has no disparity."""
+
+    ACCEPTED = 0
+    OUTSIDE = 1  # window or search range leaves an image, or the peak lies at an end of the range
+    TEXTURELESS = 2
+    EDGE_PARALLEL = 3  # all there is to see runs along the row
+    LOW_SCORE = 4
+    AMBIGUOUS = 5
+    LEFT_RIGHT = 6
+    DIVERGED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class NccParams:
+    """How points are matched.
+
+    half_size_px : the window has 2 half_size_px + 1 rows and columns; 3 to 20.
+    min_score : of the best position, [0, 1].
+    max_ambiguity : largest ratio of second to best peak.
+    left_right_px : largest disagreement of the way there and the way back.
+    max_sigma_px : largest standard deviation of a disparity.
+    noise_grey : standard deviation of a pixel, to tell texture from noise before the search.
+    either_polarity : whether a negative image of the window is a match, too.
+    """
+
+    half_size_px: int = 10
+    min_score: float = 0.6
+    max_ambiguity: float = 0.9
+    left_right_px: float = 1.0
+    max_sigma_px: float = 0.25
+    noise_grey: float = 2.0
+    either_polarity: bool = False
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.half_size_px <= 20:
+            raise ValueError(f"half_size_px: expected 3 to 20, got {self.half_size_px}")
+        for name in ("min_score", "max_ambiguity"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
+        for name in ("left_right_px", "max_sigma_px", "noise_grey"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NccMatches:
+    """Disparities of N points; NaN where `reason` is not ACCEPTED.
+
+    disparity_px (N,) : left.x - right.x of the very point, rectified.
+    sigma_px (N,) : its standard deviation. slope (N, 2) : its derivative by x and y of the left image.
+    score (N,) : best NCC in [-1, 1], NaN where there was no search.
+    ambiguity (N,) : second peak over best. curvature (N,) : -d² score / d disparity² at the peak, per px².
+    reason (N,) : `Reason` values, int64.
+    """
+
+    disparity_px: FloatArray
+    sigma_px: FloatArray
+    slope: FloatArray
+    score: FloatArray
+    ambiguity: FloatArray
+    curvature: FloatArray
+    reason: I64
+
+    @property
+    def accepted(self) -> npt.NDArray[np.bool_]:
+        """(N,) which points have a disparity."""
+        return np.asarray(self.reason == Reason.ACCEPTED)
+
+
+def match_ncc(
+    left: Image,
+    right: Image,
+    points_px: FloatArray,
+    disparity_range_px: FloatArray | tuple[float, float],
+    params: NccParams | None = None,
+) -> NccMatches:
+    """Match points of the left image along their epipolar rows.
+
+    left, right : (H, W) uint8, rectified: corresponding points lie in the same row.
+    points_px : (N, 2), (x, y) in the left image; need not be whole.
+    disparity_range_px : (lowest, highest) of left.x - right.x, one pair or one per point (N, 2).
+    Raises `ImageError` for images that do not fit, ValueError for wrong shapes and empty ranges.
+    Source: J. P. Lewis, "Fast Normalized Cross-Correlation", 1995; paper eq. 8; A. Gruen, "Adaptive Least
+    Squares Correlation", 1985.
+    """
+    params = params or NccParams()
+    for name, image in (("left", left), ("right", right)):
+        if image.ndim != 2 or image.dtype != np.uint8:
+            raise ImageError(f"{name} image: expected (H, W) uint8, got {image.shape} {image.dtype}")
+    if left.shape != right.shape:
+        raise ImageError(f"left image {left.shape} and right image {right.shape} differ in size")
+    points = np.ascontiguousarray(points_px, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points_px: expected (N, 2), got {points.shape}")
+    ranges = np.ascontiguousarray(np.broadcast_to(np.asarray(disparity_range_px, np.float64), points.shape))
+    if not (ranges[:, 0] <= ranges[:, 1]).all():
+        raise ValueError("disparity_range_px: expected lowest <= highest")
+    # a disparity beyond the image's width has no pixel; this also bounds the work
+    ranges = np.clip(ranges, -float(left.shape[1]), float(left.shape[1]))
+    results = np.full((points.shape[0], 7), np.nan)
+    reasons = np.zeros(points.shape[0], np.int64)
+    limits = np.array(
+        [
+            params.min_score,
+            params.max_ambiguity,
+            params.left_right_px,
+            params.max_sigma_px,
+            params.noise_grey,
+            float(params.either_polarity),
+        ]
+    )
+    _match(
+        np.ascontiguousarray(left),
+        np.ascontiguousarray(right),
+        points,
+        ranges,
+        params.half_size_px,
+        limits,
+        results,
+        reasons,
+    )
+    return NccMatches(
+        results[:, 0], results[:, 1], results[:, 2:4], results[:, 4], results[:, 5], results[:, 6], reasons
+    )
+
+
+# --- one point ------------------------------------------------------------------------------------
+
+
+class _Search(NamedTuple):
+    """Memory of the search; `found` as written by `ncc.find_peak`."""
+
+    window: I32
+    strip: I32
+    products: I32
+    scores: F64
+    found: F64
+
+
+class _Point(NamedTuple):
+    """A point's whole pixel, the rest of its position, and its range of disparities."""
+
+    x: int
+    y: int
+    rest_x: float
+    rest_y: float
+    lowest: float
+    highest: float
+
+
+# plain numbers for the kernels
+ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT, DIVERGED = map(int, Reason)
+# entries of the start of a fit: whole disparity, its fraction, slopes, sign of the correlation
+WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y, SIGN = range(5)
+# columns of the results, as in NccMatches
+DISPARITY, SIGMA, RESULT_SLOPE_X, RESULT_SLOPE_Y, SCORE, AMBIGUITY, CURVATURE = range(7)
+# entries of the limits, as in NccParams
+MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, EITHER_POLARITY = range(6)
+
+
+@kernel()
+def _make_search(width: int, half: int) -> _Search:
+    size = 2 * half + 1
+    return _Search(
+        np.empty((size, size), np.int32),
+        np.empty((size, width + size), np.int32),
+        np.empty(width + size, np.int32),
+        np.empty(width + size),
+        np.empty(4),
+    )
+
+
+@kernel()
+def _texture(patch: F64, noise: float) -> tuple[float, float]:
+    """Energy of the horizontal and of the vertical gradient of a smoothed patch, less that of its noise."""
+    size = patch.shape[0]
+    energy_x, energy_y = 0.0, 0.0
+    for j in range(1, size - 1):
+        for i in range(1, size - 1):
+            energy_x += 0.25 * (patch[j, i + 1] - patch[j, i - 1]) ** 2
+            energy_y += 0.25 * (patch[j + 1, i] - patch[j - 1, i]) ** 2
+    # variance of (n(x + 1) - n(x - 1)) / 2 of smoothed white noise n
+    floor = (size - 2) ** 2 * noise * noise * 0.5 * (NOISE_GAIN - TAP2_COVARIANCE)
+    return max(energy_x - floor, 0.0), max(energy_y - floor, 0.0)
+
+
+@kernel()
+def _best_along_row(
+    image: Image, y: int, start: int, count: int, either_polarity: bool, s: _Search
+) -> tuple[int, float]:
+    """Search s.window along a row; s.found is that of the peak.
+
+    Returns the peak's index, -1 if there is none, and the sign of its score.
+    """
+    ncc_along_row(s.window, image, start, y, count, s.strip, s.products, s.scores)
+    if not either_polarity:
+        return find_peak(s.scores, count, s.found), 1.0
+    strongest = 0.0
+    for k in range(count):
+        if abs(s.scores[k]) > abs(strongest):
+            strongest = s.scores[k]
+        s.scores[k] = abs(s.scores[k])
+    return find_peak(s.scores, count, s.found), -1.0 if strongest < 0.0 else 1.0
+
+
+@kernel()
+def _search(
+    left: Image, right: Image, point: _Point, limits: F64, s: _Search, result: F64, start: F64
+) -> int:
+    """Find the whole-pixel match of a point, there and back; a `Reason`. `start` is written."""
+    half, width = s.window.shape[0] // 2, left.shape[1]
+    either = limits[EITHER_POLARITY] != 0.0
+    # one more at both ends, so that a peak at the end of the range still has two sides
+    lowest, highest = math.floor(point.lowest) - 1, math.ceil(point.highest) + 1
+    first, last = max(point.x - highest, half), min(point.x - lowest, width - 1 - half)
+    if last - first < 2:
+        return OUTSIDE
+    best, peaked = -1.0, False
+    for h in range(SLOPES.shape[0]):
+        slope_x, slope_y = SLOPES[h]
+        stretch = 1.0 / (1.0 - slope_x)
+        sheared_window(left, point.x, point.y, stretch, slope_y * stretch, half, s.window)
+        peak, sign = _best_along_row(right, point.y, first, last - first + 1, either, s)
+        if s.found[0] > best:
+            best, peaked = s.found[0], peak >= 0
+            result[SCORE] = sign * best
+            start[START_SLOPE_X], start[START_SLOPE_Y], start[SIGN] = slope_x, slope_y, sign
+            if peaked:
+                result[AMBIGUITY], result[CURVATURE] = s.found[1], s.found[2]
+                start[WHOLE], start[FRACTION] = point.x - (first + peak), -s.found[3]
+        if best >= SURE_SCORE:
+            break
+    if best < limits[MIN_SCORE]:
+        return LOW_SCORE
+    if not peaked:
+        return OUTSIDE
+    if result[AMBIGUITY] > limits[MAX_AMBIGUITY]:
+        return AMBIGUOUS
+    x_right = point.x - int(start[WHOLE])
+    stretch = 1.0 - start[START_SLOPE_X]
+    sheared_window(right, x_right, point.y, stretch, -start[START_SLOPE_Y], half, s.window)
+    first, last = max(x_right + lowest, half), min(x_right + highest, width - 1 - half)
+    if last - first < 2:
+        return OUTSIDE
+    peak, _ = _best_along_row(left, point.y, first, last - first + 1, either, s)
+    back = first + peak + s.found[3] - x_right
+    if peak < 0 or abs(back - start[WHOLE] - start[FRACTION]) > limits[MAX_LEFT_RIGHT]:
+        return LEFT_RIGHT
+    return ACCEPTED
+
+
+@kernel()
+def _refine(right: Image, point: _Point, start: F64, p: Patches, result: F64) -> int:
+    """Least-squares matching from a whole-pixel match; fills in disparity, sigma and slopes. A `Reason`."""
+    half = p.left.shape[0] // 2
+    x_right = point.x - int(start[WHOLE])
+    cut_out(right, x_right, point.y, p.spline)
+    spline_rows(p.spline)
+    unknowns = np.array([start[FRACTION], start[START_SLOPE_X], start[START_SLOPE_Y], start[SIGN], 0.0])
+    variance = fit(unknowns, p)
+    if variance == LEFT_PATCH:
+        return OUTSIDE
+    if variance < 0.0 or unknowns[GAIN] * start[SIGN] <= 0.0:
+        return DIVERGED
+    reach = half * (abs(1.0 - unknowns[SLOPE_X]) + abs(unknowns[SLOPE_Y])) + abs(unknowns[SHIFT])
+    if x_right - reach < 0.0 or x_right + reach > right.shape[1] - 1:
+        return OUTSIDE
+    # the disparity of the point itself, which need not be a whole pixel
+    weights = np.array([1.0, point.rest_x, point.rest_y, 0.0, 0.0])
+    result[DISPARITY] = start[WHOLE] + np.sum(weights[:3] * unknowns[:3])
+    result[SIGMA] = math.sqrt(variance_of(weights, unknowns, variance, p))
+    result[RESULT_SLOPE_X], result[RESULT_SLOPE_Y] = unknowns[SLOPE_X], unknowns[SLOPE_Y]
+    return ACCEPTED
+
+
+@kernel()
+def _match_point(
+    left: Image, right: Image, point: _Point, limits: F64, s: _Search, p: Patches, result: F64
+) -> int:
+    """All of it for one point; a `Reason`."""
+    half = s.window.shape[0] // 2
+    height, width = left.shape
+    if not (half <= point.x < width - half and half <= point.y < height - half):
+        return OUTSIDE
+    cut_out(left, point.x, point.y, p.value)
+    smooth(p.value, p.rows, p.left)
+    energy_x, energy_y = _texture(p.left, limits[NOISE])
+    # a disparity is known to noise / gradient, in both images
+    needed = 2.0 * (limits[NOISE] / limits[MAX_SIGMA]) ** 2
+    if energy_x < needed:
+        return EDGE_PARALLEL if energy_y >= needed else TEXTURELESS
+    start = np.zeros(5)
+    reason = _search(left, right, point, limits, s, result, start)
+    if reason == ACCEPTED:
+        reason = _refine(right, point, start, p, result)
+    if reason == ACCEPTED:
+        if not point.lowest <= result[DISPARITY] <= point.highest:
+            reason = OUTSIDE
+        elif not result[SIGMA] <= limits[MAX_SIGMA]:
+            reason = EDGE_PARALLEL if energy_y > 4.0 * energy_x else TEXTURELESS
+    if reason != ACCEPTED:
+        result[: RESULT_SLOPE_Y + 1] = np.nan
+    return reason
+
+
+@kernel("void(u1[:, ::1], u1[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8[::1], f8[:, ::1], i8[::1])")
+def _match(
+    left: Image, right: Image, points: F64, ranges: F64, half: int, limits: F64, results: F64, reasons: I64
+) -> None:
+    """Every point in turn; results (N, 7) come filled with NaN."""
+    search, patches = _make_search(left.shape[1], half), make_patches(half)
+    for n in range(points.shape[0]):
+        x, y = points[n]
+        # written so that NaN is outside, too
+        if not (0.0 <= x <= left.shape[1] - 1.0 and 0.0 <= y <= left.shape[0] - 1.0):
+            reasons[n] = OUTSIDE
+            continue
+        whole_x, whole_y = math.floor(x + 0.5), math.floor(y + 0.5)
+        point = _Point(whole_x, whole_y, x - whole_x, y - whole_y, ranges[n, 0], ranges[n, 1])
+        reasons[n] = _match_point(left, right, point, limits, search, patches, results[n])
