@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 BUFFERS = 4
 """One that is filled, one that is late, one that is copied, one spare."""
 
-PUMP_POLL_US = 100_000
+PUMP_POLL_US = 20_000
 """How long a stopping pump may still wait; nothing else depends on it."""
 
 HEARTBEAT_REGISTER = 0x0938
