@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 from schema_check import load_schema, violations
 from snapshots import make_snapshot
 
-from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
+from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, open_session, ros2, session_config
 from edged.adapters.zenoh.worker import Worker
 from edged.domain import CellState, Command, CommandFailed, CommandKind, JobChanged, Status
 from edged.errors import CommandRefused, ConfigError, ListenError
@@ -426,6 +427,35 @@ def test_results_come_back_when_the_router_does():
                         router.close(kill=True)
 
     asyncio.run(main())
+
+
+def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
+    """Both topics carry the same sequence with an attachment of 33 bytes; faults carry no pose."""
+    monkeypatch.setattr(ros2, "_xxh3_128", lambda _data: bytes(range(16)))
+    samples: queue.Queue[zenoh.Sample] = queue.Queue()
+
+    async def main() -> list[zenoh.Sample]:
+        async with Cell(ros2_domain_id=5) as cell:
+            other = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
+            try:
+                other.declare_subscriber("5/edged/cell1/**", samples.put)
+                other.liveliness().declare_subscriber("@ros2_lv/5/**", samples.put, history=True)
+                tokens = [await asyncio.to_thread(samples.get, timeout=WAIT_S) for _ in range(3)]
+                cell.publisher.announce(make_snapshot(1, Status.CAPTURE_FAULT))
+                cell.publisher.announce(make_snapshot(2))
+                return tokens + [await asyncio.to_thread(samples.get, timeout=WAIT_S) for _ in range(2)]
+            finally:
+                other.close()
+
+    *tokens, pose, twin = asyncio.run(main())
+    assert ["MP", "MP", "NN"] == sorted(str(token.key_expr).split("/")[5] for token in tokens)
+    assert [ros2.POSE.name, ros2.POSE_WITH_COVARIANCE.name] == [
+        str(s.key_expr).split("/")[4] for s in (pose, twin)
+    ]
+    assert [33, 33] == [len(sample.attachment) for sample in (pose, twin)]
+    expected = ros2.pose_of(make_snapshot(2), "cell1")
+    assert ros2.encode_pose(expected) == pose.payload.to_bytes()
+    assert ros2.encode_pose_with_covariance(expected) == twin.payload.to_bytes()
 
 
 def test_a_full_outbox_loses_its_oldest_job():

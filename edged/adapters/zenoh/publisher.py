@@ -36,10 +36,11 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
+from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
 from edged.adapters.zenoh.worker import Worker
 from edged.domain import CellState, Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
-from edged.errors import CommandRefused, ListenError
+from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander
 
@@ -81,6 +82,7 @@ class ZenohPublisher:
         self._utc_ns = utc_ns
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
+        self._ros2: Ros2Topics | None = None
         self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
         self._sequences = {"target": 0, "state": 0, "health": 0}
         self._started_ns = utc_ns()
@@ -103,6 +105,9 @@ class ZenohPublisher:
         self._session = session = await bounded(lambda: open_session(config), OPEN_TIMEOUT_S, "open")
         try:
             self._declare(session)
+        except ConfigError:
+            await self.close()
+            raise
         except zenoh.ZError as error:
             await self.close()
             raise ListenError(f"zenoh: {self._base}: {plain(error)}") from error
@@ -118,6 +123,7 @@ class ZenohPublisher:
         if isinstance(event, Snapshot):
             sequence = self._publish("target", lambda: snapshot_to_json(event))
             self._last = (event, sequence)
+            self._publish_ros2(event)
             self._health.count(event)
             self._answer_command(
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
@@ -187,6 +193,8 @@ class ZenohPublisher:
             )
             for name in QUERYABLES
         ]
+        if self._settings.ros2_domain_id is not None:
+            self._ros2 = Ros2Topics(session, self._settings.ros2_domain_id, self._settings.cell)
         self._token = session.liveliness().declare_token(f"{self._base}/alive")
 
     def _publish(self, kind: str, body: Callable[[], Json]) -> int:
@@ -195,6 +203,14 @@ class ZenohPublisher:
         sequence, publisher = self._sequences[kind], self._publishers[kind]
         self._outbox.post(lambda: publisher.put(encode(self._message(kind, body(), sequence))))
         return sequence
+
+    def _publish_ros2(self, snapshot: Snapshot) -> None:
+        topics = self._ros2
+        if topics is None:
+            return
+        pose, sent_ns = pose_of(snapshot, topics.cell), self._utc_ns()
+        if pose is not None:
+            self._outbox.post(lambda: topics.send(pose, sent_ns))
 
     def _message(self, kind: str, body: Mapping[str, Any], sequence: int | None = None) -> Json:
         return message(kind, self._settings.cell, self._started_ns, body, sequence)
