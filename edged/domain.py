@@ -178,10 +178,14 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class ExposureDone:
-    """Both images of a cycle are in memory: the part may move."""
+    """Both images of a cycle are in memory: the part may move.
+
+    pair : the images, for previews; whoever keeps them keeps their memory.
+    """
 
     cycle: int
     command: Command | None
+    pair: FramePair | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

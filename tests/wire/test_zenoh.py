@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import json
 import queue
 import socket
@@ -15,14 +16,26 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import zenoh
 from schema_check import load_schema, violations
 from snapshots import make_snapshot
 
-from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, open_session, ros2, session_config
+from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, open_session, preview, ros2, session_config
 from edged.adapters.zenoh.worker import Worker
-from edged.domain import CellState, Command, CommandFailed, CommandKind, JobChanged, Status
+from edged.domain import (
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    ExposureDone,
+    Frame,
+    FramePair,
+    JobChanged,
+    Status,
+)
 from edged.errors import CommandRefused, ConfigError, ListenError
 
 PEER = Path(__file__).parent / "zenoh_peer.py"
@@ -456,6 +469,43 @@ def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
     expected = ros2.pose_of(make_snapshot(2), "cell1")
     assert ros2.encode_pose(expected) == pose.payload.to_bytes()
     assert ros2.encode_pose_with_covariance(expected) == twin.payload.to_bytes()
+
+
+def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
+    """One side that is looked at is sent as a JPEG of its exposure; the other one is never encoded."""
+    samples: queue.Queue[zenoh.Sample] = queue.Queue()
+    image = np.tile(np.arange(0, 256, dtype=np.uint8), (960, 5))
+    left = Frame("left", 17, image, 0, 1_700_000_000_000_000_000)
+    right = dataclasses.replace(left, camera="right", image=np.zeros_like(image))
+    encoded: list[bool] = []
+    monkeypatch.setattr(
+        preview, "jpeg", lambda pixels, jpeg=preview.jpeg: encoded.append(pixels.any()) or jpeg(pixels)
+    )
+    exposure = ExposureDone(4, None, FramePair(left, right))
+
+    async def main() -> zenoh.Sample:
+        async with Cell() as cell:
+            cell.publisher.announce(exposure)  # nobody looks
+            other = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
+            try:
+                other.declare_subscriber("edged/cell1/preview/left", samples.put)
+                deadline_s = time.monotonic() + WAIT_S
+                while samples.empty() and time.monotonic() < deadline_s:
+                    cell.publisher.announce(exposure)
+                    await asyncio.sleep(0.02)
+                return samples.get_nowait()
+            finally:
+                other.close()
+
+    sample = asyncio.run(main())
+    assert all(encoded), "the right image is black"
+    picture = cv2.imdecode(np.frombuffer(sample.payload.to_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert (480, 640) == picture.shape
+    np.testing.assert_allclose(picture[240, ::64], image[480, ::128], atol=6)
+    caption = json.loads(sample.attachment.to_bytes())
+    assert (4, 17, 1_700_000_000_000_000_000) == tuple(
+        caption[k] for k in ("cycle", "frame_id", "exposed_ns")
+    )
 
 
 def test_a_full_outbox_loses_its_oldest_job():

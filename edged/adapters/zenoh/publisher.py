@@ -6,6 +6,7 @@ Keys, below `edged/<cell>`:
     state     the daemon's state, on change                         (published, last one kept)
     health    every second: rates, ages, counters                   (published)
     alive     liveliness token: gone when the daemon or its link is
+    preview/left, preview/right   JPEG, at most 5 a second, while somebody listens
     trigger   measure now; replies with the result                  (queryable)
               parameters: kind=locate|grab|change_job, job=NUMBER, timeout_s=SECONDS
     last      the last result and its age                           (queryable)
@@ -36,10 +37,20 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
+from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
 from edged.adapters.zenoh.worker import Worker
-from edged.domain import CellState, Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
+from edged.domain import (
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    Event,
+    ExposureDone,
+    JobChanged,
+    Snapshot,
+)
 from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander
@@ -83,6 +94,7 @@ class ZenohPublisher:
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
         self._ros2: Ros2Topics | None = None
+        self._preview: Preview | None = None
         self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
         self._sequences = {"target": 0, "state": 0, "health": 0}
         self._started_ns = utc_ns()
@@ -111,8 +123,8 @@ class ZenohPublisher:
         except zenoh.ZError as error:
             await self.close()
             raise ListenError(f"zenoh: {self._base}: {plain(error)}") from error
-        self._outbox.start()
-        self._answers.start()
+        for worker in self._workers():
+            worker.start()
         self._heartbeat = asyncio.create_task(self._beat(), name="zenoh-health")
         log.info("zenoh: publishing %s, session %s", self._base, session.zid())
 
@@ -128,6 +140,9 @@ class ZenohPublisher:
             self._answer_command(
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
             )
+        elif isinstance(event, ExposureDone):
+            if self._preview is not None:
+                self._preview.offer(event)
         elif isinstance(event, CellState):
             self._state = event
             body = self._dated(state_to_json(event))
@@ -150,12 +165,15 @@ class ZenohPublisher:
             self._settle(pending.command, "the daemon is stopping")
         session, self._session = self._session, None
         try:
-            for worker in (self._outbox, self._answers):
+            for worker in self._workers():
                 await bounded(functools.partial(worker.stop, CLOSE_TIMEOUT_S), 2 * CLOSE_TIMEOUT_S, "stop")
             if session is not None:
                 await bounded(session.close, CLOSE_TIMEOUT_S, "close")
         except (ListenError, zenoh.ZError) as error:
             log.warning("zenoh: the session did not close in order: %s", plain(error))
+
+    def _workers(self) -> list[Worker | Preview]:
+        return [self._outbox, self._answers, *([self._preview] if self._preview is not None else [])]
 
     def links(self) -> int:
         """How many other Zenoh nodes this one is connected to now."""
@@ -193,6 +211,7 @@ class ZenohPublisher:
             )
             for name in QUERYABLES
         ]
+        self._preview = Preview(session, self._base)
         if self._settings.ros2_domain_id is not None:
             self._ros2 = Ros2Topics(session, self._settings.ros2_domain_id, self._settings.cell)
         self._token = session.liveliness().declare_token(f"{self._base}/alive")

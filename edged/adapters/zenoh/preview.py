@@ -1,0 +1,86 @@
+"""Pictures for people: small JPEGs of both cameras, only while somebody looks.
+
+`edged/<cell>/preview/left` and `.../right`, with a JSON attachment that says which exposure it is.
+They have a thread and the lowest priority of their own, and give way whenever there is congestion: a
+picture never delays a coordinate.
+"""
+
+from __future__ import annotations
+
+import time
+
+import cv2
+import zenoh
+
+from edged.adapters.zenoh.worker import Worker
+from edged.domain import ExposureDone, Frame, Image
+from edged.payload import encode
+
+PERIOD_S = 0.2
+WIDTH_PX = 640
+QUALITY = 80  # per cent
+
+
+class Preview:
+    """Both preview topics of a cell on a Zenoh session."""
+
+    def __init__(self, session: zenoh.Session, base: str) -> None:
+        self._publishers = {
+            side: session.declare_publisher(
+                f"{base}/preview/{side}",
+                encoding=zenoh.Encoding.IMAGE_JPEG,
+                priority=zenoh.Priority.BACKGROUND,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for side in ("left", "right")
+        }
+        self._worker = Worker("zenoh-preview", 1)
+        self._offered_s = float("-inf")
+
+    def start(self) -> None:
+        """Begin to encode."""
+        self._worker.start()
+
+    def offer(self, event: ExposureDone) -> None:
+        """Take the images of an exposure; most are never encoded."""
+        now_s = time.monotonic()
+        pair = event.pair
+        if pair is None or now_s - self._offered_s < PERIOD_S:
+            return
+        self._offered_s = now_s
+
+        def send() -> None:
+            for side, frame in (("left", pair.left), ("right", pair.right)):
+                publisher = self._publishers[side]
+                status = publisher.matching_status
+                if getattr(status, "matching", status):  # its stub says bool, it is a MatchingStatus
+                    publisher.put(jpeg(frame.image), attachment=encode(_caption(event.cycle, frame)))
+
+        self._worker.post(send)
+
+    def stop(self, timeout_s: float) -> None:
+        """End the thread."""
+        self._worker.stop(timeout_s)
+
+
+def jpeg(image: Image) -> bytes:
+    """A JPEG of at most `WIDTH_PX` columns, of an image (H, W) uint8."""
+    scale = WIDTH_PX / image.shape[1]
+    if scale < 1:
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not encoded:
+        raise ValueError(f"an image of the shape {image.shape} cannot be a JPEG")
+    return data.tobytes()
+
+
+def _caption(cycle: int, frame: Frame) -> dict[str, int]:
+    """Which exposure it is, and the size of the camera's image: a preview may be smaller."""
+    height_px, width_px = frame.image.shape
+    return {
+        "cycle": cycle,
+        "exposed_ns": frame.exposed_ns,
+        "frame_id": frame.frame_id,
+        "width_px": width_px,
+        "height_px": height_px,
+    }
