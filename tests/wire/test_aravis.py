@@ -33,8 +33,6 @@ from edged.errors import (
 )
 from edged.sim.exposure import ExposureRequest
 
-GigeCamera = pytest.importorskip("edged.sim.gige").GigeCamera
-
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 
 WIDTH, HEIGHT = 320, 240
@@ -61,13 +59,19 @@ class Sensor:
         return next(number for number, shown in self.shown.items() if np.array_equal(shown, image))
 
 
+def gige_camera(address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT) -> Any:
+    """A simulated GigE Vision camera, to be entered."""
+    simulator = pytest.importorskip("edged.sim.gige")
+    return simulator.GigeCamera(address, serial, sensor, width=width, height=height)
+
+
 class Cell:
     """Two simulated cameras, and what an adapter needs to reach them."""
 
     def __init__(self) -> None:
         self.left_sensor, self.right_sensor = Sensor(1), Sensor(2)
-        self.left = GigeCamera(LEFT, "EDGED-T1", self.left_sensor, width=WIDTH, height=HEIGHT)
-        self.right = GigeCamera(RIGHT, "EDGED-T2", self.right_sensor, width=WIDTH, height=HEIGHT)
+        self.left = gige_camera(LEFT, "EDGED-T1", self.left_sensor)
+        self.right = gige_camera(RIGHT, "EDGED-T2", self.right_sensor)
 
 
 @pytest.fixture
@@ -323,6 +327,34 @@ def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any
     assert "On" == device.get_string_feature_value("TriggerMode")
 
 
+# --- against Aravis' own camera -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
+def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
+    """An independent device: at 10 ms its picture is x + y + frame, modulo 255, right in every pixel."""
+    fake = library("left").aravis.GvFakeCamera.new("127.0.0.1", "EDGED-FAKE")
+    if not fake.is_running():
+        pytest.skip("port 3956 of 127.0.0.1 is taken")
+    fake.get_fake_camera().set_trigger_frequency(250)  # or it looks for triggers only ten times a second
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        return [await shoot(camera) for _ in range(6)]
+
+    size: dict[str, Any] = {"features": {"Width": 1280, "Height": 960}}
+    frames = run(script, left_camera("127.0.0.1", user_socket=user_socket, exposure_us=10_000.0, **size))
+
+    y, x = np.mgrid[:960, :1280]
+    starts = []
+    for frame in frames:
+        start = int(frame.image[0, 0])
+        np.testing.assert_array_equal((x + y + start) % 255, frame.image)
+        starts.append(start)
+    np.testing.assert_array_equal(np.diff(starts) % 255, 1)
+    np.testing.assert_array_equal(np.diff([frame.frame_id for frame in frames]), 1)
+
+
 # --- images -----------------------------------------------------------------------------------------
 
 
@@ -487,6 +519,7 @@ class Process:
 @pytest.fixture
 def process() -> Iterator[Process]:
     """A camera process at LEFT."""
+    pytest.importorskip("edged.sim.gige")
     process = Process(LEFT, "EDGED-T1")
     process.start()
     yield process
@@ -521,7 +554,7 @@ def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Pro
         for _ in range(3):
             await settles(head, head.capture, 5)
 
-    with GigeCamera(RIGHT, "EDGED-T2", Sensor(2), width=1280, height=960):
+    with gige_camera(RIGHT, "EDGED-T2", Sensor(2), width=1280, height=960):
         run(script, head)
 
 
@@ -540,7 +573,7 @@ def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(proce
         await settles(head, head.open, 20)
         await settles(head, head.capture, 10)
 
-    with GigeCamera(RIGHT, "EDGED-T2", Sensor(2)):
+    with gige_camera(RIGHT, "EDGED-T2", Sensor(2)):
         run(
             script, StereoHead(left_camera(), AravisCamera("right", AravisSettings(RIGHT)), max_backoff_s=0.5)
         )

@@ -118,6 +118,7 @@ class AravisCamera:
         self._arrivals: deque[Arrival] = deque()
         self._news = asyncio.Event()
         self._awaiting = False
+        self._triggers = 0
         self._sent_ns = 0
         self._reference: tuple[int, int] | None = None
         self._last_frame_id = 0
@@ -147,6 +148,7 @@ class AravisCamera:
         news = asyncio.Event()
         self._arrivals, self._news = arrivals, news
         self._awaiting = False
+        self._triggers = 0
         self._reference = None
         self._clock_fits = True
 
@@ -166,6 +168,7 @@ class AravisCamera:
         connection, session = self._opened()
         restart = self._awaiting and not self._arrivals
         self._awaiting = True
+        self._triggers += 1
         self._arrivals.clear()
 
         def fire() -> int:
@@ -243,13 +246,15 @@ class AravisCamera:
 
     def _is_stale(self, session: Session, arrival: Arrival) -> bool:
         """Whether a buffer was exposed before the last trigger command was sent."""
-        if not session.by_software or self._reference is None:
-            return False  # the first image after the start can be of nothing but the first trigger
+        if not session.by_software or self._triggers == 1:
+            return False  # the first trigger of a connection: there was nothing before it
         mapped = session.clock.utc_ns(arrival.device_ns) if self._clock_fits else None
         if mapped is not None:
             return mapped[0] + mapped[1] + CLOCK_STEP_NS < self._sent_ns
         # Without a map: the image before had been exposed when its first packet came in, this one cannot have
         # been before its command: at least so much must have passed on the camera's clock, but for its drift.
+        if self._reference is None:
+            return False
         arrived_ns, reference_device_ns = self._reference
         passed_ns = arrival.device_ns - reference_device_ns
         if passed_ns == 0:  # a camera without a clock
