@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edged.adapters.zenoh import open_session, session_config
+from edged.cbor import decode_cbor
 from edged.errors import UserError
 
 REFRESH_S = 0.25
@@ -134,8 +135,9 @@ def _read(sample: zenoh.Sample) -> News | None:
         return News(cell, kind, {"alive": sample.kind == zenoh.SampleKind.PUT})
     if len(sample.payload) > MAX_MESSAGE_BYTES:
         return None
+    read = decode_cbor if sample.encoding == zenoh.Encoding.APPLICATION_CBOR else json.loads
     try:
-        document = json.loads(sample.payload.to_bytes())
+        document = read(sample.payload.to_bytes())
     except (ValueError, RecursionError):
         return None
     return News(cell, kind, document) if isinstance(document, dict) else None

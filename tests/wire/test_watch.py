@@ -16,6 +16,7 @@ from snapshots import make_snapshot, make_transform
 from test_zenoh import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
+from edged.cbor import decode_cbor
 from edged.commands.watch import CellView, News, watch
 from edged.domain import Snapshot, Status
 from edged.errors import ConfigError, UserError
@@ -65,6 +66,27 @@ def test_json_is_the_message_itself_one_a_line(capsys):
     assert [first, first + 1, first + 2] == [document["sequence"] for document in documents]
     assert [7, 7, 7] == [document["cycle"] for document in documents]
     assert {"edged/target/1"} == {document["schema"] for document in documents}
+
+
+def test_cbor_is_read_as_well(capsys):
+    """A cell that is configured for CBOR prints the same object; its queries answer in CBOR too."""
+
+    async def main() -> None:
+        async with Cell(encoding="cbor") as cell:
+            await watching(cell, [make_snapshot(7)], as_json=True, count=2)
+            session = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
+            try:
+                (reply,) = await asyncio.to_thread(lambda: list(session.get("edged/cell1/last")))
+            finally:
+                session.close()
+        assert "application/cbor" == str(reply.ok.encoding)
+        assert 7 == decode_cbor(reply.ok.payload.to_bytes())["cycle"]
+
+    asyncio.run(main())
+    documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [make_snapshot().targets[0].position_mm.tolist()] * 2 == [
+        d["targets"][0]["position_mm"] for d in documents
+    ]
 
 
 def test_lines_show_position_in_the_robots_frame_when_it_is_known():

@@ -41,6 +41,7 @@ from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
 from edged.adapters.zenoh.worker import Worker
+from edged.cbor import encode_cbor
 from edged.domain import (
     CellState,
     Command,
@@ -66,6 +67,10 @@ MAX_TIMEOUT_S = 60.0
 OPEN_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
 RATE_WINDOW = 32  # cycles over which the rate is taken
+ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
+    "json": (encode, zenoh.Encoding.APPLICATION_JSON),
+    "cbor": (encode_cbor, zenoh.Encoding.APPLICATION_CBOR),
+}
 QUERYABLES = ("trigger", "last", "jobs", "config")
 
 
@@ -91,6 +96,7 @@ class ZenohPublisher:
         self._jobs = jobs
         self._config = config
         self._utc_ns = utc_ns
+        self._encode, self._encoding = ENCODINGS[settings.encoding]
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
         self._ros2: Ros2Topics | None = None
@@ -191,7 +197,7 @@ class ZenohPublisher:
             cache=zenoh.ext.CacheConfig(max_samples=1),
             publisher_detection=True,
             congestion_control=zenoh.CongestionControl.DROP,
-            encoding=zenoh.Encoding.APPLICATION_JSON,
+            encoding=self._encoding,
             express=True,  # never held back to be batched
         )
         self._publishers = {
@@ -201,7 +207,7 @@ class ZenohPublisher:
                 f"{self._base}/health",
                 priority=zenoh.Priority.DATA_LOW,
                 congestion_control=zenoh.CongestionControl.DROP,
-                encoding=zenoh.Encoding.APPLICATION_JSON,
+                encoding=self._encoding,
             ),
         }
         loop = asyncio.get_running_loop()
@@ -220,7 +226,7 @@ class ZenohPublisher:
         """Queue a message; it is shaped and encoded on the publishing thread. Returns its sequence."""
         self._sequences[kind] += 1
         sequence, publisher = self._sequences[kind], self._publishers[kind]
-        self._outbox.post(lambda: publisher.put(encode(self._message(kind, body(), sequence))))
+        self._outbox.post(lambda: publisher.put(self._encode(self._message(kind, body(), sequence))))
         return sequence
 
     def _publish_ros2(self, snapshot: Snapshot) -> None:
@@ -329,9 +335,7 @@ class ZenohPublisher:
     def _reply(self, query: zenoh.Query, name: str, document: Callable[[], Json]) -> None:
         def send() -> None:
             with query:
-                query.reply(
-                    f"{self._base}/{name}", encode(document()), encoding=zenoh.Encoding.APPLICATION_JSON
-                )
+                query.reply(f"{self._base}/{name}", self._encode(document()), encoding=self._encoding)
 
         self._answers.post(send)
 
@@ -343,7 +347,7 @@ class ZenohPublisher:
 
         def send() -> None:
             with query:
-                query.reply_err(encode(document), encoding=zenoh.Encoding.APPLICATION_JSON)
+                query.reply_err(self._encode(document), encoding=self._encoding)
 
         self._answers.post(send)
 

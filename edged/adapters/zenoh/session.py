@@ -30,6 +30,7 @@ class ZenohSettings:
     config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
     mode, endpoints and scouting wins over the fields here.
     trigger_timeout_s : how long a trigger waits for its result when it does not say so itself.
+    encoding : of everything that is published or answered; the same fields in both (`edged.cbor`).
     ros2_domain_id : also publish for ROS 2 nodes of this domain (`edged.adapters.zenoh.ros2`).
     """
 
@@ -39,6 +40,7 @@ class ZenohSettings:
     config_file: Path | None = None
     mode: Mode | None = None
     trigger_timeout_s: float = 5.0
+    encoding: Literal["json", "cbor"] = "json"
     ros2_domain_id: int | None = None
 
 
