@@ -14,7 +14,7 @@ from rigs import make_rig
 from edged.errors import CalibrationError
 from edged.vision.boards import Charuco, Chessboard, Detection, DotGrid, Missed, parse_board
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
-from edged.vision.cornerfit import accumulate_corner, fit_corners, solve_spd
+from edged.vision.markfit import CORNER, accumulate, fit_corners, solve_spd
 
 SMALL = make_rig(focal_px=1590.0, size=(640, 480))
 
@@ -180,10 +180,10 @@ def test_corner_kernel_equals_its_plain_twin() -> None:
     """Residuals, normal equations and gradient of the kernel are those of the formula and its differences."""
     rng = np.random.default_rng(3)
     image = rng.integers(20, 200, (40, 40), dtype=np.uint8)
-    p = np.array([19.3, 20.1, 0.2, 1.9, -0.3, 110.0, 40.0, 0.3, -0.2])
+    p = np.array([19.3, 20.1, 0.2, 1.9, -0.3, 110.0, 40.0, 3e-3, -2e-3])
     window = np.array([19.0, 20.5, 7.5, 2e-3, -1e-3])
     normal, gradient = np.empty((9, 9)), np.empty(9)
-    total, count = accumulate_corner(image, p, window, normal, gradient, False)
+    total, count = accumulate(CORNER, image, p, window, normal, gradient, False)
     values, model, jacobian = corner_model(image, p, window)
     residuals = values - model
     assert count == len(values)
@@ -191,7 +191,7 @@ def test_corner_kernel_equals_its_plain_twin() -> None:
     lower = np.tril_indices(9)
     assert np.allclose(normal[lower], (jacobian.T @ jacobian)[lower], rtol=1e-5, atol=1e-4)
     assert np.allclose(gradient, jacobian.T @ residuals, rtol=1e-5, atol=1e-3)
-    accumulate_corner(image, p, window, normal, gradient, True)
+    accumulate(CORNER, image, p, window, normal, gradient, True)
     weighted = (jacobian * residuals[:, None] ** 2).T @ jacobian
     assert np.allclose(normal[lower], weighted[lower], rtol=1e-5, atol=1e-2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError, UserError
 from edged.report import calibration_report
 from edged.store import load_image, save_rig, write_atomically
-from edged.vision.boards import Board, Detection, Missed, StereoView, parse_board
+from edged.vision.boards import Board, Detection, Missed, StereoView, parse_boards
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
 from edged.vision.detection import detect_board, remeasure_board
@@ -53,11 +53,11 @@ def calibrate(
     if model not in get_args(LensModel):
         raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
     lens: LensModel = "brown" if model == "brown" else "division"
-    specification = parse_board(board)
+    boards = parse_boards(board)
     for path in (output, *([report] if report else [])):
         _check_writable(path)
     pairs = find_pairs(directory)
-    sizes, views = detect_views(pairs, specification, console)
+    sizes, views = detect_views(pairs, boards, console)
     with console.status("bundle adjustment"):
         first = calibrate_stereo(views, *sizes, lens)
     views = remeasure_views(pairs, views, first, console)
@@ -65,7 +65,7 @@ def calibrate(
         calibration = calibrate_stereo(views, *sizes, lens)
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
-    quality = quality_figures(calibration, specification)
+    quality = quality_figures(calibration, boards)
     page = calibration_report(calibration, views, quality) if report else None
     kept = _keep_old(output)
     save_rig(output, calibration.rig, quality)
@@ -102,9 +102,9 @@ def find_pairs(directory: Path) -> list[ImagePair]:
 
 
 def detect_views(
-    pairs: list[ImagePair], board: Board, console: Console
+    pairs: list[ImagePair], boards: Sequence[Board], console: Console
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], list[StereoView]]:
-    """Find the board in every picture, two at a time.
+    """Find one of the boards in every picture, two pictures at a time.
 
     Returns the image sizes ((w, h) left, (w, h) right) and one view for each pair. Raises
     `UserError` for a picture that cannot be read, or for pictures of different sizes.
@@ -112,17 +112,33 @@ def detect_views(
     with _pool() as pool, _progress(console) as progress:
         bar = progress.add_task("finding the board", total=2 * len(pairs))
         futures = [
-            tuple(pool.submit(_detect, path, board) for path in (pair.left, pair.right)) for pair in pairs
+            tuple(pool.submit(_detect, path, boards) for path in (pair.left, pair.right)) for pair in pairs
         ]
         found = [[_finish(future, progress, bar) for future in pair] for pair in futures]
     sizes = tuple(
         _one_size([getattr(pair, side) for pair in pairs], [row[i][0] for row in found])
         for i, side in enumerate(("left", "right"))
     )
-    views = [
-        StereoView(pair.name, board, row[0][1], row[1][1]) for pair, row in zip(pairs, found, strict=True)
-    ]
+    views = [_view(pair.name, boards, row[0][1], row[1][1]) for pair, row in zip(pairs, found, strict=True)]
     return (sizes[0], sizes[1]), views
+
+
+def _view(
+    name: str, boards: Sequence[Board], left: list[Detection | Missed], right: list[Detection | Missed]
+) -> StereoView:
+    """The view of the board that both pictures show, or of the first board with what was missed."""
+    choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
+    return min(choices, key=lambda view: isinstance(view.left, Missed) + isinstance(view.right, Missed))
+
+
+def _detect(path: Path, boards: Sequence[Board]) -> tuple[tuple[int, int], list[Detection | Missed]]:
+    """The picture's size, and what it shows of each board; after one is found the others are not tried."""
+    image = load_image(path)
+    results: list[Detection | Missed] = []
+    for board in boards:
+        seen_another = any(isinstance(result, Detection) for result in results)
+        results.append(Missed("shows another board") if seen_another else detect_board(image, board))
+    return (image.shape[1], image.shape[0]), results
 
 
 def remeasure_views(
@@ -160,11 +176,6 @@ def _remeasure(
     return remeasure_board(load_image(path), fit.view.board, fit.view.found(side), camera, camera_from_board)
 
 
-def _detect(path: Path, board: Board) -> tuple[tuple[int, int], Detection | Missed]:
-    image = load_image(path)
-    return (image.shape[1], image.shape[0]), detect_board(image, board)
-
-
 def _finish(future: Future[T], progress: Progress, bar: TaskID) -> T:
     result = future.result()
     progress.advance(bar)
@@ -199,10 +210,10 @@ def _one_size(paths: list[Path], sizes: list[tuple[int, int]]) -> tuple[int, int
     return usual
 
 
-def quality_figures(calibration: Calibration, board: Board) -> dict[str, Any]:
+def quality_figures(calibration: Calibration, boards: Sequence[Board]) -> dict[str, Any]:
     """What the rig file keeps about its calibration."""
     return {
-        "board": str(board),
+        "board": ",".join(str(board) for board in boards),
         "views": len(calibration.views),
         "excluded": [{"view": name, "reason": reason} for name, reason in calibration.excluded],
         "stereo_rms_px": round(calibration.rms_px, 5),

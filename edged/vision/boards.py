@@ -181,6 +181,11 @@ def parse_board(text: str) -> Board:
     return Charuco(columns, rows, pitch, marker, name)
 
 
+def parse_boards(text: str) -> tuple[Board, ...]:
+    """Read one or more specifications, separated by commas; each view shows one of the boards."""
+    return tuple(parse_board(part) for part in text.split(","))
+
+
 def _size(text: str, kind: str, part: str) -> tuple[int, int]:
     columns, cross, rows = part.lower().partition("x")
     if not (cross and columns.isascii() and columns.isdigit() and rows.isascii() and rows.isdigit()):

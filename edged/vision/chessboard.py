@@ -2,9 +2,9 @@
 
 The corner model is two straight edges that cross, each blurred by the same Gaussian:
 
-    I(p) = a + g·(p - c) + b erf(n1·(p - c) / (√2 s)) erf(n2·(p - c) / (√2 s))
+    I(p) = (a + b erf(n1·(p - c) / (√2 s)) erf(n2·(p - c) / (√2 s))) (1 + g·(p - c))
 
-with centre c, edge normals n1, n2, blur s, mean grey a, its slope g and half contrast b. It is
+with centre c, edge normals n1, n2, blur s, mean grey a, half contrast b and slope g of the light. It is
 symmetric about c, and so is everything it leaves out (spread of ink, saturation, the product
 form where the edges are not square to each other): that widens the residuals and the stated
 sigma, but does not move c.
@@ -20,7 +20,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.vision.boards import Chessboard, Detection, IntArray, Missed
 from edged.vision.camera import CameraModel
-from edged.vision.cornerfit import fit_corners
+from edged.vision.markfit import fit_corners
 
 _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains
 _MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns

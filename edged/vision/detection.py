@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Board, Chessboard, Detection, Missed
+from edged.vision.boards import Board, Chessboard, Detection, DotGrid, Missed
 from edged.vision.camera import CameraModel
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
+from edged.vision.dots import detect_dots, remeasure_dots
 
 
 def detect_board(image: Image, board: Board) -> Detection | Missed:
     """Find a board in an image (H, W) uint8 and measure its marks."""
     if isinstance(board, Chessboard):
         return detect_chessboard(image, board)
+    if isinstance(board, DotGrid):
+        return detect_dots(image, board)
     return Missed(f"no detector for {board}")
 
 
 def remeasure_board(
-    image: Image,
-    board: Board,
-    found: Detection,
-    camera: CameraModel,
-    camera_from_board: FloatArray,  # noqa: ARG001  (for boards of dots)
+    image: Image, board: Board, found: Detection, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | Missed:
     """Measure the marks again now that lens and pose are known roughly.
 
@@ -29,4 +28,6 @@ def remeasure_board(
     """
     if isinstance(board, Chessboard):
         return remeasure_chessboard(image, board, found, camera)
+    if isinstance(board, DotGrid):
+        return remeasure_dots(image, board, found, camera, camera_from_board)
     return found

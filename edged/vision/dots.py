@@ -1,0 +1,304 @@
+"""Plates of round marks (HALCON-like): found as a grid of ellipses, measured by fitting each dot.
+
+The dot model is an ellipse with a blurred edge:
+
+    I(p) = (a + b erf((|B (p - c)| - 1) / (√2 s))) (1 + g·(p - c))
+
+symmetric about c but for the slope g of the light (it multiplies: black stays black), so that
+blur, spread of ink and saturation do not move c. But c is the middle of the *ellipse*, and that
+is not where the circle's centre is seen: seen aslant, the near half of a circle is larger than
+the far half. The difference (up to some tenths of a pixel) is computed from the plate's
+homography, and, once lens and pose are known, from them.
+Source of the effect: J. Heikkilä, PAMI 2000, doi:10.1109/34.879788.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.vision.boards import Detection, DotGrid, IntArray, Missed
+from edged.vision.camera import CameraModel
+from edged.vision.geometry import apply
+from edged.vision.markfit import fit_dots
+
+_BLOCK_SHARES = (6, 12, 24)  # threshold windows as parts of the image's shorter side: large and small plates
+_MIN_DIAMETER_PX = 6.0
+_MIN_ASPECT = 0.25  # plates seen more than 75° aslant are of no use anyway
+_ROUNDNESS = 0.12  # relative difference of a blob's area from that of its ellipse
+_STEP_TOLERANCE = 0.3  # of the grid step: how far a neighbour may be from where it is expected
+_WINDOW_SHARE = 0.45  # of the free ring between a dot and its neighbours
+_MIN_CONTRAST = 8.0
+_MARK_OFFSET = 0.62  # of the pitch, from a corner dot outwards: in the filled corner, else plain plate
+_CIRCLE_POINTS = 64
+
+
+def detect_dots(image: Image, board: DotGrid) -> Detection | Missed:
+    """Find all marks of a plate; dark on light, or light on dark.
+
+    image (H, W) uint8.  Mark 0 is the one next to the filled corner.
+    """
+    reason = "no dots found"
+    for picture in (image, np.asarray(255 - image)):
+        for share in _BLOCK_SHARES:
+            blobs = _ellipses(picture, min(image.shape) // share)
+            grid = _grow_grid(blobs, board)
+            if isinstance(grid, Missed):
+                reason = grid.reason
+                continue
+            ordered = _orient(picture, grid, blobs[:, :2], board)
+            if isinstance(ordered, Missed):
+                reason = ordered.reason
+                continue
+            return _measure_first(image, board, blobs[ordered])
+    return Missed(reason)
+
+
+def remeasure_dots(
+    image: Image, board: DotGrid, found: Detection, camera: CameraModel, camera_from_board: FloatArray
+) -> Detection | Missed:
+    """Measure a detected plate again, with the lens and the plate's pose now known."""
+
+    def to_pixels(plane_mm: FloatArray) -> FloatArray:
+        points = np.concatenate([plane_mm, np.zeros_like(plane_mm[..., :1])], axis=-1)
+        return camera.project(apply(camera_from_board, points))
+
+    outlines = to_pixels(_circles(board, found.ids))
+    return _measure(image, board, found.ids, outlines, to_pixels(board.points_mm[found.ids, :2]))
+
+
+def _measure_first(image: Image, board: DotGrid, ellipses: FloatArray) -> Detection | Missed:
+    """Fit the dots, learn the homography from the ellipses' middles, and once more from the result."""
+    ids = np.arange(len(ellipses))
+    centres = ellipses[:, :2]
+    found: Detection | Missed = Missed("no dots measured")
+    for _ in range(2):
+        plane = board.points_mm[ids, :2]
+        homography = _homography(plane, centres)
+        if homography is None:
+            return Missed("the dots found do not lie in one plane")
+        outlines = _map_plane(homography, _circles(board, ids))
+        # The homography knows the shapes; the places are the dots' own, lens and all.
+        shift = centres - _map_plane(homography, plane)
+        found = _measure(image, board, ids, outlines + shift[:, None], centres)
+        if isinstance(found, Missed):
+            return found
+        ids, centres = found.ids, found.pixels
+    return found
+
+
+def _measure(
+    image: Image, board: DotGrid, ids: IntArray, outlines: FloatArray, centres: FloatArray
+) -> Detection | Missed:
+    """Fit the dots whose circles are expected at outlines (N, K, 2), their centres at centres (N, 2)."""
+    expected = np.array([_ellipse_of(outline) for outline in outlines])
+    usable = np.isfinite(expected).all(axis=1)
+    major = _major_px(expected)
+    minor = _minor_px(expected)
+    # The ring to the next dot, where the plate is foreshortened most, bounds the window there.
+    gap = minor * (2 * board.pitch_mm / board.diameter_mm - 2)
+    start = np.column_stack([expected, major + np.clip(_WINDOW_SHARE * gap, 2.0, 8.0)])
+    fits = np.full((len(ids), 9), np.nan)
+    fits[:, 5] = 0
+    some = np.empty((int(usable.sum()), 9))
+    fit_dots(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), some)
+    fits[usable] = some
+    contrast = float(np.median(fits[:, 4]))
+    ok = (fits[:, 5] > 0) & (fits[:, 4] > 0.25 * contrast)
+    if not contrast >= _MIN_CONTRAST:
+        return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
+    if ok.sum() < max(6, 0.5 * len(ids)):
+        return Missed(f"only {ok.sum()} of {len(ids)} dots can be measured (blurred, saturated or covered)")
+    eccentricity = expected[:, :2] - centres
+    good = fits[ok]
+    return Detection(
+        ids[ok], good[:, :2] - eccentricity[ok], good[:, 2].copy(), float(np.median(good[:, 3])), contrast
+    )
+
+
+def _circles(board: DotGrid, ids: IntArray) -> FloatArray:
+    """Outlines (N, K, 2) of the dots on the plate."""
+    angles = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS, endpoint=False)
+    ring = 0.5 * board.diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.asarray(board.points_mm[ids, None, :2] + ring)
+
+
+def _homography(plane: FloatArray, pixels: FloatArray) -> FloatArray | None:
+    """The (3, 3) map from the plate (N, 2) to the image (N, 2), or None if there is none."""
+    homography, _ = cv2.findHomography(plane, pixels, 0)
+    return None if homography is None else np.asarray(homography, dtype=np.float64)
+
+
+def _map_plane(homography: FloatArray, plane: FloatArray) -> FloatArray:
+    mapped = np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1) @ homography.T
+    return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+
+def _ellipse_of(outline: FloatArray) -> FloatArray:
+    """(x, y, b11, b12, b22) of the ellipse through points (K, 2); NaN if there is none.
+
+    Least squares on the conic a x² + b xy + c y² + d x + e y = 1, about the points' own middle.
+    """
+    middle = outline.mean(axis=0)
+    x, y = (outline - middle).T
+    spread = float(np.sqrt(np.mean(x * x + y * y)))
+    x, y = x / spread, y / spread
+    a, b, c, d, e = np.linalg.lstsq(
+        np.column_stack([x * x, x * y, y * y, x, y]), np.ones_like(x), rcond=None
+    )[0]
+    conic = np.array([[a, b / 2], [b / 2, c]])
+    if not np.isfinite(conic).all() or np.linalg.det(conic) <= 0:
+        return np.full(5, np.nan)
+    centre = np.linalg.solve(conic, [-d / 2, -e / 2])
+    size = 1 + centre @ conic @ centre
+    values, vectors = np.linalg.eigh(conic / size)
+    if values[0] <= 0:
+        return np.full(5, np.nan)
+    root = vectors @ np.diag(np.sqrt(values)) @ vectors.T / spread
+    return np.array([*(centre * spread + middle), root[0, 0], root[0, 1], root[1, 1]])
+
+
+def _axes(ellipses: FloatArray) -> FloatArray:
+    """Inverse semi-axes (N, 2), the smaller (of the longer axis) first."""
+    b11, b12, b22 = ellipses[:, 2], ellipses[:, 3], ellipses[:, 4]
+    mean, difference = 0.5 * (b11 + b22), np.hypot(0.5 * (b11 - b22), b12)
+    return np.column_stack([mean - difference, mean + difference])
+
+
+def _major_px(ellipses: FloatArray) -> FloatArray:
+    return np.asarray(1 / _axes(ellipses)[:, 0])
+
+
+def _minor_px(ellipses: FloatArray) -> FloatArray:
+    return np.asarray(1 / _axes(ellipses)[:, 1])
+
+
+# --- finding ------------------------------------------------------------------------------------
+
+
+def _ellipses(image: Image, block_px: int) -> FloatArray:
+    """Dark elliptic blobs (M, 5) as x, y, b11, b12, b22."""
+    smooth = cv2.GaussianBlur(image, (3, 3), 0)
+    block = max(11, block_px | 1)
+    dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 12)
+    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    found = [blob for contour in contours if (blob := _blob(contour)) is not None]
+    return np.array(found).reshape(-1, 5)
+
+
+def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
+    if len(contour) < 3 * _MIN_DIAMETER_PX:
+        return None
+    area = cv2.contourArea(contour)
+    (x, y), (first, second), angle_deg = cv2.fitEllipse(contour)
+    shorter, longer = min(first, second), max(first, second)
+    if not (shorter >= _MIN_DIAMETER_PX and shorter >= _MIN_ASPECT * longer):
+        return None
+    # a contour runs through pixel centres: half a pixel inside the blob's edge
+    if abs(area / (0.25 * np.pi * first * second) - 1) > _ROUNDNESS:
+        return None
+    angle = np.radians(angle_deg)
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    matrix = axes.T @ np.diag([2 / first, 2 / second]) @ axes
+    return np.array([x, y, matrix[0, 0], matrix[0, 1], matrix[1, 1]])
+
+
+def _grow_grid(blobs: FloatArray, board: DotGrid) -> IntArray | Missed:
+    """Indices (rows, columns) into blobs of a complete, right-handed grid; its turn is still open."""
+    wanted = board.columns * board.rows
+    if len(blobs) < wanted:
+        return Missed(f"{len(blobs)} dots found, the plate has {wanted}")
+    centres = blobs[:, :2]
+    middle = np.median(centres, axis=0)
+    best = 0
+    for seed in np.argsort(np.linalg.norm(centres - middle, axis=1))[:12]:
+        places = _grow_from(int(seed), centres)
+        best = max(best, len(places))
+        if len(places) != wanted:
+            continue
+        keys = np.array(list(places))
+        low = keys.min(axis=0)
+        shape = tuple(keys.max(axis=0) - low + 1)
+        if shape not in ((board.columns, board.rows), (board.rows, board.columns)):
+            continue
+        grid = np.full((shape[1], shape[0]), -1)
+        for (i, j), index in places.items():
+            grid[j - low[1], i - low[0]] = index
+        return grid if shape == (board.columns, board.rows) else np.rot90(grid)
+    return Missed(f"the dots form a grid of {best} marks, the plate has {wanted}")
+
+
+def _grow_from(seed: int, centres: FloatArray) -> dict[tuple[int, int], int]:
+    """Grid places (i, j) -> index, spreading from a seed with steps that adapt to the perspective."""
+    away = centres - centres[seed]
+    order = np.argsort(np.linalg.norm(away, axis=1))[1:9]
+    if len(order) < 2:
+        return {}
+    across = away[order[0]]
+    sines = [_cross(across, away[k]) / (np.linalg.norm(across) * np.linalg.norm(away[k])) for k in order]
+    beside = [k for k, sine in zip(order, sines, strict=True) if abs(sine) > 0.6]
+    if not beside:
+        return {}
+    down = away[beside[0]]
+    if _cross(across, down) < 0:
+        down = -down
+    places = {(0, 0): seed}
+    steps = {(0, 0): (across, down)}
+    taken, queue = {seed}, [(0, 0)]
+    while queue:
+        place = queue.pop(0)
+        here = centres[places[place]]
+        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            target = (place[0] + di, place[1] + dj)
+            if target in places:
+                continue
+            step = di * steps[place][0] + dj * steps[place][1]
+            distances = np.linalg.norm(centres - here - step, axis=1)
+            nearest = int(np.argmin(distances))
+            if nearest in taken or distances[nearest] > _STEP_TOLERANCE * np.linalg.norm(step):
+                continue
+            taken.add(nearest)
+            places[target] = nearest
+            real = centres[nearest] - here
+            old = steps[place]
+            steps[target] = (real * di, old[1]) if di else (old[0], real * dj)
+            queue.append(target)
+    return places
+
+
+def _cross(a: FloatArray, b: FloatArray) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -> IntArray | Missed:
+    """Indices (N,) of the marks in the board's order: mark 0 by the filled corner."""
+    turns = range(4) if board.columns == board.rows else (0, 2)
+    marked = []
+    for turn in turns:
+        turned = np.rot90(grid, turn).ravel()
+        if _first_corner_is_filled(image, centres[turned], board):
+            marked.append(turned)
+    if len(marked) != 1:
+        return Missed(f"the orientation mark (one filled corner of the frame) shows at {len(marked)} corners")
+    return np.asarray(marked[0], dtype=np.int64)
+
+
+def _first_corner_is_filled(image: Image, pixels: FloatArray, board: DotGrid) -> bool:
+    """Whether the plate is dark between mark 0 and the corner of the frame next to it.
+
+    The homography of the four marks at that corner serves: the lens has no say so close by.
+    """
+    near = np.array([0, 1, board.columns, board.columns + 1])
+    homography = _homography(board.points_mm[near, :2], pixels[near])
+    if homography is None:
+        return False
+    p = board.pitch_mm
+    offset = -_MARK_OFFSET * p
+    places = np.array([[offset, offset], [0.5 * p, 0.5 * p], [0.0, 0.0]])
+    smooth = cv2.blur(image, (3, 3))
+    x, y = np.rint(_map_plane(homography, places)).astype(int).T
+    if not ((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])).all():
+        return False
+    corner, plate, dot = (float(v) for v in smooth[y, x])
+    return corner < 0.5 * (plate + dot)

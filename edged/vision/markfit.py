@@ -1,0 +1,350 @@
+"""The kernels that measure marks: models of a corner and of a dot, fitted to the picture.
+
+The corner model is described in `edged.vision.chessboard`, the dot model in `edged.vision.dots`.
+Both are fitted by one routine; `kind` says which model is meant.
+
+Source of the method: Levenberg-Marquardt, K. Madsen, H. B. Nielsen, O. Tingleff, "Methods for
+non-linear least squares problems", 2004.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.vision.jit import kernel
+
+CORNER, DOT = 0, 1
+_MOST_UNKNOWNS = 10
+_STEPS = 40
+_RECENTRED = 2  # the window is laid round the corner found, so that what is symmetric cancels
+_MIN_SHARE_INSIDE = 0.7  # of the window's pixels; less lets one edge go unseen
+_TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
+
+
+@kernel()
+def solve_spd(matrix: FloatArray, right: FloatArray, n: int) -> bool:
+    """Solve matrix @ x = right in place by Cholesky; False if not positive definite.
+
+    matrix (n, n) is overwritten by its factor, right (n,) by x. (numba's linalg needs SciPy.)
+    """
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(n):
+        for k in range(i):
+            right[i] -= matrix[i, k] * right[k]
+        right[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            right[i] -= matrix[k, i] * right[k]
+        right[i] /= matrix[i, i]
+    return True
+
+
+@kernel(inline=True)
+def unknowns_of(kind: int) -> int:
+    """How many unknowns a model has."""
+    return 9 if kind == CORNER else 10
+
+
+@kernel()
+def corner_value(p: FloatArray, window: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
+    """Grey value of a corner at (dx, dy) from its centre; fills its derivatives row (9,).
+
+    p (9,) : x, y, directions of both edges, log blur, grey, half contrast, relative
+    slope of the light along x and y in 1/px.
+    """
+    scale = 1.0 / (math.sqrt(2.0) * math.exp(p[4]))
+    sin1, cos1, sin2, cos2 = math.sin(p[2]), math.cos(p[2]), math.sin(p[3]), math.cos(p[3])
+    along1, along2 = cos1 * dx + sin1 * dy, cos2 * dx + sin2 * dy
+    beside1, beside2 = cos1 * dy - sin1 * dx, cos2 * dy - sin2 * dx
+    bend1, bend2 = window[3] * along1, window[4] * along2
+    u = (beside1 - 0.5 * bend1 * along1) * scale
+    v = (beside2 - 0.5 * bend2 * along2) * scale
+    edge1, edge2 = math.erf(u), math.erf(v)
+    slope1 = _TWO_OVER_ROOT_PI * math.exp(-u * u) * edge2 * p[6]
+    slope2 = _TWO_OVER_ROOT_PI * math.exp(-v * v) * edge1 * p[6]
+    surface = p[5] + p[6] * edge1 * edge2
+    light = 1.0 + p[7] * dx + p[8] * dy
+    row[0] = (
+        light * scale * (slope1 * (sin1 + bend1 * cos1) + slope2 * (sin2 + bend2 * cos2)) - surface * p[7]
+    )
+    row[1] = (
+        light * scale * (slope1 * (bend1 * sin1 - cos1) + slope2 * (bend2 * sin2 - cos2)) - surface * p[8]
+    )
+    row[2] = -light * scale * slope1 * (along1 + bend1 * beside1)
+    row[3] = -light * scale * slope2 * (along2 + bend2 * beside2)
+    row[4] = -light * (slope1 * u + slope2 * v)
+    row[5] = light
+    row[6] = light * edge1 * edge2
+    row[7] = surface * dx
+    row[8] = surface * dy
+    return float(surface * light)
+
+
+@kernel()
+def dot_value(p: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
+    """Grey value of a dot at (dx, dy) from its centre; fills its derivatives row (10,).
+
+    p (10,) : x, y, b11, b12, b22 (symmetric matrix that makes the ellipse a unit circle), log of the
+    edge's spread in radii, grey, half contrast, relative slope of the light along x and y in 1/px.
+    """
+    q1, q2 = p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy
+    radius = math.sqrt(q1 * q1 + q2 * q2)
+    scale = 1.0 / (math.sqrt(2.0) * math.exp(p[5]))
+    u = (radius - 1.0) * scale
+    edge = math.erf(u)
+    slope = _TWO_OVER_ROOT_PI * math.exp(-u * u) * p[7]
+    surface = p[6] + p[7] * edge
+    light = 1.0 + p[8] * dx + p[9] * dy
+    by_radius = light * slope * scale / max(radius, 1e-6)
+    row[0] = -by_radius * (p[2] * q1 + p[3] * q2) - surface * p[8]
+    row[1] = -by_radius * (p[3] * q1 + p[4] * q2) - surface * p[9]
+    row[2] = by_radius * q1 * dx
+    row[3] = by_radius * (q1 * dy + q2 * dx)
+    row[4] = by_radius * q2 * dy
+    row[5] = -light * slope * u
+    row[6] = light
+    row[7] = light * edge
+    row[8] = surface * dx
+    row[9] = surface * dy
+    return float(surface * light)
+
+
+@kernel()
+def accumulate(
+    kind: int,
+    image: Image,
+    p: FloatArray,
+    window: FloatArray,
+    normal: FloatArray,
+    gradient: FloatArray,
+    by_residual: bool,
+) -> tuple[float, int]:
+    """Sum of squared residuals and pixel count of mark p over a disc; fills JᵀJ and Jᵀr.
+
+    window (5,) : x, y, radius, and for corners the curvatures of both edges in 1/px.
+    by_residual : weigh JᵀJ by each pixel's squared residual, for the covariance.
+    """
+    height, width = image.shape
+    n = unknowns_of(kind)
+    normal[:] = 0.0
+    gradient[:] = 0.0
+    row = np.empty(_MOST_UNKNOWNS)
+    radius2 = window[2] * window[2]
+    total, count = 0.0, 0
+    for y in range(
+        max(0, math.ceil(window[1] - window[2])), min(height - 1, math.floor(window[1] + window[2])) + 1
+    ):
+        for x in range(
+            max(0, math.ceil(window[0] - window[2])), min(width - 1, math.floor(window[0] + window[2])) + 1
+        ):
+            if (x - window[0]) ** 2 + (y - window[1]) ** 2 > radius2:
+                continue
+            if kind == CORNER:
+                value = corner_value(p, window, x - p[0], y - p[1], row)
+            else:
+                value = dot_value(p, x - p[0], y - p[1], row)
+            residual = image[y, x] - value
+            total += residual * residual
+            count += 1
+            weight = residual * residual if by_residual else 1.0
+            for i in range(n):
+                gradient[i] += row[i] * residual
+                for j in range(i + 1):
+                    normal[i, j] += weight * row[i] * row[j]
+    return total, count
+
+
+@kernel()
+def start_corner(image: Image, p: FloatArray, window: FloatArray) -> None:
+    """Fill p's grey and half contrast by linear fit of the unblurred corner at p's place and angles."""
+    height, width = image.shape
+    count, sum_sign, sum_grey, sum_both = 0, 0.0, 0.0, 0.0
+    for y in range(
+        max(0, math.ceil(window[1] - window[2])), min(height - 1, math.floor(window[1] + window[2])) + 1
+    ):
+        for x in range(
+            max(0, math.ceil(window[0] - window[2])), min(width - 1, math.floor(window[0] + window[2])) + 1
+        ):
+            dx, dy = x - p[0], y - p[1]
+            if dx * dx + dy * dy > window[2] * window[2]:
+                continue
+            side1 = math.cos(p[2]) * dy - math.sin(p[2]) * dx
+            side2 = math.cos(p[3]) * dy - math.sin(p[3]) * dx
+            sign = 1.0 if side1 * side2 > 0 else -1.0
+            count += 1
+            sum_sign += sign
+            sum_grey += image[y, x]
+            sum_both += sign * image[y, x]
+    spread = count - sum_sign * sum_sign / count if count else 0.0
+    p[6] = (sum_both - sum_sign * sum_grey / count) / spread if spread > 0.0 else 0.0
+    p[5] = (sum_grey - p[6] * sum_sign) / count if count else 0.0
+
+
+@kernel()
+def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covariance: FloatArray) -> float:
+    """Levenberg-Marquardt over one window; p is improved in place.
+
+    covariance (2, 2) of the centre.  Returns the noise sigma in grey values, or NaN on failure.
+    """
+    n = unknowns_of(kind)
+    blur = 4 if kind == CORNER else 5  # where the logarithm of the edge spread stands in p
+    normal, trial_normal, damped = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    gradient, trial_gradient, step, trial = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    total, count = accumulate(kind, image, p, window, normal, gradient, False)
+    if count <= n:
+        return math.nan
+    damping = 1e-3
+    for _ in range(_STEPS):
+        damped[:] = normal
+        for i in range(n):
+            damped[i, i] *= 1.0 + damping
+        step[:] = gradient
+        if not solve_spd(damped, step, n):
+            return math.nan
+        trial[:] = p + step
+        if math.fabs(trial[blur]) < 5.0:
+            trial_total, _ = accumulate(kind, image, trial, window, trial_normal, trial_gradient, False)
+        else:
+            trial_total = math.inf
+        if trial_total <= total:
+            p[:] = trial
+            normal[:] = trial_normal
+            gradient[:] = trial_gradient
+            total = trial_total
+            damping = max(damping * 0.1, 1e-9)
+            # far below what noise leaves open
+            if math.fabs(step[0]) < 1e-5 and math.fabs(step[1]) < 1e-5 and math.fabs(step[blur]) < 1e-4:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                break
+    if not centre_covariance(kind, image, p, window, normal, covariance):
+        return math.nan
+    return math.sqrt(total / (count - n))
+
+
+@kernel()
+def centre_covariance(
+    kind: int, image: Image, p: FloatArray, window: FloatArray, normal: FloatArray, covariance: FloatArray
+) -> bool:
+    """Covariance (2, 2) of the centre that holds when noise sits on the edges.
+
+    Rough prints, shadows and sub-sampled edges put the residuals where the corner's place is
+    read from, and most pixels of the window are flat and quiet: the residuals' mean square would
+    promise too much. N^-1 (sum of r² g gᵀ) N^-1 does not. Source: H. White, 1980, doi:10.2307/1912934.
+    """
+    n = unknowns_of(kind)
+    meat, factor = np.empty((n, n)), np.empty((n, n))
+    scratch = np.empty(n)
+    inverse = np.zeros((2, n))
+    _, count = accumulate(kind, image, p, window, meat, scratch, True)
+    for axis in range(2):
+        factor[:] = normal
+        inverse[axis, axis] = 1.0
+        if not solve_spd(factor, inverse[axis], n):
+            return False
+    covariance[:] = 0.0
+    for a in range(2):
+        for b in range(2):
+            for i in range(n):
+                for j in range(n):
+                    covariance[a, b] += inverse[a, i] * meat[max(i, j), min(i, j)] * inverse[b, j]
+            covariance[a, b] *= count / (count - n)
+    return True
+
+
+@kernel("void(u1[:, ::1], f8[:, ::1], f8[:, ::1])")
+def fit_corners(image: Image, start: FloatArray, result: FloatArray) -> None:
+    """Fit the corner model at each start.
+
+    start (N, 7) : x, y, the directions of both edges in rad, the window's radius in px, and the
+    curvatures of both edges in 1/px, positive when they bend towards their normal.
+    result (N, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
+    """
+    height, width = image.shape
+    p, window, covariance = np.empty(9), np.empty(5), np.empty((2, 2))
+    for n in range(start.shape[0]):
+        result[n, :] = math.nan
+        result[n, 4], result[n, 5] = 0.0, 0.0
+        p[0], p[1], p[2], p[3] = start[n, 0], start[n, 1], start[n, 2], start[n, 3]
+        p[4], p[7], p[8] = 0.0, 0.0, 0.0
+        noise = math.nan
+        for _ in range(_RECENTRED):
+            window[0], window[1], window[2] = p[0], p[1], start[n, 4]
+            window[3], window[4] = start[n, 5], start[n, 6]
+            if not (0.0 <= p[0] <= width - 1 and 0.0 <= p[1] <= height - 1):
+                noise = math.nan
+                break
+            start_corner(image, p, window)
+            p[4] = max(p[4], -0.7)
+            noise = fit_window(CORNER, image, p, window, covariance)
+            if math.isnan(noise):
+                break
+        if math.isnan(noise):
+            continue
+        moved = math.hypot(p[0] - start[n, 0], p[1] - start[n, 1])
+        blur, contrast = math.exp(p[4]), 2.0 * math.fabs(p[6])
+        across = math.fabs(math.sin(p[2] - p[3]))
+        inside_x = min(p[0], start[n, 4]) + min(width - 1 - p[0], start[n, 4])
+        inside_y = min(p[1], start[n, 4]) + min(height - 1 - p[1], start[n, 4])
+        inside = inside_x * inside_y / (4.0 * start[n, 4] * start[n, 4])
+        result[n, 0], result[n, 1] = p[0], p[1]
+        result[n, 2] = math.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))
+        result[n, 3], result[n, 4] = blur, contrast
+        good = moved < max(2.5, 0.5 * start[n, 4]) and blur < 0.5 * start[n, 4] and across > 0.2
+        if good and inside > _MIN_SHARE_INSIDE and noise < 0.25 * contrast:
+            result[n, 5] = 1.0
+
+
+@kernel("void(u1[:, ::1], f8[:, ::1], f8[:, ::1])")
+def fit_dots(image: Image, start: FloatArray, result: FloatArray) -> None:
+    """Fit the dot model at each start.
+
+    start (N, 6) : x, y, b11, b12, b22 (as in `dot_value`), and the window's radius in px.
+    result (N, 9) : x, y, sigma_px, blur_px, contrast, ok (1 or 0), b11, b12, b22.
+    """
+    height, width = image.shape
+    p, window, covariance = np.empty(10), np.zeros(5), np.empty((2, 2))
+    for n in range(start.shape[0]):
+        result[n, :] = math.nan
+        result[n, 4], result[n, 5] = 0.0, 0.0
+        reach = start[n, 5]
+        x, y = start[n, 0], start[n, 1]
+        if not (reach <= x <= width - 1 - reach and reach <= y <= height - 1 - reach):
+            continue
+        p[:5] = start[n, :5]
+        window[0], window[1], window[2] = x, y, reach
+        radius = 1.0 / math.sqrt(max(p[2] * p[4] - p[3] * p[3], 1e-12))  # geometric mean of the semi-axes
+        p[5], p[8], p[9] = math.log(0.7 / radius), 0.0, 0.0
+        inside = float(image[round(y), round(x)])
+        rim = 0.0
+        for k in range(16):
+            angle = k * math.pi / 8.0
+            rim += image[round(y + reach * math.sin(angle)), round(x + reach * math.cos(angle))] / 16.0
+        p[6], p[7] = 0.5 * (inside + rim), 0.5 * (rim - inside)
+        noise = fit_window(DOT, image, p, window, covariance)
+        determinant = p[2] * p[4] - p[3] * p[3]
+        if math.isnan(noise) or not determinant > 0.0:
+            continue
+        moved, fitted = math.hypot(p[0] - x, p[1] - y), 1.0 / math.sqrt(determinant)
+        contrast = 2.0 * math.fabs(p[7])
+        result[n, 0], result[n, 1] = p[0], p[1]
+        result[n, 2] = math.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))
+        result[n, 3], result[n, 4] = math.exp(p[5]) * fitted, contrast
+        result[n, 6], result[n, 7], result[n, 8] = p[2], p[3], p[4]
+        if moved < 0.3 * radius and 0.6 < fitted / radius < 1.6 and noise < 0.25 * contrast:
+            result[n, 5] = 1.0
