@@ -12,17 +12,25 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from edged import __version__
+from edged.adapters.aravis import AravisCamera, AravisSettings
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.adapters.replay import replay_cameras
+from edged.adapters.systemd import SystemdNotifier
+from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.capture import StereoHead
-from edged.config import CamerasSection, Config, fingerprint, load
+from edged.config import CameraSection, CamerasSection, Config, ModbusSection, ZenohSection, fingerprint, load
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.errors import ConfigError, EdgedError, UserError
 from edged.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
-from edged.ports import Publisher
+from edged.ports import Camera, Publisher
+from edged.sim.world import VirtualWorld
 from edged.store import load_rig
 from edged.vision.job import Job
 
@@ -37,6 +45,7 @@ class LoadedCell:
     """A configuration with the rig and the jobs it names."""
 
     config: Config
+    rig: PreparedRig
     setup: Setup
     jobs: tuple[Job, ...]
 
@@ -66,7 +75,7 @@ def load_cell(path: Path) -> LoadedCell:
         simulated=config.cameras.source.startswith("virtual"),
         robot_from_rig=rig.rig.robot_from_rig,
     )
-    return LoadedCell(config, setup, tuple(jobs))
+    return LoadedCell(config, rig, setup, tuple(jobs))
 
 
 def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
@@ -102,19 +111,61 @@ def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], No
     return locate_job
 
 
-def warm_up(setup: Setup, shape: tuple[int, int]) -> None:
+def warm_up(loaded: LoadedCell) -> None:
     """Run every job once on an empty pair: buffers are allocated and kernels are loaded."""
-    blank = np.zeros(shape, np.uint8)
-    pair = FramePair(*(Frame(side, 0, blank, 0, 0) for side in ("left", "right")))
-    for job in setup.jobs.values():
+    camera = loaded.rig.rig.left, loaded.rig.rig.right
+    blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
+    pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
+    for job in loaded.setup.jobs.values():
         job.locate(pair, lambda _stage: None)
+
+
+def head_of(cameras: CamerasSection, world: VirtualWorld | None = None) -> StereoHead:
+    """The stereo head of a configuration, not yet open. world : where virtual cameras are."""
+    left: Camera
+    right: Camera
+    if cameras.source == "replay" and cameras.folder is not None:
+        left, right = replay_cameras(cameras.folder)
+    elif cameras.source == "aravis":
+        left, right = _aravis("left", cameras.left), _aravis("right", cameras.right)
+    elif world is None:
+        raise ConfigError("cameras.source", [f"a change to {cameras.source!r} needs a restart"])
+    elif world.addresses is None:
+        left, right = world.in_process_cameras()
+    else:
+        left, right = (
+            _aravis(side, section.model_copy(update={"device": address}))
+            for side, section, address in zip(
+                ("left", "right"), (cameras.left, cameras.right), world.addresses, strict=True
+            )
+        )
+    return StereoHead(
+        left,
+        right,
+        timeout_s=cameras.timeout_s,
+        max_skew_s=cameras.max_skew_ms * 1e-3,
+        detect_frozen=cameras.source != "replay",
+    )
+
+
+def _aravis(name: str, section: CameraSection) -> AravisCamera:
+    return AravisCamera(
+        name,
+        AravisSettings(
+            device=section.device,
+            exposure_us=section.exposure_us,
+            gain_db=section.gain_db,
+            packet_size=section.packet_size,
+            features=section.features,
+        ),
+    )
 
 
 class Daemon:
     """Cameras, loop and publishers of one configuration file.
 
     observers : more publishers, for example the demo's view; they outlive a reload.
-    build_head : makes the stereo head of a configuration; the demo passes its own cameras.
+    world : the virtual cell that a configuration with virtual cameras needs; started and stopped by its owner.
     """
 
     def __init__(
@@ -123,18 +174,20 @@ class Daemon:
         loaded: LoadedCell,
         *,
         observers: Sequence[Publisher] = (),
-        build_head: Callable[[CamerasSection], StereoHead] | None = None,
+        world: VirtualWorld | None = None,
     ) -> None:
         self._path = path
         self._loaded = loaded
-        self._build_head = build_head or head_of
-        self._cycle = Cycle(self._build_head(loaded.config.cameras), loaded.setup)
-        self._observers = tuple(observers)
+        self._world = world
+        self._cycle = Cycle(head_of(loaded.config.cameras, world), loaded.setup)
+        self._notifier = SystemdNotifier()
+        self._observers = (self._notifier, *observers)
         self._servers: dict[str, Publisher] = {}
         self._reloading = asyncio.Lock()
 
     async def run(self) -> None:
         """Publish and measure until `stop`. Raises `ListenError` when a port cannot be opened."""
+        started: list[Publisher] = []
         try:
             config = self._loaded.config
             if config.modbus.enabled:
@@ -142,11 +195,12 @@ class Daemon:
             if config.zenoh.enabled:
                 await self._start("zenoh", self._zenoh(config.cell.name, config.zenoh))
             for observer in self._observers:
+                started.append(observer)
                 await observer.start()
             self._tell_cycle()
             await self._run_cycle()
         finally:
-            for publisher in (*self._servers.values(), *self._observers):
+            for publisher in (*self._servers.values(), *started):
                 await publisher.close()
 
     def stop(self) -> None:
@@ -159,16 +213,20 @@ class Daemon:
         A configuration with mistakes, or one whose ports cannot be opened, leaves everything as it was.
         """
         async with self._reloading:
+            self._notifier.reloading()
             try:
                 loaded = await asyncio.to_thread(load_cell, self._path)
-                await asyncio.to_thread(warm_up, loaded.setup)
+                await asyncio.to_thread(warm_up, loaded)
+                changed = loaded.config.cameras != self._loaded.config.cameras
+                head = head_of(loaded.config.cameras, self._world) if changed else None
                 await self._exchange_servers(loaded.config)
             except EdgedError as error:
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
+                self._notifier.reloaded(refused=str(error))
                 return False
-            changed = loaded.config.cameras != self._loaded.config.cameras
             self._loaded = loaded
-            self._cycle.exchange(loaded.setup, self._build_head(loaded.config.cameras) if changed else None)
+            self._cycle.exchange(loaded.setup, head)
+            self._notifier.reloaded()
             log.info("reloaded %s, fingerprint %s", self._path, loaded.setup.fingerprint)
             return True
 
@@ -208,6 +266,39 @@ class Daemon:
             raise
         finally:
             self._tell_cycle()
+
+    def _modbus(self, section: ModbusSection) -> ModbusPublisher:
+        settings = ModbusSettings(
+            host=section.host,
+            port=section.port,
+            unit_id=section.unit_id,
+            word_order=section.word_order,
+            base_address=section.base_address,
+            validity_s=section.validity_s,
+            max_clients=section.max_clients,
+        )
+        return ModbusPublisher(settings, self._cycle)
+
+    def _zenoh(self, cell: str, section: ZenohSection) -> ZenohPublisher:
+        settings = ZenohSettings(
+            cell=cell,
+            listen=tuple(section.listen),
+            connect=tuple(section.connect),
+            config_file=section.config_file,
+        )
+        return ZenohPublisher(settings, self._cycle, jobs=self._job_list, config=self._config_summary)
+
+    def _job_list(self) -> list[tuple[int, str]]:
+        return [(job.number, job.name) for job in self._loaded.setup.jobs.values()]
+
+    def _config_summary(self) -> dict[str, Any]:
+        """What `edged/<cell>/config` answers; there are no secrets in a configuration."""
+        return {
+            "version": __version__,
+            "fingerprint": self._loaded.setup.fingerprint,
+            "calibration": self._loaded.setup.calibration_id,
+            "config": self._loaded.config.model_dump(mode="json"),
+        }
 
     async def _start(self, name: str, publisher: Publisher) -> None:
         await publisher.start()

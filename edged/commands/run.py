@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from edged.app import Daemon, load_cell, warm_up
-from edged.app import systemd_publisher
+from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,13 @@ def set_up_logging() -> None:
 class _JournalFormatter(logging.Formatter):
     """sd-daemon(3): a line that starts with <N> has the priority N."""
 
-    PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
+    PRIORITIES = {
+        logging.DEBUG: 7,
+        logging.INFO: 6,
+        logging.WARNING: 4,
+        logging.ERROR: 3,
+        logging.CRITICAL: 2,
+    }
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{self.PRIORITIES.get(record.levelno, 6)}>"
@@ -45,8 +51,18 @@ def run(path: Path) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     loaded = load_cell(path)
     warm_up(loaded)
-    log.info("cell %s, fingerprint %s, %d job(s)", loaded.config.cell.name, loaded.setup.fingerprint, len(loaded.jobs))
-    asyncio.run(serve(lambda: Daemon(path, loaded, observers=[systemd_publisher()])))
+    log.info(
+        "cell %s, fingerprint %s, %d job(s)",
+        loaded.config.cell.name,
+        loaded.setup.fingerprint,
+        len(loaded.jobs),
+    )
+    source = loaded.config.cameras.source
+    if source.startswith("virtual"):
+        with VirtualWorld(gige=source == "virtual") as world:
+            asyncio.run(serve(lambda: Daemon(path, loaded, world=world)))
+    else:
+        asyncio.run(serve(lambda: Daemon(path, loaded)))
     return 0
 
 

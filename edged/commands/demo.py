@@ -1,0 +1,148 @@
+"""`edged demo`: a virtual cell and the daemon, on this machine, at once."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import json
+import logging
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from edged.adapters.terminal import DemoView, reading_hints
+from edged.app import Daemon, load_cell, warm_up
+from edged.commands.run import SWITCH_INTERVAL_S, serve, set_up_logging
+from edged.domain import FloatArray, Snapshot
+from edged.jobs import save_job
+from edged.pipeline import prepare
+from edged.sim.cell import VirtualCell
+from edged.sim.world import VirtualWorld
+from edged.store import save_rig, write_atomically
+from edged.vision.teaching import Region, teach
+
+CELL = "demo"
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOptions:
+    """Options of the command line."""
+
+    cycles: int = 0
+    period_s: float = 0.25
+    in_process: bool = False
+    modbus_port: int = 1502
+    zenoh_port: int = 7447
+    folder: Path | None = None
+    as_json: bool = False
+
+
+def demo(options: DemoOptions) -> int:
+    """Make a cell, teach it, run the daemon on it; 0 when every cycle found the part, 1 when not."""
+    set_up_logging()
+    logging.getLogger().setLevel(logging.WARNING)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    console = Console(stderr=options.as_json)
+    gige = not options.in_process and _aravis_is_here(console)
+    with _folder(options.folder) as folder, VirtualWorld(gige=gige) as world:
+        path = prepare_cell(folder, world.cell, options, gige=gige)
+        loaded = load_cell(path)
+        warm_up(loaded)
+        source = (
+            "two GigE Vision cameras over UDP (127.0.0.1, 127.0.0.2)" if gige else "two in-process cameras"
+        )
+        console.print(f"virtual cell: {source}; configuration, rig and job in {folder}")
+        daemons: list[Daemon] = []
+        view = make_view(world.cell, options, console, finished=lambda: daemons[0].stop())
+
+        def build() -> Daemon:
+            daemons.append(Daemon(path, loaded, observers=[view], world=world))
+            return daemons[0]
+
+        asyncio.run(serve(build))
+        summary = view.summary()
+    if options.as_json:
+        print(json.dumps(summary.to_json()))
+    return 0 if summary.cycles and summary.located == summary.cycles else 1
+
+
+def prepare_cell(folder: Path, cell: VirtualCell, options: DemoOptions, *, gige: bool) -> Path:
+    """Write rig, taught job and configuration of the virtual cell; returns the configuration file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    save_rig(folder / "rig.json", cell.rig)
+    left, right, truth = cell.teach_pair()
+    outline = max(truth.circles, key=lambda circle: circle.radius_mm)
+    x, y = cell.rig.left.project(outline.centre_mm[None])[0]
+    half = 1.12 * outline.radius_mm * cell.rig.left.fx / outline.centre_mm[2]
+    region = Region(x - half, y - half, 2 * half, 2 * half)
+    job = teach(left, right, prepare(cell.rig).rectification, region, "flange")
+    save_job(folder / "jobs" / "flange", job)
+    source = "virtual" if gige else "virtual-inprocess"
+    text = f"""# Written by `edged demo`: a virtual cell. Run it again with: edged run cell.toml
+[cell]
+name = "{CELL}"
+rig = "rig.json"
+jobs = "jobs"
+job = "flange"
+
+[cycle]
+mode = "free"
+period_s = {options.period_s!r}
+
+[cameras]
+source = "{source}"
+timeout_s = 2.0
+
+[modbus]
+port = {options.modbus_port}
+
+[zenoh]
+listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
+"""
+    path = folder / "cell.toml"
+    write_atomically(path, text.encode())
+    return path
+
+
+def make_view(
+    cell: VirtualCell, options: DemoOptions, console: Console, finished: Callable[[], None]
+) -> DemoView:
+    """The live view; ends the demo after the wanted number of cycles."""
+
+    def truth(snapshot: Snapshot) -> FloatArray | None:
+        known = cell.truth(snapshot.exposed_ns)
+        return None if known is None else known.rig_from_part
+
+    hints = reading_hints(CELL, ("127.0.0.1", options.modbus_port), f"tcp/127.0.0.1:{options.zenoh_port}")
+    return DemoView(truth, console, hints=hints, cycles=options.cycles, finished=finished)
+
+
+def _aravis_is_here(console: Console) -> bool:
+    if importlib.util.find_spec("gi") is not None:
+        import gi
+
+        try:
+            gi.require_version("Aravis", "0.8")
+        except ValueError:
+            pass
+        else:
+            return True
+    console.print(
+        "Aravis is not installed (gir1.2-aravis-0.8, python3-gi): the demo runs without GigE Vision, "
+        "on cameras inside this process"
+    )
+    return False
+
+
+@contextmanager
+def _folder(wanted: Path | None) -> Iterator[Path]:
+    if wanted is not None:
+        yield wanted.resolve()
+        return
+    with tempfile.TemporaryDirectory(prefix="edged-demo-") as temporary:
+        yield Path(temporary)

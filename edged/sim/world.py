@@ -1,0 +1,51 @@
+"""A running virtual cell: the scenes, and two cameras that look at them."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.gige import GigeCamera
+from edged.sim.inprocess import InProcessCamera
+
+ADDRESSES = ("127.0.0.1", "127.0.0.2")
+SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
+
+
+class VirtualWorld:
+    """Two virtual cameras on one virtual cell; a context manager.
+
+    addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
+    """
+
+    def __init__(self, *, gige: bool, seed: int = 0) -> None:
+        self.cell = VirtualCell(demo_rig(), demo_part(), seed=seed)
+        self.addresses = ADDRESSES if gige else None
+        self._devices: list[GigeCamera] = []
+
+    def __enter__(self) -> VirtualWorld:
+        """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
+        try:
+            for address, serial, side in zip(self.addresses or (), SERIALS, ("left", "right"), strict=False):
+                device = GigeCamera(address, serial, self.cell.exposure(side))
+                device.start()
+                self._devices.append(device)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the GigE Vision cameras."""
+        while self._devices:
+            self._devices.pop().stop()
+
+    def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
+        """Cameras that need neither Aravis nor a network."""
+        left, right = (InProcessCamera(side, self.cell.exposure(side)) for side in ("left", "right"))
+        return left, right
