@@ -340,7 +340,8 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
 
     async def script(camera: AravisCamera) -> list[Frame]:
         await camera.open()
-        return [await shoot(camera) for _ in range(6)]
+        # this device cannot send packets again: on a busy machine a frame may be a fault, never a wrong picture
+        return [await settles(camera, lambda: shoot(camera), 20) for _ in range(6)]
 
     size: dict[str, Any] = {"features": {"Width": 1280, "Height": 960}}
     frames = run(script, left_camera("127.0.0.1", user_socket=user_socket, exposure_us=10_000.0, **size))
@@ -351,8 +352,9 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
         start = int(frame.image[0, 0])
         np.testing.assert_array_equal((x + y + start) % 255, frame.image)
         starts.append(start)
-    np.testing.assert_array_equal(np.diff(starts) % 255, 1)
-    np.testing.assert_array_equal(np.diff([frame.frame_id for frame in frames]), 1)
+    ids = [frame.frame_id for frame in frames]
+    assert (np.diff(ids) >= 1).all()
+    np.testing.assert_array_equal(np.diff(ids), np.diff(starts) % 255)
 
 
 # --- images -----------------------------------------------------------------------------------------
