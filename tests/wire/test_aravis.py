@@ -340,7 +340,7 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
 
     async def script(camera: AravisCamera) -> list[Frame]:
         await camera.open()
-        # this device cannot send packets again: on a busy machine a frame may be a fault, never a wrong picture
+        # this device cannot send packets again: a frame may be a fault, never a wrong picture
         return [await settles(camera, lambda: shoot(camera), 20) for _ in range(6)]
 
     size: dict[str, Any] = {"features": {"Width": 1280, "Height": 960}}
