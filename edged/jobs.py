@@ -78,7 +78,9 @@ class _JobFile(_Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
     number: int = Field(ge=1, le=65535)
     reference: str
-    rig_from_part: Annotated[list[Annotated[list[float], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)]
+    rig_from_part: Annotated[
+        list[Annotated[list[float], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
+    ]
     limits: _Limits
     search: _Search
     circle: Annotated[list[_Circle], Field(min_length=1, max_length=256)]
@@ -91,7 +93,10 @@ class _JobFile(_Section):
         if self.reference not in names:
             raise ValueError(f"reference {self.reference!r} is none of the circles {names}")
         pose = np.array(self.rig_from_part)
-        rigid = np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6) and np.linalg.det(pose[:3, :3]) > 0
+        rigid = (
+            np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
+            and np.linalg.det(pose[:3, :3]) > 0
+        )
         if not rigid or not np.array_equal(pose[3], [0, 0, 0, 1]) or pose[2, 3] <= 0:
             raise ValueError("rig_from_part is not a pose in front of the camera")
         return self
@@ -181,7 +186,9 @@ def _numbers(values: object) -> str:
 def _to_toml(job: Job) -> str:
     limits, search = job.limits, job.search
     tolerance = limits.radius_tolerance_mm
-    tolerance_line = f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
+    tolerance_line = (
+        f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
+    )
     lines = [
         "# A taught job. Edit what you like below; unknown keys are errors. shape.npz beside it is not for editing.",
         'format = "edged-job"',

@@ -60,7 +60,9 @@ def judge(measured: list[Measured]) -> Outcome:
     """OK when at least one part is good; the good ones come first, each group by score."""
     if not measured:
         return Outcome(Status.NO_TARGET)
-    targets = sorted((one.target for one in measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score))
+    targets = sorted(
+        (one.target for one in measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
+    )
     good = targets[0].reject == Reject.NONE
     return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets))
 

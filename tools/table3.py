@@ -53,7 +53,9 @@ def edged(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def main() -> int:
     """Run everything; 0 when every part was found and none invented."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--true-rig", action="store_true", help="skip the calibration, use the true cameras")
     parser.add_argument("--scenes", action="store_true", help="the varied scenes too")
@@ -68,7 +70,10 @@ def main() -> int:
         rig = make_rig(options.dataset, work, options.true_rig)
         teach_from = options.teach or options.dataset
         teach_rig = rig if teach_from == options.dataset else make_rig(teach_from, work, options.true_rig)
-        jobs = {path.stem[6:]: teach_part(path, teach_rig, work) for path in sorted((teach_from / "teach").glob("*.json"))}
+        jobs = {
+            path.stem[6:]: teach_part(path, teach_rig, work)
+            for path in sorted((teach_from / "teach").glob("*.json"))
+        }
         files = sorted((options.dataset / "table3").glob("*.json"))
         if options.scenes:
             files += sorted((options.dataset / "scenes").glob("*.json"))
@@ -92,7 +97,9 @@ def make_rig(dataset: Path, work: Path, true: bool) -> Path:
     else:
         board = json.loads((dataset / "calib_chess" / "truth.json").read_text()).get("board", {})
         spec = f"chessboard:{board.get('cols', 11)}x{board.get('rows', 8)}:{board.get('square_mm', 4.0)}"
-        run = edged("calibrate", dataset / "calib_chess", "--board", spec, "-o", target, "--model", truth.left.model)
+        run = edged(
+            "calibrate", dataset / "calib_chess", "--board", spec, "-o", target, "--model", truth.left.model
+        )
         if run.returncode:
             raise SystemExit(run.returncode)
     return target
@@ -107,7 +114,21 @@ def teach_part(path: Path, rig: Path, work: Path) -> tuple[Path, dict[str, Any]]
     region = f"{x - half:.0f},{y - half:.0f},{2 * half:.0f},{2 * half:.0f}"
     job = work / f"job_{path.stem[6:]}"
     left, right = (path.with_name(f"{path.stem}_{side}.png") for side in ("left", "right"))
-    run = edged("teach", "--rig", rig, "--left", left, "--right", right, "--roi", region, "--name", path.stem[6:], "-o", job)
+    run = edged(
+        "teach",
+        "--rig",
+        rig,
+        "--left",
+        left,
+        "--right",
+        right,
+        "--roi",
+        region,
+        "--name",
+        path.stem[6:],
+        "-o",
+        job,
+    )
     if run.returncode:
         raise SystemExit(run.returncode)
     return job, part
@@ -133,7 +154,10 @@ def locate_scene(
         good = [target for target in answer["targets"] if not target["reject"]]
         if len(good) != len(parts):
             problems += 1
-            print(f"{path.stem} {design}: {len(good)} good of {len(parts)} parts ({answer['status']})", file=sys.stderr)
+            print(
+                f"{path.stem} {design}: {len(good)} good of {len(parts)} parts ({answer['status']})",
+                file=sys.stderr,
+            )
         rows += [compare(path.stem, design, target, parts, taught) for target in good if parts]
     return rows, problems
 
@@ -168,7 +192,9 @@ def compare(
 
 def report(rows: list[dict[str, Any]]) -> None:
     """A Markdown table."""
-    print("| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof | paper \\|ΔZ\\| | paper \\|ΔR\\| |")
+    print(
+        "| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof | paper \\|ΔZ\\| | paper \\|ΔR\\| |"
+    )
     print("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for row in rows:
         name = row["scene"]

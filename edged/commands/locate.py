@@ -19,11 +19,20 @@ from edged.vision.overlay import draw_pair
 
 
 def locate(
-    rig: Path, job: Path, left: Path, right: Path, as_json: bool, console: Console, *, overlay: Path | None = None
+    rig: Path,
+    job: Path,
+    left: Path,
+    right: Path,
+    as_json: bool,
+    console: Console,
+    *,
+    overlay: Path | None = None,
 ) -> int:
     """Locate and print; 0 when a good target was found, 1 when not."""
     prepared, taught = prepare(load_rig(rig)), load_job(job)
-    pair = FramePair(*(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right))))
+    pair = FramePair(
+        *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
+    )
     timing_ms: dict[str, float] = {}
     last_s = time.perf_counter()
 

@@ -19,12 +19,22 @@ def parse_region(text: str) -> Region:
     try:
         x, y, width, height = (float(part) for part in text.split(","))
     except ValueError:
-        raise TeachError(f"--roi {text!r}: expected X,Y,W,H in pixels of the left image, for example 560,220,460,460") from None
+        raise TeachError(
+            f"--roi {text!r}: expected X,Y,W,H in pixels of the left image, for example 560,220,460,460"
+        ) from None
     return Region(x, y, width, height)
 
 
 def teach(
-    rig: Path, left: Path, right: Path, roi: str, name: str, output: Path, console: Console, *, number: int = 1
+    rig: Path,
+    left: Path,
+    right: Path,
+    roi: str,
+    name: str,
+    output: Path,
+    console: Console,
+    *,
+    number: int = 1,
 ) -> int:
     """Teach a job and write its folder; nothing is written when that fails."""
     region = parse_region(roi)
@@ -38,12 +48,18 @@ def teach(
     for circle in job.circles:
         cx, cy, _ = circle.centre_mm
         kind = "hole" if circle.polarity > 0 else "disc"
-        console.print(f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm at ({cx:.3f}, {cy:.3f}) mm in the part frame")
-    console.print(f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels")
+        console.print(
+            f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm at ({cx:.3f}, {cy:.3f}) mm in the part frame"
+        )
+    console.print(
+        f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
+    )
     return 0
 
 
 def _check_name(name: str) -> None:
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
-        raise TeachError(f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', beginning with a letter or digit")
+        raise TeachError(
+            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', beginning with a letter or digit"
+        )

@@ -113,7 +113,11 @@ def _fit(points: FloatArray) -> ImageEllipse | None:
     except cv2.error:
         return None
     a, b = width / 2, height / 2
-    if not np.isfinite([x, y, a, b, degrees]).all() or min(a, b) < MIN_RADIUS_PX or min(a, b) < MIN_AXIS_RATIO * max(a, b):
+    if (
+        not np.isfinite([x, y, a, b, degrees]).all()
+        or min(a, b) < MIN_RADIUS_PX
+        or min(a, b) < MIN_AXIS_RATIO * max(a, b)
+    ):
         return None
     if max(a, b) > 5000:
         return None
@@ -130,7 +134,8 @@ def _distinct(ellipses: list[ImageEllipse]) -> list[ImageEllipse]:
     kept: list[ImageEllipse] = []
     for ellipse in ellipses:
         same = any(
-            np.hypot(ellipse.x - other.x, ellipse.y - other.y) < 2 and abs(ellipse.a + ellipse.b - other.a - other.b) < 4
+            np.hypot(ellipse.x - other.x, ellipse.y - other.y) < 2
+            and abs(ellipse.a + ellipse.b - other.a - other.b) < 4
             for other in kept
         )
         if not same:

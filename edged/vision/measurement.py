@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
-from edged.vision.circlefit import CircleFit, CircleFitParams, fit_circle
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle
 from edged.vision.geometry import apply
 from edged.vision.job import CircleFeature, Job
 from edged.vision.rectification import Rectification, row_difference_px
@@ -78,7 +78,9 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
     return Measured(target, fits)
 
 
-def _predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
+def _predicted(
+    rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray
+) -> FloatArray:
     """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
     taught = rectification.rectify_points(
         "left", rectification.rig.left.project(apply(job.rig_from_part, points_mm))
@@ -145,11 +147,8 @@ def _fit(
         rectification.rig,
         images.left,
         images.right,
-        circle.name,
-        centre,
+        CircleGuess(circle.name, centre, circle.radius_mm, _polarity(circle, match)),
         face.normal,
-        circle.radius_mm,
-        _polarity(circle, match),
         CircleFitParams(reach_px=(3.0, 2.5, 2.0)) if face_known else CircleFitParams(),
         fixed_normal=face_known,
     )
@@ -199,7 +198,9 @@ def _rotation(
             continue
         seen = (start.T @ (fit.circle.centre_mm - main.circle.centre_mm))[:2]
         angles.append(float(np.arctan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen)))
-        in_face = start[:, :2].T @ (fit.circle.covariance[:3, :3] + main.circle.covariance[:3, :3]) @ start[:, :2]
+        in_face = (
+            start[:, :2].T @ (fit.circle.covariance[:3, :3] + main.circle.covariance[:3, :3]) @ start[:, :2]
+        )
         across = np.array([-arm[1], arm[0]]) / lever
         variances.append(float(across @ in_face @ across) / lever**2)
         indices.append(index)
@@ -258,7 +259,12 @@ def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
 
 
 def _judge(
-    job: Job, match: ShapeMatch, main: CircleFit, rig_from_part: FloatArray, epipolar_px: float, covariance: FloatArray
+    job: Job,
+    match: ShapeMatch,
+    main: CircleFit,
+    rig_from_part: FloatArray,
+    epipolar_px: float,
+    covariance: FloatArray,
 ) -> Reject:
     limits = job.limits
     reject = Reject.NONE
@@ -278,5 +284,3 @@ def _judge(
     if match.ambiguous:
         reject |= Reject.AMBIGUOUS_ROTATION
     return reject
-
-

@@ -84,7 +84,9 @@ def _rivals(
     right: Image, points: FloatArray, sign: FloatArray, low: float, high: float, min_slope: float
 ) -> FloatArray:
     """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
-    return _row_edges(right, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS)
+    return _row_edges(
+        right, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
+    )
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8, i8)")

@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
-from edged.vision.circlefit import CircleFit, CircleFitParams, fit_circle
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle
 from edged.vision.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry import apply, invert
 from edged.vision.job import CircleFeature, Job, Limits
@@ -70,7 +70,9 @@ def teach(
         )
         for fit in fits
     )
-    origin = rectification.rectify_points("left", rectification.rig.left.project(rig_from_part[None, :3, 3]))[0]
+    origin = rectification.rectify_points("left", rectification.rig.left.project(rig_from_part[None, :3, 3]))[
+        0
+    ]
     limits = Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE)))
     return Job(
         name=name,
@@ -159,7 +161,10 @@ def _others(
         circle = fit.circle
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
         sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
-        if off_face > max(FACE_TOLERANCE_MM, 3 * sigma) or circle.radius_mm > 0.98 * reference.circle.radius_mm:
+        if (
+            off_face > max(FACE_TOLERANCE_MM, 3 * sigma)
+            or circle.radius_mm > 0.98 * reference.circle.radius_mm
+        ):
             continue
         # the two edges of a chamfer are one feature: the first, stronger one stays
         if any(_twins(fit, other) for other in (reference, *found)):
@@ -174,7 +179,13 @@ def _twins(one: CircleFit, other: CircleFit) -> bool:
 
 
 def _fit_on(
-    plane: Plane, left: Image, right: Image, rectification: Rectification, ellipse: ImageEllipse, *, fixed_normal: bool
+    plane: Plane,
+    left: Image,
+    right: Image,
+    rectification: Rectification,
+    ellipse: ImageEllipse,
+    *,
+    fixed_normal: bool,
 ) -> CircleFit | None:
     outline, _ = ellipse.outline(32)
     rays = np.column_stack(
@@ -187,7 +198,13 @@ def _fit_on(
     radius = float(np.linalg.norm(space - centre, axis=1).mean())
     reach = CircleFitParams(reach_px=(4.0, 3.0, 2.0))
     return fit_circle(
-        rectification.rig, left, right, "c", centre, plane.normal, radius, ellipse.polarity, reach, fixed_normal=fixed_normal
+        rectification.rig,
+        left,
+        right,
+        CircleGuess("c", centre, radius, ellipse.polarity),
+        plane.normal,
+        reach,
+        fixed_normal=fixed_normal,
     )
 
 
@@ -203,7 +220,9 @@ def _common_depths(rectification: Rectification) -> tuple[float, float]:
 
 def _named(fits: list[CircleFit]) -> list[CircleFit]:
     """c0, c1, ... by falling radius; equal ones in reading order, so that names are repeatable."""
-    ordered = sorted(fits, key=lambda f: (-round(f.circle.radius_mm, 1), *np.round(f.circle.centre_mm[1::-1], 1)))
+    ordered = sorted(
+        fits, key=lambda f: (-round(f.circle.radius_mm, 1), *np.round(f.circle.centre_mm[1::-1], 1))
+    )
     return [fit.renamed(f"c{index}") for index, fit in enumerate(ordered)]
 
 
