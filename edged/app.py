@@ -245,13 +245,17 @@ class Daemon:
     async def _exchange_servers(self, new: Config) -> None:
         old = self._loaded.config
         if new.modbus != old.modbus:
-            build_new = self._modbus(new.modbus) if new.modbus.enabled else None
-            build_old = self._modbus(old.modbus) if old.modbus.enabled else None
-            await self._exchange_server("modbus", build_new, build_old)
+            await self._exchange_server(
+                "modbus",
+                self._modbus(new.modbus) if new.modbus.enabled else None,
+                self._modbus(old.modbus) if old.modbus.enabled else None,
+            )
         if (new.zenoh, new.cell.name) != (old.zenoh, old.cell.name):
-            build_new = self._zenoh(new.cell.name, new.zenoh) if new.zenoh.enabled else None
-            build_old = self._zenoh(old.cell.name, old.zenoh) if old.zenoh.enabled else None
-            await self._exchange_server("zenoh", build_new, build_old)
+            await self._exchange_server(
+                "zenoh",
+                self._zenoh(new.cell.name, new.zenoh) if new.zenoh.enabled else None,
+                self._zenoh(old.cell.name, old.zenoh) if old.zenoh.enabled else None,
+            )
 
     async def _exchange_server(self, name: str, new: Publisher | None, old: Publisher | None) -> None:
         """Close the running server and start the new one; when that fails, start the old one again."""
@@ -285,6 +289,9 @@ class Daemon:
             listen=tuple(section.listen),
             connect=tuple(section.connect),
             config_file=section.config_file,
+            encoding=section.encoding,
+            trigger_timeout_s=section.trigger_timeout_s,
+            ros2_domain_id=section.ros2_domain_id,
         )
         return ZenohPublisher(settings, self._cycle, jobs=self._job_list, config=self._config_summary)
 

@@ -80,7 +80,7 @@ class CamerasSection(_Section):
 
     source: Literal["aravis", "replay", "virtual", "virtual-inprocess"] = "aravis"
     folder: FilePath | None = Field(None, description='for "replay": pairs NAME_left.png, NAME_right.png')
-    timeout_s: float = Field(1.0, gt=0, le=60, description="from trigger to both images")
+    timeout_s: float = Field(1.0, gt=0, le=10, description="from trigger to both images")
     max_skew_ms: float = Field(5.0, gt=0, le=1000, description="limit for two frames to be one exposure")
     left: CameraSection = CameraSection()
     right: CameraSection = CameraSection()
@@ -117,6 +117,13 @@ class ZenohSection(_Section):
     listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
     connect: list[str] = Field(default_factory=list)
     config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
+    encoding: Literal["json", "cbor"] = "json"
+    trigger_timeout_s: float = Field(
+        5.0, gt=0, le=3600, description="how long a trigger waits for its result"
+    )
+    ros2_domain_id: int | None = Field(
+        None, ge=0, le=232, description="publish poses for ROS 2 (rmw_zenoh) too"
+    )
 
 
 class Config(_Section):

@@ -26,6 +26,7 @@ from edged.domain import (
     ExposureDone,
     FloatArray,
     FramePair,
+    Idle,
     JobChanged,
     Outcome,
     Snapshot,
@@ -200,10 +201,12 @@ class Cycle:
         due_s = now_s if period_s is None else min(due_s, now_s + period_s)
         self._wake.clear()
         try:
-            await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S if period_s is None else due_s - now_s)
+            wait_s = IDLE_CHECK_S if period_s is None else min(IDLE_CHECK_S, due_s - now_s)
+            await asyncio.wait_for(self._wake.wait(), wait_s)
         except TimeoutError:
-            if period_s is None:
+            if period_s is None or time.monotonic() < due_s:
                 await self._check_cameras()
+                self._announce(Idle())
         return due_s
 
     async def _serve(self, command: Command | None) -> None:
@@ -244,7 +247,7 @@ class Cycle:
         except CaptureError as error:
             return self._snapshot(setup, job, command, Status.CAPTURE_FAULT, stopwatch, error=error)
         stopwatch("capture")
-        self._announce(ExposureDone(self._number, command))
+        self._announce(ExposureDone(self._number, command, pair))
         if command is not None and command.kind is CommandKind.GRAB:
             return self._snapshot(setup, job, command, Status.NO_TARGET, stopwatch, pair=pair)
         loop = asyncio.get_running_loop()
