@@ -6,6 +6,7 @@ A kernel is tested against its twin, the twin against the eye of the reader.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -117,6 +118,30 @@ def corner_model(
         light = 1 + q[7] * (x - q[0]) + q[8] * (y - q[1])
         return (q[5] + q[6] * sides[0] * sides[1]) * light
 
+    return _over_disc(image, p, window, model)
+
+
+def dot_model(
+    image: np.ndarray, p: np.ndarray, window: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grey values, dot model and its Jacobian over a disc.
+
+    p : x, y, b11, b12, b22, log blur in radii, grey, half contrast, slope of light x, y.
+    """
+
+    def model(q: np.ndarray, x: int, y: int) -> float:
+        offset = np.array([x - q[0], y - q[1]])
+        radius = np.linalg.norm(np.array([[q[2], q[3]], [q[3], q[4]]]) @ offset)
+        edge = math.erf((radius - 1) / (math.sqrt(2) * math.exp(q[5])))
+        return float((q[6] + q[7] * edge) * (1 + q[8] * offset[0] + q[9] * offset[1]))
+
+    return _over_disc(image, p, window, model)
+
+
+def _over_disc(
+    image: np.ndarray, p: np.ndarray, window: np.ndarray, model: Callable[[np.ndarray, int, int], float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values, model and Jacobian (by central differences) at every pixel of the window's disc."""
     values, models, rows = [], [], []
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):

@@ -26,6 +26,10 @@ NOISE_GAIN = float(np.sum(TAPS**2) ** 2)
 """Variance of smoothed white noise of variance 1."""
 TAP2_COVARIANCE = float(np.sum(TAPS**2) * np.sum(TAPS[2:] * TAPS[:-2]))
 """Covariance of smoothed white noise two pixels apart in x."""
+_FREQUENCY = np.linspace(0.0, math.pi, 20_001)
+_RESPONSE = np.cos(np.outer(_FREQUENCY, _OFFSETS)) @ TAPS
+SLOPE_NOISE_GAIN = float(np.sum(TAPS**2) * np.mean((_FREQUENCY * _RESPONSE) ** 2))
+"""Variance of the derivative by x of smoothed white noise of variance 1."""
 
 SLOPE_SIGMA = 0.5
 """Prior of the slopes: a face inclined by 45° at a distance of 2 baselines. Without any, an edge with
@@ -55,6 +59,8 @@ class Patches(NamedTuple):
     rows: F64
     smooth_value: F64
     smooth_slope: F64
+    influence: F64
+    influence_rows: F64
     normal: F64
     gradient: F64
 
@@ -73,6 +79,8 @@ def make_patches(half: int) -> Patches:
         np.empty((size, wide)),
         np.empty((size, size)),
         np.empty((size, size)),
+        np.empty((wide + 2 * RADIUS, wide + 2 * RADIUS)),
+        np.empty((wide, wide + 2 * RADIUS)),
         np.empty((5, 5)),
         np.empty(5),
     )
@@ -111,17 +119,20 @@ def spline_rows(patch: F64) -> None:
     The ends go on as constants; their error is gone after a few pixels (POLE^5 = 1e-3).
     """
     rows, columns = patch.shape
+    # along the columns inside: the rows' recursions do not wait for each other
     for j in range(rows):
-        state = patch[j, 0] / (1.0 - POLE)
-        patch[j, 0] = state
-        for i in range(1, columns):
-            state = patch[j, i] + POLE * state
-            patch[j, i] = state
-        state *= -POLE / (1.0 - POLE)
-        patch[j, columns - 1] = 6.0 * state
-        for i in range(columns - 2, -1, -1):
-            state = POLE * (state - patch[j, i])
-            patch[j, i] = 6.0 * state
+        patch[j, 0] /= 1.0 - POLE
+    for i in range(1, columns):
+        for j in range(rows):
+            patch[j, i] += POLE * patch[j, i - 1]
+    for j in range(rows):
+        patch[j, columns - 1] *= -POLE / (1.0 - POLE)
+    for i in range(columns - 2, -1, -1):
+        for j in range(rows):
+            patch[j, i] = POLE * (patch[j, i + 1] - patch[j, i])
+    for j in range(rows):
+        for i in range(columns):
+            patch[j, i] *= 6.0
 
 
 @kernel("b1(f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1])")
@@ -278,42 +289,72 @@ def fit(unknowns: F64, p: Patches) -> float:
 
 
 @kernel()
-def variance_of(weights: F64, unknowns: F64, variance: float, p: Patches) -> float:
-    """Variance of weights · unknowns after `fit` returned `variance`. weights is overwritten.
+def _true_normal(unknowns: F64, variance: float, p: Patches) -> float:
+    """Take from the factorised p.normal what noise adds to the gradients, and factorise it again.
+
+    At the minimum the second derivatives, which Gauss-Newton leaves out, take away as much as noise
+    has added. Returns the energy per pixel that was taken, -1 if nothing is left.
+    """
+    half, area = p.left.shape[0] // 2, float(p.left.size)
+    normal = np.zeros((5, 5))
+    for i in range(5):
+        for j in range(i + 1):
+            for k in range(j + 1):
+                normal[i, j] += p.normal[i, k] * p.normal[j, k]
+    gain2 = unknowns[GAIN] * unknowns[GAIN]
+    energy = gain2 / (1.0 + gain2) * variance * SLOPE_NOISE_GAIN
+    moment = half * (half + 1.0) / 3.0  # mean of u² from -half to half
+    normal[SHIFT, SHIFT] -= area * energy
+    normal[SLOPE_X, SLOPE_X] -= area * moment * energy
+    normal[SLOPE_Y, SLOPE_Y] -= area * moment * energy
+    p.normal[:] = normal
+    p.gradient[:] = 0.0
+    return energy if solve_positive(p.normal, p.gradient) > 1e-12 else -1.0
+
+
+@kernel()
+def variance_of(weights: F64, unknowns: F64, variance: float, row_sigma_px: float, p: Patches) -> float:
+    """Variance of weights · unknowns after `fit` returned `variance`; inf if all texture is noise.
+
+    weights is overwritten.
 
     White noise e of both images reaches the fit as S e, S being the smoothing; the estimate moves by
     aᵀ S e with a the influence of each residual. So its variance is that of e times |Sᵀ a|².
+    row_sigma_px : by how much the rows of both images may really differ; it moves the estimate where
+    the texture runs along the row.
     """
-    size, wide = p.left.shape[0], p.value.shape[0]
-    half, area = size // 2, float(p.left.size)
+    size, area = p.left.shape[0], float(p.left.size)
+    half = size // 2
+    energy = _true_normal(unknowns, variance, p)
+    if energy < 0.0:
+        return np.inf
     _substitute(p.normal, weights)
     # a, set into zeros so that Sᵀ a is complete: S spreads it over the window's rim
-    field, rows = p.value, p.slope
-    field[:] = 0.0
-    plain = 0.0
+    p.influence[:] = 0.0
+    plain, per_row = 0.0, 0.0
     for j in range(size):
+        above, below = max(j - 1, 0), min(j + 1, size - 1)
         for i in range(size):
             g = -unknowns[GAIN] * p.smooth_slope[j, i]
             influence = g * (weights[SHIFT] + weights[SLOPE_X] * (i - half) + weights[SLOPE_Y] * (j - half))
             influence += weights[GAIN] * p.smooth_value[j, i] + weights[OFFSET]
-            field[j + RADIUS, i + RADIUS] = influence
+            p.influence[j + 2 * RADIUS, i + 2 * RADIUS] = influence
             plain += influence * influence
+            vertical = (p.smooth_value[below, i] - p.smooth_value[above, i]) / (below - above)
+            per_row += influence * unknowns[GAIN] * vertical
+    smooth(p.influence, p.influence_rows, p.value)
     spread = 0.0
-    for j in range(wide):
-        for i in range(wide):
-            total = 0.0
-            for k in range(max(j - RADIUS, 0), min(j + RADIUS + 1, wide)):
-                total += TAPS[k - j + RADIUS] * field[k, i]
-            rows[j, i] = total
-        for i in range(wide):
-            total = 0.0
-            for k in range(max(i - RADIUS, 0), min(i + RADIUS + 1, wide)):
-                total += TAPS[k - i + RADIUS] * rows[j, k]
-            spread += total * total
+    for j in range(p.value.shape[0]):
+        for i in range(p.value.shape[1]):
+            spread += p.value[j, i] * p.value[j, i]
+    # the noise in the gradients of the right image meets that of the left one only
+    moment = half * (half + 1.0) / 3.0
+    noisy = area * energy * (weights[SHIFT] ** 2 + moment * (weights[SLOPE_X] ** 2 + weights[SLOPE_Y] ** 2))
+    spread *= 1.0 - 0.5 * min(noisy / max(plain, 1e-300), 1.0)
     # the residuals lack what the fit took from them: the mean's share is 1, that of the other
     # unknowns is how much of a smoothed field like theirs the smoothed noise fills
     degrees = area * NOISE_GAIN
     corrected = variance * degrees / max(degrees - 1.0 - 4.0 * spread / max(plain, 1e-300), 1.0)
     # the prior holds the slopes back: what it contributes to the estimate has the prior's own variance
     pull = variance / SLOPE_SIGMA * math.hypot(weights[SLOPE_X], weights[SLOPE_Y])
-    return float(corrected * spread + pull * pull)
+    return float(corrected * spread + pull * pull + (per_row * row_sigma_px) ** 2)

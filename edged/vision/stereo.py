@@ -75,6 +75,7 @@ class NccParams:
     left_right_px : largest disagreement of the way there and the way back.
     max_sigma_px : largest standard deviation of a disparity.
     noise_grey : standard deviation of a pixel, to tell texture from noise before the search.
+    row_sigma_px : standard deviation of what rectification leaves between corresponding rows.
     either_polarity : whether a negative image of the window is a match, too.
     """
 
@@ -84,9 +85,12 @@ class NccParams:
     left_right_px: float = 1.0
     max_sigma_px: float = 0.25
     noise_grey: float = 2.0
+    row_sigma_px: float = 0.03
     either_polarity: bool = False
 
     def __post_init__(self) -> None:
+        if not self.row_sigma_px >= 0.0:
+            raise ValueError(f"row_sigma_px: expected 0 or more, got {self.row_sigma_px}")
         if not 3 <= self.half_size_px <= 20:
             raise ValueError(f"half_size_px: expected 3 to 20, got {self.half_size_px}")
         for name in ("min_score", "max_ambiguity"):
@@ -161,6 +165,7 @@ def match_ncc(
             params.left_right_px,
             params.max_sigma_px,
             params.noise_grey,
+            params.row_sigma_px,
             float(params.either_polarity),
         ]
     )
@@ -210,7 +215,7 @@ WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y, SIGN = range(5)
 # columns of the results, as in NccMatches
 DISPARITY, SIGMA, RESULT_SLOPE_X, RESULT_SLOPE_Y, SCORE, AMBIGUITY, CURVATURE = range(7)
 # entries of the limits, as in NccParams
-MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, EITHER_POLARITY = range(6)
+MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, ROW_SIGMA, EITHER_POLARITY = range(7)
 
 
 @kernel()
@@ -305,7 +310,7 @@ def _search(
 
 
 @kernel()
-def _refine(right: Image, point: _Point, start: F64, p: Patches, result: F64) -> int:
+def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Patches, result: F64) -> int:
     """Least-squares matching from a whole-pixel match; fills in disparity, sigma and slopes. A `Reason`."""
     half = p.left.shape[0] // 2
     x_right = point.x - int(start[WHOLE])
@@ -323,7 +328,7 @@ def _refine(right: Image, point: _Point, start: F64, p: Patches, result: F64) ->
     # the disparity of the point itself, which need not be a whole pixel
     weights = np.array([1.0, point.rest_x, point.rest_y, 0.0, 0.0])
     result[DISPARITY] = start[WHOLE] + np.sum(weights[:3] * unknowns[:3])
-    result[SIGMA] = math.sqrt(variance_of(weights, unknowns, variance, p))
+    result[SIGMA] = math.sqrt(variance_of(weights, unknowns, variance, row_sigma_px, p))
     result[RESULT_SLOPE_X], result[RESULT_SLOPE_Y] = unknowns[SLOPE_X], unknowns[SLOPE_Y]
     return ACCEPTED
 
@@ -347,7 +352,7 @@ def _match_point(
     start = np.zeros(5)
     reason = _search(left, right, point, limits, s, result, start)
     if reason == ACCEPTED:
-        reason = _refine(right, point, start, p, result)
+        reason = _refine(right, point, start, limits[ROW_SIGMA], p, result)
     if reason == ACCEPTED:
         if not point.lowest <= result[DISPARITY] <= point.highest:
             reason = OUTSIDE
