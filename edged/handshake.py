@@ -1,174 +1,396 @@
-"""Trigger, exposure, result, acknowledge: the cell protocol as a state machine without I/O.
+"""The handshake between a PLC and the cell, as a pure state machine.
 
-The client writes COMMAND and JOB, then a new CMD_SEQ. Every new CMD_SEQ ends in exactly one ACK
-(the command was carried out; a result or the new job is there) or NACK (it was not). VALID drops
-when a command is accepted and rises only for a good result of the newest command. A result is
-held until ACK_SEQ equals its sequence or it is too old; behind it wait up to 7 more (OVERRUN
-when one is lost). In free run, without commands, the newest result is shown and nothing is held.
+`step(state, event, now_s) -> (state, effects)`: no I/O, no clock; time is passed in, in seconds of
+any monotonic clock. Responsible for: which command is accepted, how it ends, whose turn to write it
+is, and whether the result on display may be called valid. Not responsible for registers (`registers`)
+nor for what a result looks like: a result is an opaque payload here.
+
+The rules:
+
+- A command runs when CMD_SEQ changes to something other than 0. Whatever result was on display is
+  taken down at that moment, whether the command is accepted or refused.
+- Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
+  found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
+- While CMD_SEQ is not 0 only the result of the newest command is shown; with 0 the results of a
+  free-running cell are, the newest replacing the one before.
+- A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
+  time-out (counted from the exposure), until the next command, or until the client is lost.
+- At most `Limits.queue` commands are open; one more is refused and sets OVERRUN.
+- One client writes at a time. It keeps that right while it writes, or while commands are open.
+
+Sequences are 16 bit and wrap, and a client may use one again. A *ticket* is the sequence unwrapped:
+it grows with each command, its low 16 bits are CMD_SEQ. So a late result of an old command can never
+be taken for the result of a new one with the same CMD_SEQ.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+import enum
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
-from edged.domain import (
-    CellState,
-    Command,
-    CommandFailed,
-    CommandKind,
-    Event,
-    ExposureDone,
-    JobChanged,
-    Reject,
-    Snapshot,
-    Status,
-)
-from edged.registers import STATUS_BITS, Values, empty_result, fits, result_values
+Payload = TypeVar("Payload")
 
-FIFO = 8
-REFUSED = 200
-STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
+SEQUENCE_MASK = 0xFFFF
 
 
-@dataclass(slots=True)
-class Handshake:
-    """State of the protocol. Times are monotonic seconds, passed in.
+class Answer(enum.Enum):
+    """How the last command ended."""
 
-    validity_s : a result older than this is not valid any more.
+    NONE = "none"
+    ACK = "ack"
+    NACK = "nack"
+
+
+class Reason(enum.IntEnum):
+    """Why a command ended in NACK; the value of a register."""
+
+    NONE = 0
+    UNKNOWN_COMMAND = 1
+    REFUSED = 2
+    QUEUE_FULL = 3
+    TIMEOUT = 4
+    FAILED = 5
+    CAPTURE_FAULT = 6
+
+
+class Verdict(enum.Enum):
+    """What a finished command says about the part."""
+
+    GOOD = "good"  # found, within limits, can be expressed in the registers
+    BAD = "bad"  # measured, but nothing that a robot may use
+    DONE = "done"  # carried out, says nothing about a part (picture taken, job changed)
+    FAULT = "fault"  # could not be measured
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Times and sizes of the handshake.
+
+    validity_s : a result older than this, counted from its exposure, is not valid.
+    heartbeat_s : a client that has begun to count its heartbeat and stops for so long is lost.
+    owner_s : the right to write lapses after so long without a write and without open commands.
+    queue : open commands.
     """
 
-    validity_s: float
-    state: CellState | None = None
-    sequence: int = 0
-    pending: int | None = None
-    acknowledged: bool = False
-    refused: bool = False
-    exposed: bool = False
+    validity_s: float = 2.0
+    heartbeat_s: float = 2.0
+    owner_s: float = 5.0
+    queue: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A command that was accepted and has not ended."""
+
+    ticket: int
+    deadline_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result(Generic[Payload]):
+    """What is on display. exposed_s : time of the exposure on the clock of `now_s`."""
+
+    sequence: int
+    verdict: Verdict
+    exposed_s: float
+    payload: Payload
+
+
+@dataclass(frozen=True, slots=True)
+class Handshake(Generic[Payload]):
+    """The state. Build it with the limits only; everything else is the state after start."""
+
+    limits: Limits
+    ticket: int = 0
+    command_sequence: int = 0
+    acknowledged: int = 0
+    open: tuple[Open, ...] = ()
+    done_sequence: int = 0
+    answer: Answer = Answer.NONE
+    reason: Reason = Reason.NONE
+    exposure_done: bool = False
     overrun: bool = False
-    error_code: int = 0
-    cycle: int = 0
-    results: deque[tuple[int, Snapshot, float]] = field(default_factory=deque)
+    result: Result[Payload] | None = None
+    heartbeat: int = 0
+    heartbeat_due_s: float | None = None
+    client_lost: bool = False
+    owner: int | None = None
+    owner_until_s: float = 0.0
 
-    def command(self, kind: int, job: int, sequence: int, source: str) -> Command | None:
-        """A new CMD_SEQ was written: the command to submit, or None when it is none (and is refused)."""
-        self.sequence = sequence
-        self.acknowledged = self.refused = self.exposed = False
-        self.overrun = False
-        try:
-            wanted = CommandKind(kind)
-        except ValueError:
-            self.refuse()
-            return None
-        if self.pending is not None:  # one at a time: the PLC did not wait for ACK or NACK
-            self.refuse()
-            return None
-        self.pending = sequence
-        return Command(wanted, source, sequence, job)
 
-    def refuse(self) -> None:
-        """The command was not accepted."""
-        self.refused, self.error_code = True, REFUSED
+# --- events --------------------------------------------------------------------------------
 
-    def withdraw(self) -> None:
-        """The command that was just made was refused by the cell."""
-        self.pending = None
-        self.refuse()
 
-    def acknowledge(self, sequence: int) -> None:
-        """ACK_SEQ was written: release the result shown if it is that one."""
-        if self.results and self.results[0][0] == sequence:
-            self.results.popleft()
+@dataclass(frozen=True, slots=True)
+class SequenceWritten:
+    """CMD_SEQ was written. known : the command register holds a command that exists.
 
-    def tell(self, event: Event, source: str, now_s: float) -> None:
-        """Something happened in the cell."""
-        if isinstance(event, CellState):
-            self.state = event
-            return
-        command = event.command
-        mine = command is not None and command.source == source
-        if isinstance(event, ExposureDone):
-            self.exposed = self.exposed or mine
-        elif isinstance(event, JobChanged):
-            if mine and command is not None:
-                self._answer(command, good=True)
-        elif isinstance(event, CommandFailed):
-            if mine:
-                self._answer(event.command, good=False)
-        elif isinstance(event, Snapshot):
-            self._take(event, mine, now_s)
+    timeout_s : for this command, None for none.
+    """
 
-    def _take(self, snapshot: Snapshot, mine: bool, now_s: float) -> None:
-        self.cycle = snapshot.cycle
-        if mine and snapshot.command is not None:
-            self._answer(snapshot.command, good=snapshot.status is not Status.CAPTURE_FAULT)
-            self._forget_free_run()
-            if len(self.results) == FIFO:
-                self.results.popleft()
-                self.overrun = True
-            self.results.append((snapshot.command.sequence, snapshot, now_s))
-        elif not any(held.command is not None for _, held, _ in self.results):
-            self._forget_free_run()
-            self.results.append((snapshot.cycle % 0xFFFF + 1, snapshot, now_s))
+    sequence: int
+    known: bool = True
+    timeout_s: float | None = None
 
-    def _forget_free_run(self) -> None:
-        self.results = deque(result for result in self.results if result[1].command is not None)
 
-    def _answer(self, command: Command, *, good: bool) -> None:
-        if self.pending != command.sequence:
-            return
-        self.pending = None
-        if good:
-            self.acknowledged, self.error_code = True, 0
-        else:
-            self.refuse()
+@dataclass(frozen=True, slots=True)
+class AckWritten:
+    """ACK_SEQ was written."""
 
-    def values(self, now_s: float, clients: int) -> Values:
-        """What the status and result blocks say now."""
-        self._expire(now_s)
-        state = self.state
-        shown = self.results[0] if self.results else None
-        valid = shown is not None and self._is_valid(shown[1])
-        fault = state is not None and bool(state.error)
-        bits = {
-            "READY": state is not None and state.ready and self.pending is None,
-            "ACK": self.acknowledged,
-            "NACK": self.refused,
-            "BUSY": self.pending is not None or (state is not None and state.state == "BUSY"),
-            "EXPOSURE_DONE": self.exposed,
-            "RESULT_VALID": valid,
-            "OK": valid,
-            "NOK": shown is not None and not valid and self.pending is None,
-            "ERROR": fault or self.refused,
-            "OVERRUN": self.overrun,
-            "CAM_FAULT": state is not None and not state.cameras_ok,
-            "SIMULATED": shown is not None and shown[1].simulated,
-        }
-        values: Values = {
-            "STATE": STATES.get(state.state, 3) if state is not None else 0,
-            "STATUS_BITS": sum(1 << STATUS_BITS.index(name) for name, on in bits.items() if on),
-            "CMD_SEQ_ECHO": self.sequence,
-            "HEARTBEAT": int(now_s * 10) & 0xFFFF,
-            "ERROR_CODE": state.error_code if fault and state is not None else self.error_code,
-            "ACTIVE_JOB": state.job_number if state is not None else 0,
-            "RESULT_AGE": 0xFFFF if shown is None else min(int((now_s - shown[2]) * 1000), 0xFFFE),
-            "MISSED_TRIGGERS": state.missed_triggers & 0xFFFF if state is not None else 0,
-            "CLIENTS": clients,
-            "CYCLE": self.cycle & 0xFFFFFFFF,
-            "QUEUED_RESULTS": max(len(self.results) - 1, 0),
-        }
-        if shown is None:
-            values.update(empty_result())
-        else:
-            values.update(result_values(shown[1], shown[0], valid=valid))
-        return values
+    sequence: int
 
-    def _expire(self, now_s: float) -> None:
-        while self.results and now_s - self.results[0][2] > self.validity_s:
-            self.results.popleft()
 
-    def _is_valid(self, snapshot: Snapshot) -> bool:
-        """Good, the newest there is, and no newer command under way."""
-        if snapshot.status is not Status.OK or not snapshot.targets or self.pending is not None:
-            return False
-        return snapshot.targets[0].reject is Reject.NONE and fits(snapshot)
+@dataclass(frozen=True, slots=True)
+class HeartbeatWritten:
+    """The client's heartbeat was written; 0 ends its supervision."""
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Declined:
+    """The cycle did not take the command that was submitted."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """An accepted command could not be carried out."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class CycleBegun:
+    """The cell begins to measure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """Both images are in memory. ticket : the command's, None when nobody here asked."""
+
+    ticket: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Finished(Generic[Payload]):
+    """A measurement, a picture or a job change is complete.
+
+    ticket : the command's, None when nobody here asked; cycle : its number (for free-running cells).
+    payload : what to display, None for nothing.
+    """
+
+    ticket: int | None
+    cycle: int
+    verdict: Verdict
+    exposed_s: float
+    payload: Payload | None
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimedBy:
+    """A client writes (after `may_write` said that it may)."""
+
+    client: int
+
+
+@dataclass(frozen=True, slots=True)
+class Released:
+    """A client has gone, or has given up its right to write."""
+
+    client: int
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Only time has passed."""
+
+
+Event = (
+    SequenceWritten
+    | AckWritten
+    | HeartbeatWritten
+    | Declined
+    | Failed
+    | CycleBegun
+    | Exposed
+    | Finished[Payload]
+    | ClaimedBy
+    | Released
+    | Tick
+)
+
+
+# --- effects -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Submit:
+    """Hand this command to the cycle; answer with `Declined` if it does not take it."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """A command has ended. ticket : unique, its low 16 bits are the CMD_SEQ."""
+
+    ticket: int
+    answer: Answer
+    reason: Reason
+
+
+Effect = Submit | Answered
+
+
+# --- what may be read from a state -----------------------------------------------------------
+
+
+def is_valid(state: Handshake[Payload], now_s: float) -> bool:
+    """Whether the result on display may be used now."""
+    result = state.result
+    return (
+        result is not None
+        and result.verdict is Verdict.GOOD
+        and not state.client_lost
+        and state.acknowledged != result.sequence
+        and 0.0 <= now_s - result.exposed_s <= state.limits.validity_s
+    )
+
+
+def may_write(state: Handshake[Payload], client: int, now_s: float) -> bool:
+    """Whether this client has, or can have, the right to write now."""
+    return state.owner in (None, client) or (now_s >= state.owner_until_s and not state.open)
+
+
+def free_sequence(cycle: int) -> int:
+    """Sequence under which a free-running cell shows a cycle: 1 to 65535, never 0 (which means "none")."""
+    return (cycle - 1) % SEQUENCE_MASK + 1
+
+
+# --- the machine -----------------------------------------------------------------------------
+
+
+def step(
+    state: Handshake[Payload], event: Event[Payload], now_s: float
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    """Let time pass up to now_s, then take the event."""
+    state, expired = _expire(state, now_s)
+    state, effects = _take(state, event, now_s)
+    return state, expired + effects
+
+
+def _take(
+    state: Handshake[Payload], event: Event[Payload], now_s: float
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    match event:
+        case SequenceWritten():
+            return _command(state, event, now_s)
+        case Finished():
+            return _finish(state, event)
+        case Declined(ticket):
+            return _end(state, ticket, Answer.NACK, Reason.REFUSED)
+        case Failed(ticket):
+            return _end(state, ticket, Answer.NACK, Reason.FAILED)
+        case AckWritten(sequence):
+            return replace(state, acknowledged=sequence), ()
+        case HeartbeatWritten(value):
+            return _beat(state, value, now_s), ()
+        case CycleBegun():
+            # of a commanded cycle EXPOSURE_DONE is taken down by the command itself, so that it is
+            # already down when the write is answered
+            return (replace(state, exposure_done=False) if state.command_sequence == 0 else state), ()
+        case Exposed(ticket):
+            mine = state.command_sequence == 0 or ticket == state.ticket
+            return (replace(state, exposure_done=True) if mine else state), ()
+        case ClaimedBy(client):
+            return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
+        case Released(client):
+            return (replace(state, owner=None) if state.owner == client else state), ()
+        case Tick():
+            return state, ()
+
+
+def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    effects: tuple[Effect, ...] = ()
+    for command in state.open:
+        if now_s >= command.deadline_s:
+            state, ended = _end(state, command.ticket, Answer.NACK, Reason.TIMEOUT)
+            effects += ended
+    if state.heartbeat_due_s is not None and now_s >= state.heartbeat_due_s:
+        # whoever takes over must not find a result that was meant for somebody else
+        state = replace(state, heartbeat_due_s=None, client_lost=True, owner=None, result=None)
+    return state, effects
+
+
+def _command(
+    state: Handshake[Payload], event: SequenceWritten, now_s: float
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    if event.sequence == state.command_sequence:
+        return state, ()
+    state = replace(state, command_sequence=event.sequence, result=None, exposure_done=False)
+    if event.sequence == 0:
+        return state, ()
+    ticket = (state.ticket & ~SEQUENCE_MASK) + event.sequence
+    if ticket <= state.ticket:
+        ticket += SEQUENCE_MASK + 1
+    # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
+    state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
+    if not event.known:
+        return _refuse(state, Reason.UNKNOWN_COMMAND)
+    if len(state.open) >= state.limits.queue:
+        return _refuse(replace(state, overrun=True), Reason.QUEUE_FULL)
+    deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
+    # the answer of the command before must not be read as the answer of this one
+    state = replace(state, answer=Answer.NONE, reason=Reason.NONE, done_sequence=0, overrun=False)
+    return replace(state, open=(*state.open, Open(ticket, deadline_s))), (Submit(ticket),)
+
+
+def _refuse(state: Handshake[Payload], reason: Reason) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    """Answer the newest command without ever having opened it."""
+    sequence = state.ticket & SEQUENCE_MASK
+    state = replace(state, done_sequence=sequence, answer=Answer.NACK, reason=reason)
+    return state, (Answered(state.ticket, Answer.NACK, reason),)
+
+
+def _end(
+    state: Handshake[Payload], ticket: int, answer: Answer, reason: Reason
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    """End an open command; one that is not open (any more) changes nothing."""
+    still_open = tuple(command for command in state.open if command.ticket != ticket)
+    if len(still_open) == len(state.open):
+        return state, ()
+    sequence = ticket & SEQUENCE_MASK
+    state = replace(state, open=still_open, done_sequence=sequence, answer=answer, reason=reason)
+    return state, (Answered(ticket, answer, reason),)
+
+
+def _finish(
+    state: Handshake[Payload], event: Finished[Payload]
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    if event.ticket is None:
+        if state.command_sequence == 0 and event.payload is not None:
+            shown = Result(free_sequence(event.cycle), event.verdict, event.exposed_s, event.payload)
+            return replace(state, result=shown), ()
+        return state, ()
+    is_fault = event.verdict is Verdict.FAULT
+    answer, reason = (Answer.NACK, Reason.CAPTURE_FAULT) if is_fault else (Answer.ACK, Reason.NONE)
+    state, effects = _end(state, event.ticket, answer, reason)
+    is_newest = event.ticket == state.ticket and state.command_sequence != 0
+    if effects and is_newest and event.payload is not None:
+        sequence = event.ticket & SEQUENCE_MASK
+        shown = Result(sequence, event.verdict, event.exposed_s, event.payload)
+        # a result without a fault proves an exposure, whatever became of the message that said so
+        state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
+    return state, effects
+
+
+def _beat(state: Handshake[Payload], value: int, now_s: float) -> Handshake[Payload]:
+    if value == 0:
+        return replace(state, heartbeat=0, heartbeat_due_s=None, client_lost=False)
+    if value == state.heartbeat:
+        return state
+    due_s = now_s + state.limits.heartbeat_s
+    return replace(state, heartbeat=value, heartbeat_due_s=due_s, client_lost=False)

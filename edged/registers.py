@@ -202,7 +202,12 @@ COMMAND = _block(
         ),
         ("OPTIONS", _U16, "bits", "0 RELEASE: give up the right to write (reads back as 0)"),
         *(
-            (f"FLANGE_{axis}", _I32, "µm" if axis in "XYZ" else "0.001°", "pose of the flange; kept, not used")
+            (
+                f"FLANGE_{axis}",
+                _I32,
+                "µm" if axis in "XYZ" else "0.001°",
+                "pose of the flange; kept, not used",
+            )
             for axis in _AXES
         ),
         ("TIMEOUT", _U16, "ms", "time-out of the command, NACK after it; 0: none"),
@@ -222,7 +227,8 @@ STATUS = _block(
             "STATUS_BITS",
             _U16,
             "bits",
-            _bits(StatusBit) + "; ACK and NACK belong to DONE_SEQ; 10, 11, 13, 14 are not raised by this version",
+            _bits(StatusBit)
+            + "; ACK and NACK belong to DONE_SEQ; 10, 11, 13, 14 are not raised by this version",
         ),
         ("CMD_SEQ_ECHO", _U16, "", "the CMD_SEQ that was taken note of"),
         ("HEARTBEAT", _U16, "0.1 s", "counts at 10 Hz while the server lives"),
@@ -347,7 +353,9 @@ TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, FLOAT, *TABLE)
 
-ADDRESS = {register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers}
+ADDRESS = {
+    register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers
+}
 """First word by name, of the blocks in which the server itself looks something up."""
 
 
@@ -556,9 +564,12 @@ def _score(score: float) -> int:
 
 def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: bool) -> dict[str, Number]:
     """Values of the blocks result, ur and float by name; coordinates only when valid."""
-    flags = shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
+    flags = (
+        shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
+    )
     pose = shown.poses[0] if shown.poses else None
     values: dict[str, Number] = {
+        **NOTHING,
         "JOB": shown.job,
         "RESULT": shown.code,
         "COUNT": _clamp(len(shown.poses), UINT16_MAX),
@@ -583,13 +594,16 @@ def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: 
         values["REJECT"] = pose.reject
         values["SCORE"] = _score(pose.score)
         values["EPIPOLAR_ERROR"] = _saturated(pose.epipolar_rms_px, 1e-3)
-    return values | (_coordinates(pose) if valid and pose is not None else NO_COORDINATES)
+        if valid:
+            values |= _coordinates(pose)
+    return values
 
 
-NO_COORDINATES: dict[str, Number] = {
-    f"SIGMA_{name}": UINT16_MAX for name in (*_AXES, "RADIUS", "DEPTH")
+NOTHING: dict[str, Number] = {
+    **{f"SIGMA_{name}": UINT16_MAX for name in (*_AXES, "RADIUS", "DEPTH")},
+    "EPIPOLAR_ERROR": UINT16_MAX,
 }
-"""What replaces the coordinates of an invalid result (INT32_MIN and NaN come by themselves)."""
+"""Values of the block result when there is none; INT32_MIN and NaN come by themselves."""
 
 
 def _coordinates(pose: Pose) -> dict[str, Number]:

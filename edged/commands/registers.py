@@ -1,4 +1,4 @@
-"""`edged registers`: the Modbus map for people and programs, from the schema that encodes it."""
+"""`edged registers`: the Modbus map, from the schema that encodes it."""
 
 from __future__ import annotations
 
@@ -6,32 +6,95 @@ import csv
 import io
 import json
 import sys
-from dataclasses import asdict
+from collections.abc import Iterator
 
 from edged.errors import UserError
-from edged.registers import SCHEMA, WORDS
+from edged.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
+
+FORMATS = ("md", "csv", "json")
 
 
 def registers(fmt: str) -> int:
-    """Print the map as md, csv or json."""
+    """Print the map as md, csv or json. Raises `UserError` for another format."""
     sys.stdout.write(render(fmt))
     return 0
 
 
 def render(fmt: str) -> str:
-    """The map as text. Raises `UserError` for an unknown format."""
-    rows = [{**asdict(register), "words": WORDS[register.kind]} for register in SCHEMA]
-    if fmt == "json":
-        return json.dumps(rows, indent=1, ensure_ascii=False) + "\n"
-    columns = ("address", "words", "name", "kind", "unit", "access", "help")
-    if fmt == "csv":
-        buffer = io.StringIO()
-        writer = csv.DictWriter(buffer, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        return buffer.getvalue()
+    """The map as text that ends with a newline."""
     if fmt == "md":
-        lines = ["| " + " | ".join(columns) + " |", "|---:|---:|---|---|---|---|---|"]
-        lines += ["| " + " | ".join(str(row[column]) for column in columns) + " |" for row in rows]
-        return "\n".join(lines) + "\n"
-    raise UserError(f"--format {fmt!r}: expected md, csv or json")
+        return _markdown()
+    if fmt == "csv":
+        return _csv()
+    if fmt == "json":
+        return _json()
+    raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
+
+
+def _rows() -> Iterator[tuple[Block, Register]]:
+    for block in BLOCKS:
+        for register in block.registers:
+            yield block, register
+
+
+def _markdown() -> str:
+    lines = [
+        f"Map version {MAP_VERSION}. Addresses are 0-based PDU addresses; function codes 3 and 4 read the "
+        "same words. 32-bit and 64-bit values take 2 and 4 words, high word first unless set otherwise.",
+    ]
+    for block in BLOCKS:
+        if block in TABLE[1:]:
+            continue
+        last = TABLE[-1] if block is TABLE[0] else block
+        access = "read and write" if block.writable else "read"
+        name = f"target table, {len(TABLE)} rows" if block is TABLE[0] else block.name
+        lines += [
+            "",
+            f"### {block.address}-{last.address + last.words - 1}: {name} ({access})",
+            "",
+            "| address | name | type | unit | meaning |",
+            "|---:|---|---|---|---|",
+        ]
+        lines += [
+            f"| {one.address} | {one.name} | {one.kind.name} | {one.unit} | {one.help} |"
+            for one in block.registers
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _csv() -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["address", "words", "block", "name", "type", "unit", "access", "meaning"])
+    for block, register in _rows():
+        access = "rw" if block.writable else "r"
+        writer.writerow(
+            [
+                register.address,
+                register.kind.words,
+                block.name,
+                register.name,
+                register.kind.name,
+                register.unit,
+                access,
+                register.help,
+            ]
+        )
+    return out.getvalue()
+
+
+def _json() -> str:
+    rows = [
+        {
+            "address": register.address,
+            "words": register.kind.words,
+            "block": block.name,
+            "name": register.name,
+            "type": register.kind.name,
+            "unit": register.unit,
+            "access": "rw" if block.writable else "r",
+            "meaning": register.help,
+        }
+        for block, register in _rows()
+    ]
+    return json.dumps({"map_version": MAP_VERSION, "registers": rows}, indent=1, ensure_ascii=False) + "\n"

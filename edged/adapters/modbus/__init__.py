@@ -1,0 +1,6 @@
+"""Modbus: results and status for PLCs and robots, and commands from them."""
+
+from edged.adapters.modbus.publisher import ModbusPublisher
+from edged.adapters.modbus.settings import ModbusSettings, SerialSettings, TlsSettings
+
+__all__ = ["ModbusPublisher", "ModbusSettings", "SerialSettings", "TlsSettings"]

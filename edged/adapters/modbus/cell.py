@@ -1,0 +1,301 @@
+"""The registers of one cell: the handshake and the last result, seen by clients as words.
+
+Responsible for: one immutable picture for each request, writes that are taken as a whole, commands to
+the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`, `pdu`).
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable, Sequence
+
+from edged import handshake as hs
+from edged import registers as reg
+from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
+from edged.adapters.modbus.settings import MAP_END, ModbusSettings
+from edged.domain import (
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    Event,
+    ExposureDone,
+    JobChanged,
+    Snapshot,
+    Status,
+)
+from edged.errors import CommandRefused
+from edged.ports import Commander
+
+log = logging.getLogger(__name__)
+
+SOURCE = "modbus"
+STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
+
+DEFINED = bytes(
+    any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
+    for address in range(MAP_END)
+)
+"""1 for each address of the map that exists."""
+
+
+class CellRegisters:
+    """All registers of the cell, for every connection."""
+
+    def __init__(
+        self, settings: ModbusSettings, commander: Commander | None, clock_s: Callable[[], float]
+    ) -> None:
+        self._settings = settings
+        self._commander = commander
+        self._clock_s = clock_s
+        self._state: hs.Handshake[reg.Measured] = hs.Handshake(settings.limits)
+        self._cell: CellState | None = None
+        self._last: reg.Measured | None = None
+        self._command = [0] * reg.COMMAND.words
+        self._image = bytearray(2 * MAP_END)
+        self._encoded: tuple[int, int, bool] | None = None
+        self._held: tuple[object, object] = (None, None)
+        self.clients = 0
+
+    # --- reading -----------------------------------------------------------------------------
+
+    def read(self, address: int, count: int) -> Sequence[int]:
+        """Words of the map; raises `RequestRefused` when one of them does not exist."""
+        start = address - self._settings.base_address
+        if start < 0 or start + count > MAP_END or 0 in DEFINED[start : start + count]:
+            raise RequestRefused(ILLEGAL_ADDRESS)
+        self._refresh()
+        return struct.unpack_from(f">{count}H", self._image, 2 * start)
+
+    def _refresh(self) -> None:
+        """Bring the picture up to date. Nothing else runs between this and the answer being encoded."""
+        now_s = self._clock_s()
+        self._step(hs.Tick(), now_s)
+        valid = hs.is_valid(self._state, now_s)
+        status = self._status_values(now_s, valid)
+        self._place(reg.STATUS, status)
+        start = 2 * reg.COMMAND.address
+        self._image[start : start + 2 * reg.COMMAND.words] = struct.pack(
+            f">{reg.COMMAND.words}H", *self._command
+        )
+        result = self._state.result
+        shown = (id(result), id(self._last), valid)  # _held keeps both alive: no id is used twice
+        if shown != self._encoded:
+            self._encoded = shown
+            self._held = (result, self._last)
+            self._place_result(valid)
+        self._place_ur_status(status)
+
+    def _place(self, block: reg.Block, values: dict[str, reg.Number]) -> None:
+        start = 2 * block.address
+        data = reg.encode(block, values, self._settings.word_order)
+        self._image[start : start + len(data)] = data
+
+    def _place_result(self, valid: bool) -> None:
+        result, last = self._state.result, self._last
+        values: dict[str, reg.Number] = dict(reg.NOTHING)
+        if result is not None:
+            free = self._state.command_sequence == 0
+            values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
+        for block in (reg.RESULT, reg.UR, reg.FLOAT):
+            self._place(block, values)
+        for index, block in enumerate(reg.TABLE):
+            row: dict[str, reg.Number] = {}
+            if result is not None:
+                row = reg.row_values(result.payload, index, result.sequence, valid=valid)
+            self._place(block, row)
+        config, calibration = (last.config, last.calibration) if last is not None else (0, 0)
+        self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, config, calibration))
+
+    def _place_ur_status(self, status: dict[str, reg.Number]) -> None:
+        for register in reg.UR.registers:
+            name = register.name.removeprefix("UR_")
+            if name in ("STATUS_BITS", "DONE_SEQ", "HEARTBEAT"):
+                struct.pack_into(">H", self._image, 2 * register.address, int(status[name]))
+
+    def _status_values(self, now_s: float, valid: bool) -> dict[str, reg.Number]:
+        state, cell = self._state, self._cell
+        age_ms = reg.UINT32_MAX
+        if state.result is not None:
+            age_ms = min(max(int((now_s - state.result.exposed_s) * 1000), 0), reg.UINT32_MAX - 1)
+        error = cell.error_code if cell is not None else 0
+        if cell is not None and cell.error and not error:
+            error = 1
+        return {
+            "STATE": STATES.get(cell.state, 0) if cell is not None else 0,
+            "STATUS_BITS": self._status_bits(valid),
+            "CMD_SEQ_ECHO": state.command_sequence,
+            "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
+            "ERROR": error & reg.UINT16_MAX,
+            "WARNING": reg.Warn.CLIENT_LOST if state.client_lost else 0,
+            "ACTIVE_JOB": min(cell.job_number, reg.UINT16_MAX) if cell is not None else 0,
+            "RESULT_AGE": age_ms,
+            "MISSED_TRIGGERS": min(cell.missed_triggers, reg.UINT16_MAX) if cell is not None else 0,
+            "CLIENTS": self.clients,
+            "DONE_SEQ": state.done_sequence,
+            "OPEN_COMMANDS": len(state.open),
+            "NACK_REASON": state.reason,
+            "WRITE_OWNER": int(state.owner is not None),
+        }
+
+    def _status_bits(self, valid: bool) -> int:
+        state, cell = self._state, self._cell
+        ready = cell is not None and cell.ready and len(state.open) < state.limits.queue
+        busy = bool(state.open) or (cell is not None and cell.state == "BUSY")
+        verdict = state.result.verdict if state.result is not None else None
+        simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
+        raised = {
+            reg.StatusBit.READY: ready,
+            reg.StatusBit.ACK: state.answer is hs.Answer.ACK,
+            reg.StatusBit.NACK: state.answer is hs.Answer.NACK,
+            reg.StatusBit.BUSY: busy,
+            reg.StatusBit.EXPOSURE_DONE: state.exposure_done,
+            reg.StatusBit.RESULT_VALID: valid,
+            reg.StatusBit.OK: valid,
+            reg.StatusBit.NOK: verdict in (hs.Verdict.BAD, hs.Verdict.FAULT),
+            reg.StatusBit.ERROR: cell is not None and (cell.state == "FAULT" or bool(cell.error)),
+            reg.StatusBit.OVERRUN: state.overrun,
+            reg.StatusBit.CAM_FAULT: cell is not None and cell.state == "FAULT" and not cell.cameras_ok,
+            reg.StatusBit.SIMULATED: simulated,
+        }
+        return sum(bit for bit, is_up in raised.items() if is_up)
+
+    # --- writing -----------------------------------------------------------------------------
+
+    def write(self, client: int, address: int, words: Sequence[int]) -> None:
+        """Take words of the command block as a whole; CMD_SEQ acts after all the others.
+
+        Raises `RequestRefused`: outside the block, another client's turn, an option that does not exist.
+        """
+        start = address - self._settings.base_address - reg.COMMAND.address
+        if start < 0 or start + len(words) > reg.COMMAND.words:
+            raise RequestRefused(ILLEGAL_ADDRESS)
+        now_s = self._clock_s()
+        self._step(hs.Tick(), now_s)
+        if not hs.may_write(self._state, client, now_s):
+            raise RequestRefused(DEVICE_BUSY)
+        written = range(start, start + len(words))
+        new = [*self._command[:start], *words, *self._command[start + len(words) :]]
+        options = new[_offset("OPTIONS")]
+        if options & ~int(reg.Option.RELEASE):
+            raise RequestRefused(ILLEGAL_VALUE)
+        new[_offset("OPTIONS")] = 0
+        self._command = new
+        self._step(hs.ClaimedBy(client), now_s)
+        if _offset("CLIENT_HEARTBEAT") in written:
+            self._step(hs.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
+        if _offset("ACK_SEQ") in written:
+            self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
+        if _offset("CMD_SEQ") in written:
+            self._trigger(now_s)
+        if options:
+            self._step(hs.Released(client), now_s)
+
+    def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
+        """Write bits of OPTIONS; no other word of the map is made of bits that a client may write."""
+        options = reg.ADDRESS["OPTIONS"] + self._settings.base_address
+        start = address - 16 * options
+        if start < 0 or start + len(bits) > 16:
+            raise RequestRefused(ILLEGAL_ADDRESS)
+        word = sum(1 << (start + i) for i, bit in enumerate(bits) if bit)
+        self.write(client, options, [word])
+
+    def gone(self, client: int) -> None:
+        """A connection has ended."""
+        self._step(hs.Released(client), self._clock_s())
+
+    def _trigger(self, now_s: float) -> None:
+        code = self._command[_offset("COMMAND")]
+        timeout_ms = self._command[_offset("TIMEOUT")]
+        known = code in set(CommandKind)
+        event = hs.SequenceWritten(
+            self._command[_offset("CMD_SEQ")], known, timeout_ms / 1000 if timeout_ms else None
+        )
+        for effect in self._step(event, now_s):
+            if isinstance(effect, hs.Submit):
+                self._submit(Command(CommandKind(code), SOURCE, effect.ticket, self._command[_offset("JOB")]))
+
+    def _submit(self, command: Command) -> None:
+        if self._commander is None:
+            self._step(hs.Declined(command.sequence), self._clock_s())
+            return
+        try:
+            self._commander.submit(command)
+        except CommandRefused as refused:
+            log.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
+            self._step(hs.Declined(command.sequence), self._clock_s())
+
+    # --- events of the cell --------------------------------------------------------------------
+
+    def take(self, event: Event) -> None:
+        """Take note of what happened in the cell."""
+        now_s = self._clock_s()
+        match event:
+            case Snapshot():
+                self._take_snapshot(event, now_s)
+            case ExposureDone(_, command):
+                self._step(hs.Exposed(_ticket(command)), now_s)
+            case JobChanged(_, _, command):
+                ticket = _ticket(command)
+                if ticket is not None:
+                    self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
+            case CommandFailed(command, reason):
+                ticket = _ticket(command)
+                if ticket is not None:
+                    log.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
+                    self._step(hs.Failed(ticket), now_s)
+            case CellState():
+                if event.state == "BUSY" and (self._cell is None or self._cell.state != "BUSY"):
+                    self._step(hs.CycleBegun(), now_s)
+                self._cell = event
+            case _:
+                pass
+
+    def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
+        grab = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
+        result = reg.measured(snapshot, self._settings.convention, grabbed=grab)
+        self._last = result
+        if snapshot.status is Status.CAPTURE_FAULT:
+            verdict = hs.Verdict.FAULT
+        elif grab:
+            verdict = hs.Verdict.DONE
+        else:
+            verdict = hs.Verdict.GOOD if result.good else hs.Verdict.BAD
+        # both stamps are UTC of one machine; if the clock was set in between, a negative latency is 0
+        # and one that is too long makes the result stale, which is the safe side
+        exposed_s = now_s - result.latency_us * 1e-6
+        ticket = _ticket(snapshot.command)
+        self._step(hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result), now_s)
+
+    def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
+        self._state, effects = hs.step(self._state, event, now_s)
+        return effects
+
+
+def _ticket(command: Command | None) -> int | None:
+    return command.sequence if command is not None and command.source == SOURCE else None
+
+
+def _offset(name: str) -> int:
+    return reg.ADDRESS[name] - reg.COMMAND.address
+
+
+class ClientView:
+    """The registers as one connection sees them (`pdu.Device`)."""
+
+    def __init__(self, cell: CellRegisters, client: int) -> None:
+        self._cell = cell
+        self._client = client
+
+    def read(self, address: int, count: int) -> Sequence[int]:
+        """Words of one picture."""
+        return self._cell.read(address, count)
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        """Write as this client."""
+        self._cell.write(self._client, address, words)
+
+    def write_bits(self, address: int, bits: Sequence[bool]) -> None:
+        """Write bits as this client."""
+        self._cell.write_bits(self._client, address, bits)

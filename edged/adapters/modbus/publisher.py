@@ -1,0 +1,62 @@
+"""The Modbus side of a cell: one set of registers, served over TCP and, if set, over a serial line."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+
+from edged.adapters.modbus.cell import CellRegisters
+from edged.adapters.modbus.rtu import RtuServer
+from edged.adapters.modbus.settings import ModbusSettings
+from edged.adapters.modbus.tcp import TcpServer
+from edged.domain import Event
+from edged.ports import Commander
+
+
+class ModbusPublisher:
+    """Publishes one cell over Modbus and takes its commands (`edged.ports.Publisher`).
+
+    commander : takes the commands that clients write; None answers each with NACK.
+    clock_s : monotonic; ages, time-outs and the heartbeat count on it.
+    """
+
+    def __init__(
+        self,
+        settings: ModbusSettings,
+        commander: Commander | None,
+        *,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._cell = CellRegisters(settings, commander, clock_s)
+        clients = itertools.count(1)
+        self._tcp = TcpServer(settings, self._cell, clients)
+        serial = settings.serial
+        self._rtu = (
+            RtuServer(serial, settings.unit_id, self._cell, next(clients)) if serial is not None else None
+        )
+
+    @property
+    def port(self) -> int:
+        """TCP port that is listened on."""
+        return self._tcp.port
+
+    async def start(self) -> None:
+        """Listen. Raises `ListenError`; then nothing stays open."""
+        await self._tcp.start()
+        if self._rtu is not None:
+            try:
+                self._rtu.start()
+            except BaseException:
+                await self.close()
+                raise
+
+    def announce(self, event: Event) -> None:
+        """Take note of an event; readers see it from their next request on."""
+        self._cell.take(event)
+
+    async def close(self) -> None:
+        """Drop every connection and leave nothing behind."""
+        if self._rtu is not None:
+            self._rtu.close()
+        await self._tcp.close()

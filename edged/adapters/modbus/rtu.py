@@ -1,0 +1,187 @@
+"""Modbus RTU on a serial line, as one slave among others.
+
+A frame ends with a silence. What the line carries for other slaves, and what they answer, is not
+ours: it is passed over in silence, also when the operating system hands over several frames at once.
+A broadcast (unit 0) is carried out and not answered. When the adapter is unplugged the line is opened
+again until it is back; the daemon does not stop for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+
+import serial
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU
+
+from edged.adapters.modbus.cell import CellRegisters, ClientView
+from edged.adapters.modbus.pdu import respond
+from edged.adapters.modbus.settings import SerialSettings
+from edged.errors import ListenError
+from edged.registers import crc16
+
+log = logging.getLogger(__name__)
+
+MAX_FRAME_BYTES = 256
+MIN_FRAME_BYTES = 4
+BROADCAST = 0
+PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
+
+
+def split_frames(data: bytes) -> list[bytes]:
+    """Cut what arrived between two silences into frames with a good CRC; what is left over is dropped.
+
+    Mostly it is one frame. A busy machine can hand over a request to another slave, the answer and the
+    next request in one piece: the CRC of a frame followed by its own checksum is 0, so its end shows.
+    """
+    if len(data) >= MIN_FRAME_BYTES and len(data) <= MAX_FRAME_BYTES and crc16(data) == 0:
+        return [data]
+    frames: list[bytes] = []
+    start = 0
+    while start + MIN_FRAME_BYTES <= len(data):
+        end = next(
+            (
+                end
+                for end in range(start + MIN_FRAME_BYTES, min(len(data), start + MAX_FRAME_BYTES) + 1)
+                if crc16(data[start:end]) == 0
+            ),
+            None,
+        )
+        if end is None:
+            start += 1
+        else:
+            frames.append(data[start:end])
+            start = end
+    return frames
+
+
+class RtuServer:
+    """One serial line."""
+
+    def __init__(self, settings: SerialSettings, unit_id: int, cell: CellRegisters, client: int) -> None:
+        self._settings = settings
+        self._unit_id = unit_id
+        self._cell = cell
+        self._client = client
+        self._view = ClientView(cell, client)
+        self._framer = FramerRTU(DecodePDU(is_server=True))
+        self._line: serial.Serial | None = None
+        self._input = bytearray()
+        self._output = bytearray()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        """Open the line. Raises `ListenError`; a line that gets lost later is opened again by itself."""
+        try:
+            self._open()
+        except (OSError, ValueError) as error:
+            raise ListenError(
+                f"modbus: cannot open {self._settings.device}: {error}; is it plugged in, and is the "
+                "daemon's user in the group dialout?"
+            ) from error
+
+    def close(self) -> None:
+        """Close the line."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._drop_line()
+
+    def _open(self) -> None:
+        settings = self._settings
+        # exclusive: a second program on the line would take our bytes
+        self._line = serial.Serial(
+            settings.device,
+            settings.baud,
+            parity=PARITY[settings.parity],
+            # without parity a second stop bit keeps the character at 11 bits
+            stopbits=serial.STOPBITS_TWO if settings.parity == "none" else serial.STOPBITS_ONE,
+            timeout=0,
+            exclusive=True,
+        )
+        self._input.clear()
+        self._output.clear()
+        asyncio.get_running_loop().add_reader(self._line.fileno(), self._readable)
+
+    def _drop_line(self) -> None:
+        if self._line is None:
+            return
+        line, self._line = self._line, None
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(line.fileno())
+        loop.remove_writer(line.fileno())
+        line.close()
+        self._cell.gone(self._client)
+
+    def _lost(self, why: str) -> None:
+        log.warning("modbus: %s is lost (%s), trying again", self._settings.device, why)
+        if self._timer is not None:
+            self._timer.cancel()
+        self._drop_line()
+        self._timer = asyncio.get_running_loop().call_later(self._settings.retry_s, self._reopen)
+
+    def _reopen(self) -> None:
+        try:
+            self._open()
+        except (OSError, ValueError):
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(self._settings.retry_s, self._reopen)
+        else:
+            self._timer = None
+            log.info("modbus: %s is back", self._settings.device)
+
+    def _readable(self) -> None:
+        if self._line is None:
+            return
+        try:
+            data = os.read(self._line.fileno(), 4096)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lost(error.strerror or str(error))
+            return
+        if not data:
+            self._lost("end of file")
+            return
+        self._input += data
+        # noise without a pause must not fill the memory; the end is where a request for us would be
+        del self._input[: -4 * MAX_FRAME_BYTES]
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_later(self._settings.silence_s, self._silence)
+
+    def _silence(self) -> None:
+        self._timer = None
+        data = bytes(self._input)
+        self._input.clear()
+        frames = split_frames(data)
+        for position, frame in enumerate(frames):
+            is_last = position == len(frames) - 1
+            if frame[0] == BROADCAST:
+                respond(frame[1:-2], self._view, may_write=True)
+            elif frame[0] == self._unit_id and is_last:
+                # an earlier one has been given up by its master, who has already sent another
+                self._send(self._framer.encode(respond(frame[1:-2], self._view, may_write=True), frame[0], 0))
+
+    def _send(self, data: bytes) -> None:
+        self._output += data
+        self._writable()
+
+    def _writable(self) -> None:
+        if self._line is None:
+            return
+        loop = asyncio.get_running_loop()
+        try:
+            sent = os.write(self._line.fileno(), self._output)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            self._lost(error.strerror or str(error))
+            return
+        del self._output[:sent]
+        if self._output:
+            loop.add_writer(self._line.fileno(), self._writable)
+        else:
+            loop.remove_writer(self._line.fileno())

@@ -1,0 +1,94 @@
+"""What can be set of the Modbus server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from pathlib import Path
+from typing import Literal
+
+from edged.handshake import Limits
+from edged.registers import BLOCKS, WordOrder
+from edged.robots import Convention
+
+Network = IPv4Network | IPv6Network
+LOOPBACK: tuple[Network, ...] = (ip_network("127.0.0.0/8"), ip_network("::1/128"))
+MAP_END = max(block.address + block.words for block in BLOCKS)
+
+
+@dataclass(frozen=True, slots=True)
+class TlsSettings:
+    """Modbus/TCP Security: both sides show a certificate.
+
+    certificate, key : PEM, ours. authority : PEM, whoever signs the clients' certificates.
+    writer_roles : roles (extension 1.3.6.1.4.1.50316.802.1) that may write; every other one may read.
+    """
+
+    certificate: Path
+    key: Path
+    authority: Path
+    writer_roles: frozenset[str] = frozenset({"operator"})
+
+
+@dataclass(frozen=True, slots=True)
+class SerialSettings:
+    """Modbus RTU on a serial line, on the same registers.
+
+    gap_s : silence that ends a frame; None: 3.5 characters, at least 1.75 ms as the specification says.
+    """
+
+    device: str
+    baud: int = 19200
+    parity: Literal["even", "odd", "none"] = "even"
+    gap_s: float | None = None
+    retry_s: float = 1.0
+
+    @property
+    def silence_s(self) -> float:
+        """Silence that ends a frame ("MODBUS over serial line", 2.5.1.1; a character has 11 bits)."""
+        return self.gap_s if self.gap_s is not None else max(3.5 * 11 / self.baud, 1.75e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class ModbusSettings:
+    """The server.
+
+    readers : networks that may connect; empty: everyone. writers : networks that may write; they also
+    find a free connection when `max_clients` strangers are connected.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 1502
+    unit_id: int = 1
+    word_order: WordOrder = "high"
+    base_address: int = 0
+    convention: Convention = Convention.FIXED_XYZ
+    validity_s: float = 2.0
+    heartbeat_s: float = 2.0
+    owner_s: float = 5.0
+    max_clients: int = 16
+    idle_s: float = 60.0
+    readers: tuple[Network, ...] = ()
+    writers: tuple[Network, ...] = LOOPBACK
+    tls: TlsSettings | None = None
+    serial: SerialSettings | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.base_address <= 0x10000 - MAP_END:
+            raise ValueError(f"base_address {self.base_address}: expected 0 to {0x10000 - MAP_END}")
+
+    @property
+    def limits(self) -> Limits:
+        """Times of the handshake."""
+        return Limits(self.validity_s, self.heartbeat_s, self.owner_s)
+
+
+def contains(networks: tuple[Network, ...], host: str) -> bool:
+    """Whether a peer's address is in one of the networks; IPv4 inside IPv6 counts as IPv4."""
+    try:
+        address: IPv4Address | IPv6Address = ip_address(host.partition("%")[0])
+    except ValueError:
+        return False
+    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
+        address = address.ipv4_mapped
+    return any(address in network for network in networks)

@@ -1,0 +1,152 @@
+"""Orientations as robot controllers write them: pure functions of a rotation matrix.
+
+Each takes R (3, 3), the rotation `robot_from_part`, and returns degrees unless it says otherwise. In
+the singular position of an angle set (second angle ±90°, or 0 for OAT) only a sum of the outer angles
+is defined; the last one is then 0, and the triple still gives R.
+
+Sources: J. J. Craig, "Introduction to Robotics", appendix B (angle sets); the programming manuals of
+the makers for which set, which order and which name: KUKA KSS ("ABC"), FANUC ("WPR"), Yaskawa ("Rx Ry
+Rz"), Stäubli VAL 3 ("rx ry rz"), Kawasaki AS ("OAT"), ABB RAPID (`OrientZYX`, `orient`), Universal Robots
+URScript ("pose").
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from edged.domain import FloatArray
+
+SINGULAR = 1e-9
+"""Below this sine (or cosine) the outer angles cannot be told apart in float64."""
+
+
+class Convention(enum.IntEnum):
+    """What A, B, C mean; the value of a register."""
+
+    FIXED_XYZ = 1
+    KUKA_ABC = 2
+    UR_ROTATION_VECTOR = 3
+    STAUBLI_XYZ = 4
+    KAWASAKI_OAT = 5
+    ABB_ZYX = 6
+
+
+def fixed_xyz(R: FloatArray) -> tuple[float, float, float]:
+    """(W, P, R) of FANUC, (Rx, Ry, Rz) of Yaskawa: about fixed x, then y, then z: R = Rz Ry Rx."""
+    cos_pitch = math.hypot(R[0, 0], R[1, 0])
+    pitch = math.atan2(-R[2, 0], cos_pitch)
+    if cos_pitch > SINGULAR:
+        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
+    else:
+        roll, yaw = math.atan2(-R[1, 2], R[1, 1]), 0.0
+    return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
+
+
+def zyx(R: FloatArray) -> tuple[float, float, float]:
+    """(A, B, C) of KUKA: about z, then the new y, then the new x: R = Rz(A) Ry(B) Rx(C).
+
+    Also what ABB's `OrientZYX(A, B, C)` takes. In the singular position A is 0.
+    """
+    roll, pitch, yaw = fixed_xyz(R)
+    return yaw, pitch, roll
+
+
+def moving_xyz(R: FloatArray) -> tuple[float, float, float]:
+    """(rx, ry, rz) of Stäubli: about x, then the new y, then the new z: R = Rx Ry Rz."""
+    cos_ry = math.hypot(R[0, 0], R[0, 1])
+    ry = math.atan2(R[0, 2], cos_ry)
+    if cos_ry > SINGULAR:
+        rx, rz = math.atan2(-R[1, 2], R[2, 2]), math.atan2(-R[0, 1], R[0, 0])
+    else:
+        rx, rz = math.atan2(R[2, 1], R[1, 1]), 0.0
+    return math.degrees(rx), math.degrees(ry), math.degrees(rz)
+
+
+def oat(R: FloatArray) -> tuple[float, float, float]:
+    """(O, A, T) of Kawasaki: about z, the new y, the new z: R = Rz(O) Ry(A) Rz(T)."""
+    sin_a = math.hypot(R[0, 2], R[1, 2])
+    a = math.atan2(sin_a, R[2, 2])
+    if sin_a > SINGULAR:
+        o, t = math.atan2(R[1, 2], R[0, 2]), math.atan2(R[2, 1], -R[2, 0])
+    else:
+        o, t = math.atan2(-R[0, 1], R[1, 1]), 0.0
+    return math.degrees(o), math.degrees(a), math.degrees(t)
+
+
+def quaternion(R: FloatArray) -> tuple[float, float, float, float]:
+    """(q1, q2, q3, q4) of ABB's `orient`: scalar first, unit, q1 >= 0.
+
+    Source: S. W. Shepperd, "Quaternion from rotation matrix", 1978: the largest of four candidates
+    is the divisor, so that no digits are lost near half a turn.
+    """
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    candidates = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
+    k = int(np.argmax(candidates))
+    if k == 0:
+        q = np.array([1 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        q = np.empty(4)
+        q[0] = R[m, j] - R[j, m]
+        q[1 + i] = 1 + 2 * R[i, i] - trace
+        q[1 + j] = R[i, j] + R[j, i]
+        q[1 + m] = R[i, m] + R[m, i]
+    q /= np.linalg.norm(q)
+    q = -q if q[0] < 0 else q
+    return float(q[0]), float(q[1]), float(q[2]), float(q[3])
+
+
+def rotation_vector_rad(R: FloatArray) -> tuple[float, float, float]:
+    """(rx, ry, rz) of Universal Robots in rad: the axis times the angle, length in [0, π]."""
+    q1, q2, q3, q4 = quaternion(R)
+    sine = math.sqrt(q2 * q2 + q3 * q3 + q4 * q4)
+    # angle / sine -> 2 as the angle -> 0
+    factor = 2 * math.atan2(sine, q1) / sine if sine > SINGULAR else 2.0
+    return factor * q2, factor * q3, factor * q4
+
+
+def rotation_vector_deg(R: FloatArray) -> tuple[float, float, float]:
+    """`rotation_vector_rad` in degrees, for registers whose unit is the millidegree."""
+    rx, ry, rz = rotation_vector_rad(R)
+    return math.degrees(rx), math.degrees(ry), math.degrees(rz)
+
+
+ANGLES_DEG: dict[Convention, Callable[[FloatArray], tuple[float, float, float]]] = {
+    Convention.FIXED_XYZ: fixed_xyz,
+    Convention.KUKA_ABC: zyx,
+    Convention.UR_ROTATION_VECTOR: rotation_vector_deg,
+    Convention.STAUBLI_XYZ: moving_xyz,
+    Convention.KAWASAKI_OAT: oat,
+    Convention.ABB_ZYX: zyx,
+}
+"""A, B, C in degrees of each convention."""
+
+
+def sigma_angles_deg(R: FloatArray, covariance: FloatArray, convention: Convention) -> FloatArray:
+    """(3,) one sigma of A, B, C in degrees.
+
+    covariance (3, 3) : of a small rotation vector in rad applied on the left of R. Near a singular
+    position the sigmas grow without bound: that is the truth about those angles.
+    """
+    angles = ANGLES_DEG[convention]
+    step_rad = 1e-6  # central difference: error ~ step² = 1e-12, rounding ~ 1e-16 / step = 1e-10
+    jacobian = np.empty((3, 3))
+    for axis in range(3):
+        ahead, behind = (np.array(angles(_small_turn(axis, h) @ R)) for h in (step_rad, -step_rad))
+        difference = (ahead - behind + 180.0) % 360.0 - 180.0
+        jacobian[:, axis] = difference / (2 * step_rad)
+    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
+
+
+def _small_turn(axis: int, angle_rad: float) -> FloatArray:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    turn = np.eye(3)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    turn[j, j] = turn[k, k] = c
+    turn[j, k], turn[k, j] = -s, s
+    return turn
