@@ -86,7 +86,7 @@ def _dots(board: DotGrid, x: FloatArray, y: FloatArray, blur_mm: float) -> Float
     inner = _box(x, y, (-0.75 * p, -0.75 * p, far_x + 0.75 * p, far_y + 0.75 * p), blur_mm)
     outer = _box(x, y, (-p, -p, far_x + p, far_y + p), blur_mm)
     sheet = _box(x, y, (-1.1 * p, -1.1 * p, far_x + 1.1 * p, far_y + 1.1 * p), blur_mm)
-    corner = _step(-1.5 * p + p - (x + y + 0.0) / np.sqrt(2) - 0.5 * p, blur_mm)
+    corner = _step((-p - x - y) / np.sqrt(2), blur_mm)
     dark = np.maximum(dark, np.maximum(outer * (1 - inner), corner * outer))
     paper = WHITE + (BLACK - WHITE) * dark
     return np.asarray(BACKGROUND + (paper - BACKGROUND) * sheet)

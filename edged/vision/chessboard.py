@@ -26,6 +26,7 @@ _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the long
 _MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns
 _RADIUS_SHARE = 0.7  # of the distance to the next edge, which must stay out of the window with its blur
 _MIN_CONTRAST = 8.0  # grey values; below, 8-bit rounding decides
+_ROUGH = 8.0  # times the usual sigma: no corner, but a thumb or a highlight; sharp and soft ends differ by 3
 _MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
 
 
@@ -62,6 +63,8 @@ def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | Missed:
     """
     contrast = float(np.median(fits[:, 4]))
     ok = (fits[:, 5] > 0) & np.isfinite(fits).all(axis=1) & (fits[:, 4] > 0.25 * contrast)
+    if ok.any():
+        ok &= fits[:, 2] <= _ROUGH * np.median(fits[ok, 2])
     if contrast < _MIN_CONTRAST:
         return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
     if ok.sum() < max(6, 0.5 * len(ids)):

@@ -27,6 +27,7 @@ _BLOCK_SHARES = (6, 12, 24)  # threshold windows as parts of the image's shorter
 _MIN_DIAMETER_PX = 6.0
 _MIN_ASPECT = 0.25  # plates seen more than 75° aslant are of no use anyway
 _ROUNDNESS = 0.12  # relative difference of a blob's area from that of its ellipse
+_SIZE_RATIO = 2.0  # of dots on one plate, near end to far end; leaves out the frame, whose middle is a dot's
 _STEP_TOLERANCE = 0.3  # of the grid step: how far a neighbour may be from where it is expected
 _WINDOW_SHARE = 0.45  # of the free ring between a dot and its neighbours
 _MIN_CONTRAST = 8.0
@@ -39,20 +40,20 @@ def detect_dots(image: Image, board: DotGrid) -> Detection | Missed:
 
     image (H, W) uint8.  Mark 0 is the one next to the filled corner.
     """
-    reason = "no dots found"
+    reasons: list[str] = []
     for picture in (image, np.asarray(255 - image)):
         for share in _BLOCK_SHARES:
             blobs = _ellipses(picture, min(image.shape) // share)
             grid = _grow_grid(blobs, board)
             if isinstance(grid, Missed):
-                reason = grid.reason
+                reasons.append(grid.reason)
                 continue
             ordered = _orient(picture, grid, blobs[:, :2], board)
             if isinstance(ordered, Missed):
-                reason = ordered.reason
+                reasons.insert(0, ordered.reason)  # so near: this is what the user wants to know
                 continue
             return _measure_first(image, board, blobs[ordered])
-    return Missed(reason)
+    return Missed(reasons[0])
 
 
 def remeasure_dots(
@@ -182,8 +183,14 @@ def _ellipses(image: Image, block_px: int) -> FloatArray:
     smooth = cv2.GaussianBlur(image, (3, 3), 0)
     block = max(11, block_px | 1)
     dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 12)
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    found = [blob for contour in contours if (blob := _blob(contour)) is not None]
+    contours, hierarchy = cv2.findContours(dark, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    # Outer borders only: the border of a hole would be a light dot on a dark plate.
+    outer = (
+        [contour for contour, links in zip(contours, hierarchy[0], strict=True) if links[3] < 0]
+        if contours
+        else []
+    )
+    found = [blob for contour in outer if (blob := _blob(contour)) is not None]
     return np.array(found).reshape(-1, 5)
 
 
@@ -211,9 +218,11 @@ def _grow_grid(blobs: FloatArray, board: DotGrid) -> IntArray | Missed:
         return Missed(f"{len(blobs)} dots found, the plate has {wanted}")
     centres = blobs[:, :2]
     middle = np.median(centres, axis=0)
+    sizes = 1 / np.sqrt(blobs[:, 2] * blobs[:, 4] - blobs[:, 3] ** 2)
     best = 0
     for seed in np.argsort(np.linalg.norm(centres - middle, axis=1))[:12]:
-        places = _grow_from(int(seed), centres)
+        alike = np.abs(np.log(sizes / sizes[seed])) < np.log(_SIZE_RATIO)
+        places = _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
         best = max(best, len(places))
         if len(places) != wanted:
             continue
@@ -230,9 +239,13 @@ def _grow_grid(blobs: FloatArray, board: DotGrid) -> IntArray | Missed:
 
 
 def _grow_from(seed: int, centres: FloatArray) -> dict[tuple[int, int], int]:
-    """Grid places (i, j) -> index, spreading from a seed with steps that adapt to the perspective."""
+    """Grid places (i, j) -> index, spreading from a seed with steps that adapt to the perspective.
+
+    centres (M, 2) : inf for those that are out of the question.
+    """
     away = centres - centres[seed]
-    order = np.argsort(np.linalg.norm(away, axis=1))[1:9]
+    distances = np.linalg.norm(away, axis=1)
+    order = [k for k in np.argsort(distances)[1:9] if np.isfinite(distances[k])]
     if len(order) < 2:
         return {}
     across = away[order[0]]
