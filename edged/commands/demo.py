@@ -97,6 +97,7 @@ period_s = {options.period_s!r}
 [cameras]
 source = "{source}"
 timeout_s = 2.0
+max_skew_ms = 25.0   # software triggers of a busy PC
 
 [modbus]
 port = {options.modbus_port}
