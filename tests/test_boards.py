@@ -13,6 +13,7 @@ from rigs import make_rig
 
 from edged.errors import CalibrationError
 from edged.vision.boards import Charuco, Chessboard, Detection, DotGrid, Missed, parse_board
+from edged.vision.charuco import detect_charuco
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.dots import detect_dots, remeasure_dots
 from edged.vision.geometry import apply, rotation_matrix
@@ -49,6 +50,7 @@ def test_specifications_are_read() -> None:
         ("dots:7x7:5:5", "overlap"),
         ("charuco:12x9:4:4:5X5_250", "do not fit"),
         ("charuco:12x9:4:3:9X9_1", "not an ArUco dictionary"),
+        ("charuco:12x9:4:3:4X4_50", "54 markers needed"),
     ],
 )
 def test_a_wrong_specification_is_named(text: str, expected: str) -> None:
@@ -310,3 +312,52 @@ def test_dot_kernel_equals_its_plain_twin() -> None:
     lower = np.tril_indices(10)
     assert np.allclose(normal[lower], (jacobian.T @ jacobian)[lower], rtol=1e-4, atol=1e-2)
     assert np.allclose(gradient, jacobian.T @ residuals, rtol=1e-4, atol=1e-1)
+
+
+# --- ChArUco --------------------------------------------------------------------------------------
+
+
+CHARUCO = Charuco(8, 6, 10.0, 7.0, "5X5_250")
+
+
+def charuco_picture(legacy: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """A printed board seen aslant (smoothed), and where its inner corners are."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250)
+    pattern = cv2.aruco.CharucoBoard((8, 6), 10.0, 7.0, dictionary)
+    pattern.setLegacyPattern(legacy)
+    print_px = pattern.generateImage((1600, 1200), marginSize=0)
+    # the centre of print pixel (x, y) is (x + 0.5) / 200 squares from the board's edge
+    squares = np.array([[0, 0], [8, 0], [8, 6], [0, 6]], np.float32)
+    view = np.array([[80, 60], [580, 90], [540, 430], [60, 400]], np.float32)
+    from_squares = cv2.getPerspectiveTransform(squares, view)
+    from_print = from_squares @ np.array([[1 / 200, 0, 0.5 / 200], [0, 1 / 200, 0.5 / 200], [0, 0, 1]])
+    large = np.diag([4.0, 4.0, 1.0]) @ np.array([[1, 0, 0.375], [0, 1, 0.375], [0, 0, 1]])
+    image = cv2.warpPerspective(print_px, large @ from_print, (2560, 1920), borderValue=255)
+    image = cv2.GaussianBlur(cv2.resize(image, (640, 480), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    y, x = np.mgrid[1:6, 1:8]
+    corners = np.column_stack([x.ravel(), y.ravel(), np.ones(35)]) @ from_squares.T
+    return image, corners[:, :2] / corners[:, 2:]
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_charuco_corners_are_found_and_measured(legacy: bool) -> None:
+    """All inner corners of a whole board, to a fiftieth of a pixel, for both printing conventions."""
+    image, true = charuco_picture(legacy)
+    found = detect_charuco(image, CHARUCO)
+    assert isinstance(found, Detection)
+    assert list(found.ids) == list(range(35))
+    assert np.sqrt(np.mean((found.pixels - true) ** 2)) < 0.02
+
+
+def test_a_part_of_a_charuco_board_suffices() -> None:
+    """With half of the board covered the other corners keep their numbers and places."""
+    image, true = charuco_picture()
+    image[:, :320] = 120
+    found = detect_charuco(image, CHARUCO)
+    assert isinstance(found, Detection)
+    assert 10 < len(found.ids) < 30
+    assert np.abs(found.pixels - true[found.ids]).max() < 0.1
+    image[:, :] = 120
+    nothing = detect_charuco(image, CHARUCO)
+    assert isinstance(nothing, Missed)
+    assert "0 corners" in nothing.reason

@@ -178,6 +178,11 @@ def parse_board(text: str) -> Board:
         raise CalibrationError(
             f"board {text!r}: {parts[3]!r} is not an ArUco dictionary; expected one of {known}"
         )
+    markers = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}")).bytesList)
+    if columns * rows // 2 > markers:
+        raise CalibrationError(
+            f"board {text!r}: {columns * rows // 2} markers needed, the dictionary {name} has {markers}"
+        )
     return Charuco(columns, rows, pitch, marker, name)
 
 

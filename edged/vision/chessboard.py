@@ -115,11 +115,14 @@ def _first_square_is_dark(image: Image, grid: FloatArray) -> bool:
     return float(np.sum(signs * smooth[y, x])) < 0
 
 
-def refine_corners(image: Image, grid: FloatArray, camera: CameraModel | None = None) -> FloatArray:
+def refine_corners(
+    image: Image, grid: FloatArray, camera: CameraModel | None = None, radius_share: float = _RADIUS_SHARE
+) -> FloatArray:
     """Fit the corner model at every corner of a grid.
 
     grid (rows, columns, 2), start values within about two pixels; NaN for corners that are not there.
     camera : if known, its lens tells how edges bend in the window; otherwise they are taken as straight.
+    radius_share : radius of the window as a part of the distance to the next edge.
     Returns (rows * columns, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
     """
     across, down = _neighbour_steps(grid, 1), _neighbour_steps(grid, 0)
@@ -128,7 +131,7 @@ def refine_corners(image: Image, grid: FloatArray, camera: CameraModel | None = 
     sine = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]) / np.maximum(
         np.linalg.norm(across, axis=-1) * np.linalg.norm(down, axis=-1), 1e-9
     )
-    radius = np.minimum(_RADIUS_SHARE * lengths * sine, _MAX_RADIUS_PX)
+    radius = np.minimum(min(radius_share, _RADIUS_SHARE) * lengths * sine, _MAX_RADIUS_PX)
     start = np.concatenate(
         [
             grid.reshape(-1, 2),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from edged.domain import FloatArray, Image
 from edged.vision.boards import Board, Chessboard, Detection, DotGrid, Missed
 from edged.vision.camera import CameraModel
+from edged.vision.charuco import detect_charuco, remeasure_charuco
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.dots import detect_dots, remeasure_dots
 
@@ -15,7 +16,7 @@ def detect_board(image: Image, board: Board) -> Detection | Missed:
         return detect_chessboard(image, board)
     if isinstance(board, DotGrid):
         return detect_dots(image, board)
-    return Missed(f"no detector for {board}")
+    return detect_charuco(image, board)
 
 
 def remeasure_board(
@@ -30,4 +31,4 @@ def remeasure_board(
         return remeasure_chessboard(image, board, found, camera)
     if isinstance(board, DotGrid):
         return remeasure_dots(image, board, found, camera, camera_from_board)
-    return found
+    return remeasure_charuco(image, board, found, camera)
