@@ -326,9 +326,13 @@ def expose(
     chance : random 16 bits per pixel, which choose one of the 65536 quantiles of the noise.
     electrons : collected per unit of radiance.
     """
+    scale, shift = np.float32(electrons * grey_per_electron), np.float32(black + 0.5)
+    read2, per_electron = np.float32(read_noise_e * read_noise_e), np.float32(electrons)
+    noise_scale = np.float32(grey_per_electron)
+    darkest, brightest = np.float32(0.0), np.float32(255.0)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
-            signal = radiance[y, x] * electrons
-            signal += quantiles[chance[y, x]] * math.sqrt(signal + read_noise_e * read_noise_e)
-            grey = signal * grey_per_electron + black + 0.5
-            image[y, x] = int(min(max(grey, 0.0), 255.0))
+            value = radiance[y, x]
+            noise = quantiles[chance[y, x]] * np.sqrt(value * per_electron + read2)
+            grey = value * scale + noise * noise_scale + shift
+            image[y, x] = np.uint8(min(max(grey, darkest), brightest))
