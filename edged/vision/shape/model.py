@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -13,12 +13,17 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges import edges_along_normals
+from edged.vision.shape.symmetry import find_symmetry
 
 MAX_POINTS = (600, 400, 240, 160, 160)
 """Points kept on each level: enough for the precision of the finest, few for the exhaustive top."""
 MIN_POINTS = 24
-MIN_TOP_RADIUS_PX = 20.0
+SMOOTHING_PX = (2.0, 1.2, 0.7)
+"""Before the edges of a level are chosen: coarse levels are averages already, and their parts are small."""
+MIN_TOP_RADIUS_PX = 14.0
 MAX_LEVELS = 5
+SAME_SCORE = 0.985
+"""Above it, what differs is less than what noise and sampling change."""
 EDGE_SHARE = 0.5
 """Contrast threshold as a share of the strong edges of the region (their 95th percentile)."""
 
@@ -38,18 +43,31 @@ class ShapeModel:
     levels : finest first.  origin_px (2,) : where the origin was in the teaching image.
     radius_px : farthest point from the origin.  contrast : median slope of the model's edges, grey
     values per px.
+    symmetries (K, 4) : dx, dy, angle, similarity: motions after which the shape looks (nearly) the same.
+    centre_px (2,) : about which they turn, relative to the origin.  round : any rotation looks the same.
     """
 
     levels: tuple[ShapeLevel, ...]
     origin_px: FloatArray
     radius_px: float
     contrast: float
+    symmetries: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    centre_px: FloatArray = field(default_factory=lambda: np.zeros(2))
+    round: bool = False
+
+    @property
+    def same_score(self) -> float:
+        """Similarity from which two rotations cannot be told apart."""
+        return SAME_SCORE
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Plain arrays for a file."""
         arrays: dict[str, npt.NDArray[Any]] = {
             "origin_px": self.origin_px,
             "numbers": np.array([self.radius_px, self.contrast, len(self.levels)], np.float64),
+            "symmetries": self.symmetries,
+            "centre_px": self.centre_px,
+            "round": np.array([float(self.round)]),
         }
         for index, level in enumerate(self.levels):
             arrays[f"points{index}"], arrays[f"normals{index}"] = level.points, level.normals
@@ -72,16 +90,26 @@ class ShapeModel:
             if np.abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-6:
                 raise ValueError(f"normals{index}: not unit vectors")
             levels.append(ShapeLevel(points, normals))
-        return ShapeModel(tuple(levels), origin, radius, contrast)
+        symmetries = _checked(arrays, "symmetries", (-1, 4))
+        if len(symmetries) > 360 or (np.abs(symmetries) > 1e5).any():
+            raise ValueError("symmetries: impossible values")
+        centre, is_round = _checked(arrays, "centre_px", (2,)), _checked(arrays, "round", (1,))
+        if np.abs(centre).max() > 1e5 or np.abs(origin).max() > 1e6:
+            raise ValueError("centre_px, origin_px: impossible values")
+        return ShapeModel(tuple(levels), origin, radius, contrast, symmetries, centre, bool(is_round[0]))
 
 
 def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> FloatArray:
     if name not in arrays:
         raise ValueError(f"{name}: missing")
     value = arrays[name]
-    fits = value.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, value.shape, strict=True))
+    fits = value.ndim == len(shape) and all(
+        want in (-1, have) for want, have in zip(shape, value.shape, strict=True)
+    )
     if not fits or value.dtype != np.float64 or not np.isfinite(value).all():
-        raise ValueError(f"{name}: expected finite float64 of the shape {shape}, got {value.dtype} {value.shape}")
+        raise ValueError(
+            f"{name}: expected finite float64 of the shape {shape}, got {value.dtype} {value.shape}"
+        )
     return np.ascontiguousarray(value)
 
 
@@ -93,7 +121,9 @@ def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None)
     Raises `TeachError` when there are too few edges.
     """
     if image.dtype != np.uint8 or image.ndim != 2 or image.shape != mask.shape:
-        raise TeachError(f"a model needs an 8-bit grey image and a mask of its size, got {image.shape}, {mask.shape}")
+        raise TeachError(
+            f"a model needs an 8-bit grey image and a mask of its size, got {image.shape}, {mask.shape}"
+        )
     if np.count_nonzero(mask) < 64:
         raise TeachError("the region is empty or tiny: expected at least 64 pixels")
     if origin_px is None:
@@ -104,7 +134,7 @@ def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None)
     contrast = 0.0
     level_image, level_mask = image, mask
     for index in range(MAX_LEVELS):
-        extracted = _edge_points(level_image, level_mask)
+        extracted = _edge_points(level_image, level_mask, SMOOTHING_PX[min(index, 2)])
         if extracted is None or len(extracted[0]) < MIN_POINTS:
             break
         points, normals, slope = extracted
@@ -115,16 +145,24 @@ def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None)
         keep = _spread(relative, MAX_POINTS[index])
         levels.append(ShapeLevel(np.ascontiguousarray(relative[keep]), np.ascontiguousarray(normals[keep])))
         contrast = contrast or slope
-        level_image = cv2.resize(level_image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        shape = (level_image.shape[1], level_image.shape[0])
-        level_mask = cv2.resize(level_mask, shape, interpolation=cv2.INTER_NEAREST)
+        height, width = level_image.shape
+        if min(height, width) < 32:
+            break
+        # as the search builds its pyramid: a last odd row or column is left out
+        half = (width // 2, height // 2)
+        even = level_image[: 2 * half[1], : 2 * half[0]]
+        level_image = np.asarray(cv2.resize(even, half, interpolation=cv2.INTER_AREA), np.uint8)
+        level_mask = np.asarray(level_mask[: 2 * half[1] : 2, : 2 * half[0] : 2], np.uint8)
     if not levels:
         raise TeachError(
             f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
             "is the part inside the region, lit and in focus?"
         )
     radius = float(np.linalg.norm(levels[0].points, axis=1).max())
-    return ShapeModel(tuple(levels), origin, radius, contrast)
+    symmetry = find_symmetry(image, origin, levels, contrast)
+    return ShapeModel(
+        tuple(levels), origin, radius, contrast, symmetry.rotations, symmetry.centre_px, symmetry.round
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,13 +174,13 @@ class StrongEdges:
     gy: npt.NDArray[np.int16]
 
 
-def strong_edges(image: Image, mask: Image) -> StrongEdges | None:
+def strong_edges(image: Image, mask: Image, smoothing_px: float = 2.0) -> StrongEdges | None:
     """The strong, connected edges inside a mask; None when there are nearly none.
 
     Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
     """
-    # twice the width of the measuring operator: narrow marks average out, outlines stay
-    smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
+    # wider than the measuring operator: narrow marks average out, outlines stay
+    smooth = cv2.GaussianBlur(image, (0, 0), smoothing_px)
     gx = cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3)
     gy = cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3)
     thin = cv2.Canny(gx, gy, 8, 16, L2gradient=True)
@@ -161,9 +199,11 @@ def strong_edges(image: Image, mask: Image) -> StrongEdges | None:
     return StrongEdges(keep[labels].astype(np.uint8), gx, gy)  # type: ignore[arg-type]
 
 
-def _edge_points(image: Image, mask: Image) -> tuple[FloatArray, FloatArray, float] | None:
+def _edge_points(
+    image: Image, mask: Image, smoothing_px: float
+) -> tuple[FloatArray, FloatArray, float] | None:
     """Sub-pixel edge points, unit gradients and median slope of the strong edges in the mask."""
-    edges = strong_edges(image, mask)
+    edges = strong_edges(image, mask, smoothing_px)
     if edges is None:
         return None
     ys, xs = np.nonzero(edges.thin)

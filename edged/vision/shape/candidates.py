@@ -1,0 +1,132 @@
+"""The few poses worth refining, from the exhaustive scan of the top level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.vision.shape import refine, scan
+from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.params import SearchParams
+from edged.vision.shape.workspace import Workspace
+
+STEP_PX = 2.0
+"""Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
+SCAN_SHARE = 0.55
+"""Share of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
+POLISHED_SHARE = 0.62
+MAX_PEAKS = 1024
+MAX_POLISHED = 48
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far."""
+
+    pose: FloatArray
+    sign: int
+    score: float
+    covariance: FloatArray | None = None
+
+    @property
+    def angle(self) -> float:
+        """Rotation of the affine part, rad in (-pi, pi]."""
+        a, b, c, d = self.pose[2:6]
+        return float(np.arctan2(c - b, a + d))
+
+    def at(self, pose: FloatArray) -> Hypothesis:
+        """The same at another pose."""
+        return replace(self, pose=pose)
+
+
+def scan_top(
+    work: Workspace, model: ShapeModel, top: int, params: SearchParams, valid: Image | None
+) -> list[Hypothesis]:
+    """Poses of the top level that may be the model, best first."""
+    level = model.levels[top]
+    count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
+    points, normals = level.points[:count], level.normals[:count]
+    directions = np.arctan2(normals[:, 1], normals[:, 0])
+    radius = float(np.linalg.norm(points, axis=1).max())
+    poses, steps = pose_grid(radius, params)
+    reach = int(np.ceil(radius * poses[:, 1:].max())) + 2
+    height, width = work.images[top].shape
+    rows, columns, pad = scan.map_geometry(height, width, reach)
+    maps = work.buffer("maps", (scan.ORIENTATIONS, 2, 2, rows, columns), np.int8, top)
+    gx, gy = work.gradient(top)
+    unsigned = params.polarity in ("local", "ignore")
+    scratch = work.buffer("directions", (2, 2, 2, rows, columns), np.float32, top)
+    minimum = int((8 * params.min_contrast) ** 2)
+    scan.fill_responses(gx, gy, _at_level(valid, gx.shape), minimum, unsigned, pad, scratch, maps)
+    threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * count)
+    used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
+    positions = used_rows * columns
+    best = work.buffer("best", (2, scan.SECTORS, positions), np.int16, top)
+    pose = work.buffer("pose", (2, scan.SECTORS, positions), np.int32, top)
+    best[:] = 0
+    offsets = scan.pose_offsets(points, directions, poses, rows, columns, pad)
+    sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
+    scan.scan(
+        maps.reshape(-1), offsets, sectors, positions, threshold, params.polarity == "global", best, pose
+    )
+    peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
+    number = scan.collect_peaks(best, used_rows, used_columns, columns, threshold, peaks)
+    chosen = _choose(peaks[:number].copy(), pose, poses, columns)
+    values = np.zeros(len(chosen))
+    scan.polish(maps, points, directions, pad, steps, chosen, values)
+    return [
+        Hypothesis(refine.start_pose(*chosen[i, :5]), int(chosen[i, 5]), float(values[i]))
+        for i in np.lexsort((np.arange(len(values)), -values))
+        if values[i] >= POLISHED_SHARE * params.min_score
+    ][: 24 + 2 * params.max_matches]
+
+
+def pose_grid(radius: float, params: SearchParams) -> tuple[FloatArray, FloatArray]:
+    """Poses (P, 3): angle, scale x, scale y, and the half steps (3,) between them (see `scan.polish`)."""
+    step = STEP_PX / max(radius, 1.0)
+    full = params.angle_extent_rad >= 2 * np.pi - 1e-9
+    number = max(1, int(np.ceil(params.angle_extent_rad / step)) + (0 if full else 1))
+    angles = params.angle_start_rad + np.linspace(0, params.angle_extent_rad, number, endpoint=not full)
+    half_angle = 0.5 * params.angle_extent_rad / max(number, 1)
+    scales_x, half_x = _scales(params.scale_min, params.scale_max, step)
+    if params.scale_y_min is None or params.scale_y_max is None:
+        pairs = np.column_stack([scales_x, scales_x])
+        steps = np.array([half_angle, half_x, -1.0])
+    else:
+        scales_y, half_y = _scales(params.scale_y_min, params.scale_y_max, step)
+        pairs = np.column_stack([np.repeat(scales_x, len(scales_y)), np.tile(scales_y, len(scales_x))])
+        steps = np.array([half_angle, half_x, half_y])
+    poses = np.column_stack([np.repeat(angles, len(pairs)), np.tile(pairs, (len(angles), 1))])
+    return poses, steps
+
+
+def _scales(low: float, high: float, step: float) -> tuple[FloatArray, float]:
+    number = max(1, int(np.ceil(np.log(high / low) / step)))
+    spacing = (high / low) ** (1 / number)
+    return low * spacing ** (np.arange(number) + 0.5), 0.5 * (spacing - 1)
+
+
+def _choose(
+    peaks: npt.NDArray[np.int64], pose: npt.NDArray[np.int32], poses: FloatArray, columns: int
+) -> FloatArray:
+    """(N, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation, best first."""
+    order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
+    _, sign, sector, y, x = peaks[order].T
+    chosen = poses[pose[sign, sector, y * columns + x]]
+    rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, chosen, 1.0 - 2.0 * sign]))
+    kept = np.empty(MAX_POLISHED, np.int64)
+    number = scan.best_of_each_place(rows, MAX_POLISHED, kept)
+    return np.ascontiguousarray(rows[kept[:number]])
+
+
+def _at_level(valid: Image | None, shape: tuple[int, ...]) -> Image:
+    """The mask on a level, shrunk so that its border is no edge; (1, 1) for none."""
+    if valid is None:
+        return np.ones((1, 1), np.uint8)
+    full = cv2.resize((valid > 0).astype(np.uint8) * 255, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+    # a gradient reaches 1 px, and the area average of a partly hidden pixel is no grey value
+    return np.asarray(cv2.erode((full == 255).astype(np.uint8), np.ones((3, 3), np.uint8)))

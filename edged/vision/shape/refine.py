@@ -1,0 +1,324 @@
+"""From a rough pose to a precise one: robust least squares on sub-pixel edges along the model's normals.
+
+A pose maps a model point p to the image: origin + A p / (1 + tilt . p). Its parameters are one vector
+(x, y, a11, a12, a21, a22, tilt1, tilt2).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.vision.jit import kernel
+
+Array = npt.NDArray[Any]
+
+RIGID, SIMILARITY, STRETCH, AFFINE, PROJECTIVE = 3, 4, 5, 6, 8
+"""Degrees of freedom: position and angle; one scale; scales along the model's x and y; shear; tilt."""
+AGREES_PX = 1.0
+"""Residual up to which an edge is taken for the model's; px of the level."""
+TUKEY = 4.685
+"""95 % efficiency for normal errors (P. W. Holland and R. E. Welsch, 1977)."""
+
+
+def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:
+    """The pose vector of a rotation after scales along the model's axes."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array(
+        [x_px, y_px, cosine * scale_x, -sine * scale_y, sine * scale_x, cosine * scale_y, 0.0, 0.0]
+    )
+
+
+def one_level_finer(pose: FloatArray) -> FloatArray:
+    """The same pose in pixels of half the size; centres of pixels are integers."""
+    finer = pose.copy()
+    finer[:2] = (pose[:2] + 0.5) * 2 - 0.5
+    finer[6:] = pose[6:] / 2
+    return finer
+
+
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1])")
+def place(
+    points: Array,
+    normals: Array,
+    pose: Array,
+    placed: Array,
+) -> None:
+    """Write (x, y, nx, ny) of each model point in the image; normals stay unit vectors."""
+    a, b, c, d = pose[2], pose[3], pose[4], pose[5]
+    for n in range(points.shape[0]):
+        x, y = points[n, 0], points[n, 1]
+        depth = 1.0 + pose[6] * x + pose[7] * y
+        placed[n, 0] = pose[0] + (a * x + b * y) / depth
+        placed[n, 1] = pose[1] + (c * x + d * y) / depth
+        # normals of a line map with the inverse transpose; the tilt is a per cent or two: A is enough
+        u = d * normals[n, 0] - c * normals[n, 1]
+        v = -b * normals[n, 0] + a * normals[n, 1]
+        length = np.sqrt(u * u + v * v)
+        placed[n, 2], placed[n, 3] = u / length, v / length
+
+
+@kernel("void(i2[:, ::1], i2[:, ::1], f8[:, ::1], f8, i8, f8, f8[:, ::1])")
+def gradient_edges(
+    gx: Array,
+    gy: Array,
+    placed: Array,
+    reach: float,
+    sign: int,
+    minimum: float,
+    edges: Array,
+) -> None:
+    """Strongest edge along each normal of a gradient image, bilinear, parabola through three samples.
+
+    sign : +1 as taught, -1 inverted, 0 either.  minimum : gradient (Sobel) below which there is no edge.
+    edges (N, 2) : offset px, NaN where there is none, and cos between gradient and normal.
+    An edge counts less the farther it is (Gaussian of width reach): of two equal ones the nearer is taken.
+    """
+    height, width = gx.shape
+    inner = int(np.ceil(reach)) + 1
+    slopes = np.empty(2 * inner + 1)
+    across = np.empty(2 * inner + 1)
+    for n in range(placed.shape[0]):
+        edges[n, 0], edges[n, 1] = np.nan, 0.0
+        x0, y0, nx, ny = placed[n, 0], placed[n, 1], placed[n, 2], placed[n, 3]
+        if not (inner + 1 <= x0 < width - inner - 2 and inner + 1 <= y0 < height - inner - 2):
+            continue
+        for s in range(2 * inner + 1):
+            x, y = x0 + (s - inner) * nx, y0 + (s - inner) * ny
+            ix, iy = int(x), int(y)
+            fx, fy = x - ix, y - iy
+            w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+            u = w00 * gx[iy, ix] + w01 * gx[iy, ix + 1] + w10 * gx[iy + 1, ix] + w11 * gx[iy + 1, ix + 1]
+            v = w00 * gy[iy, ix] + w01 * gy[iy, ix + 1] + w10 * gy[iy + 1, ix] + w11 * gy[iy + 1, ix + 1]
+            slopes[s] = u * nx + v * ny
+            across[s] = -u * ny + v * nx
+        best = 0.0
+        for s in range(1, 2 * inner):
+            before, here, after = slopes[s - 1], slopes[s], slopes[s + 1]
+            if sign < 0 or (sign == 0 and here < 0):
+                before, here, after = -before, -here, -after
+            if here < minimum or here < before or here <= after:
+                continue
+            offset = s - inner + 0.5 * (before - after) / (before - 2 * here + after)
+            weight = here * np.exp(-0.5 * (offset / reach) ** 2)
+            if abs(offset) <= reach and weight > best:
+                best = weight
+                edges[n, 0] = offset
+                edges[n, 1] = here / np.sqrt(here * here + across[s] ** 2)
+
+
+@kernel("void(u1[:, ::1], f8[:, ::1], i8, f8[:, ::1])")
+def edge_directions(
+    image: Array,
+    placed: Array,
+    sign: int,
+    edges: Array,
+) -> None:
+    """Write cos between the Sobel gradient at each measured edge and its normal to edges[:, 1]."""
+    height, width = image.shape
+    for n in range(placed.shape[0]):
+        edges[n, 1] = 0.0
+        if not np.isfinite(edges[n, 0]):
+            continue
+        x = int(np.floor(placed[n, 0] + edges[n, 0] * placed[n, 2] + 0.5))
+        y = int(np.floor(placed[n, 1] + edges[n, 0] * placed[n, 3] + 0.5))
+        if not (1 <= x < width - 1 and 1 <= y < height - 1):
+            continue
+        a, b, c = float(image[y - 1, x - 1]), float(image[y - 1, x]), float(image[y - 1, x + 1])
+        d, f = float(image[y, x - 1]), float(image[y, x + 1])
+        g, h, i = float(image[y + 1, x - 1]), float(image[y + 1, x]), float(image[y + 1, x + 1])
+        u, v = c + 2 * f + i - a - 2 * d - g, g + 2 * h + i - a - 2 * b - c
+        length = np.sqrt(u * u + v * v)
+        if length > 0:
+            cosine = (u * placed[n, 2] + v * placed[n, 3]) / length
+            edges[n, 1] = abs(cosine) if sign == 0 else sign * cosine
+
+
+@kernel("b1(f8[:, ::1], f8[::1], i8)")
+def solve_spd(
+    matrix: Array,
+    right: Array,
+    size: int,
+) -> bool:
+    """Solve matrix x = right in place by Cholesky (upper left size x size); False when not positive."""
+    for j in range(size):
+        for i in range(j, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not value > 0:
+                    return False
+                matrix[j, j] = np.sqrt(value)
+            else:
+                matrix[i, j] = value / matrix[j, j]
+    for i in range(size):
+        for k in range(i):
+            right[i] -= matrix[i, k] * right[k]
+        right[i] /= matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= matrix[k, i] * right[k]
+        right[i] /= matrix[i, i]
+    return True
+
+
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], i8, f8[:, ::1])")
+def jacobian(
+    points: Array,
+    placed: Array,
+    pose: Array,
+    freedom: int,
+    design: Array,
+) -> None:
+    """Derivative of each offset along its normal by the unknowns of one step."""
+    for n in range(points.shape[0]):
+        x, y, nx, ny = points[n, 0], points[n, 1], placed[n, 2], placed[n, 3]
+        depth = 1.0 + pose[6] * x + pose[7] * y
+        u, v = placed[n, 0] - pose[0], placed[n, 1] - pose[1]
+        design[n, 0], design[n, 1] = nx, ny
+        if freedom <= 5:
+            design[n, 2] = -nx * v + ny * u
+            if freedom == 4:
+                design[n, 3] = nx * u + ny * v
+            elif freedom == 5:
+                design[n, 3] = (nx * pose[2] + ny * pose[4]) * x / depth
+                design[n, 4] = (nx * pose[3] + ny * pose[5]) * y / depth
+        else:
+            design[n, 2], design[n, 3] = nx * x / depth, nx * y / depth
+            design[n, 4], design[n, 5] = ny * x / depth, ny * y / depth
+            if freedom == 8:
+                slant = -(nx * u + ny * v) / depth
+                design[n, 6], design[n, 7] = slant * x, slant * y
+
+
+@kernel("void(f8[::1], f8[::1], i8)")
+def apply_step(
+    pose: Array,
+    step: Array,
+    freedom: int,
+) -> None:
+    """Move a pose by the unknowns of one step; rotations stay rotations."""
+    pose[0] += step[0]
+    pose[1] += step[1]
+    if freedom <= 5:
+        cosine, sine = np.cos(step[2]), np.sin(step[2])
+        sx = sy = 1.0
+        if freedom == 4:
+            sx = sy = 1.0 + step[3]
+        elif freedom == 5:
+            sx, sy = 1.0 + step[3], 1.0 + step[4]
+        a, b, c, d = pose[2] * sx, pose[3] * sy, pose[4] * sx, pose[5] * sy
+        pose[2], pose[3] = cosine * a - sine * c, cosine * b - sine * d
+        pose[4], pose[5] = sine * a + cosine * c, sine * b + cosine * d
+    else:
+        for k in range(2, freedom):
+            pose[k] += step[k]
+
+
+@kernel("f8(f8[::1], b1[::1], f8[::1])")
+def median_magnitude(
+    values: Array,
+    used: Array,
+    buffer: Array,
+) -> float:
+    """Median of |values| where used; NaN when none is."""
+    count = 0
+    for n in range(len(values)):
+        if used[n]:
+            buffer[count] = abs(values[n])
+            count += 1
+    if count == 0:
+        return np.nan
+    return float(np.median(buffer[:count]))
+
+
+@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, f8, i8, f8[::1], f8[:, ::1])")
+def robust_step(
+    points: Array,
+    placed: Array,
+    edges: Array,
+    pose: Array,
+    freedom: int,
+    tilt_prior: float,
+    iterations: int,
+    summary: Array,
+    normal_matrix: Array,
+) -> bool:
+    """Move `pose` by one robust (Tukey) least-squares step towards the measured edges.
+
+    edges (N, 2) : offset and cos.  tilt_prior : expected |tilt|, px^-1, keeps a tilt that the edges do
+    not show at zero.  iterations : at most, of the weights.
+    summary : score (mean cos of the agreeing points over all points), share that agrees, sigma of a
+    residual px.  normal_matrix (8, 8) : J^T W J of the last iteration.
+    Returns False when the edges do not determine the pose.
+    """
+    count = points.shape[0]
+    design = np.empty((count, 8))
+    jacobian(points, placed, pose, freedom, design)
+    used = np.empty(count, np.bool_)
+    weights, residuals, buffer = np.empty(count), np.empty(count), np.empty(count)
+    seen = 0
+    for n in range(count):
+        used[n] = np.isfinite(edges[n, 0])
+        weights[n] = 1.0 if used[n] else 0.0
+        residuals[n] = edges[n, 0]
+        seen += used[n]
+    if seen < 2 * freedom:
+        return False
+    step = np.zeros(8)
+    matrix = np.empty((8, 8))
+    scale = 1.0
+    for _ in range(iterations):
+        right = np.zeros(8)
+        normal_matrix[:] = 0.0
+        for n in range(count):
+            w = weights[n]
+            if w == 0.0:
+                continue
+            for i in range(freedom):
+                wd = w * design[n, i]
+                right[i] += wd * edges[n, 0]
+                for j in range(i + 1):
+                    normal_matrix[i, j] += wd * design[n, j]
+        for i in range(freedom):
+            for j in range(i):
+                normal_matrix[j, i] = normal_matrix[i, j]
+        matrix[:] = normal_matrix
+        for i in range(freedom):
+            matrix[i, i] = matrix[i, i] * (1 + 1e-9) + 1e-12
+        if freedom == 8:
+            stiffness = max(scale * scale, 0.01) / (tilt_prior * tilt_prior)
+            for i in range(6, 8):
+                matrix[i, i] += stiffness
+                right[i] -= stiffness * pose[i]
+        if not solve_spd(matrix, right, freedom):
+            return False
+        change = 0.0
+        for i in range(freedom):
+            change = max(change, abs(right[i] - step[i]) * np.sqrt(normal_matrix[i, i] / seen))
+            step[i] = right[i]
+        for n in range(count):
+            if used[n]:
+                value = edges[n, 0]
+                for i in range(freedom):
+                    value -= design[n, i] * step[i]
+                residuals[n] = value
+        scale = max(1.4826 * median_magnitude(residuals, used, buffer), 0.02)
+        for n in range(count):
+            if used[n]:
+                ratio = residuals[n] / (TUKEY * scale)
+                weights[n] = (1 - ratio * ratio) ** 2 if abs(ratio) < 1 else 0.0
+        if change < 1e-4:
+            break
+    apply_step(pose, step, freedom)
+    agreeing, cosines = 0, 0.0
+    for n in range(count):
+        if used[n] and abs(residuals[n]) <= AGREES_PX:
+            agreeing += 1
+            cosines += max(edges[n, 1], 0.0)
+    summary[0], summary[1], summary[2] = cosines / count, agreeing / count, scale
+    return True

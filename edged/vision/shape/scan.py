@@ -1,0 +1,355 @@
+"""The exhaustive part of the search: every pose of a grid at every second pixel of the top level.
+
+Gradient directions are quantised into 16 response maps round(7 cos(direction - orientation)), so that
+the similarity of a pose (C. Steger, 2002; paper, eq. 7) is a sum of bytes. Each map is split into four
+grids by the parity of x and y: for one point of the model all positions then lie side by side in memory,
+and the sum runs at the full width of the SIMD unit (S. Hinterstoisser et al., PAMI 2012, "linear
+memories").
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.vision.jit import kernel
+
+ORIENTATIONS = 16
+PEAK = 7  # response of full agreement: 16 points fit into a signed byte
+SECTORS = 8  # rivals of another 45° sector never hide a pose
+GROUP = 16  # points summed in bytes
+TOP_POINTS = 96  # a multiple of GROUP
+BLOCK = 2048  # positions per block: sums of bytes and words stay in the first-level cache
+
+Array = npt.NDArray[Any]
+
+
+def map_geometry(height: int, width: int, reach: int) -> tuple[int, int, int]:
+    """(rows, columns, pad) of one parity grid for points at most `reach` px from the origin."""
+    pad = 2 * (reach // 2 + 2)
+    return (height + 1) // 2 + pad + 2, (width + 1) // 2 + pad + 2, pad
+
+
+@kernel("void(i2[:, ::1], i2[:, ::1], u1[:, ::1], i8, b1, i8, f4[:, :, :, :, ::1], i1[:, :, :, :, ::1])")
+def fill_responses(
+    gx: Array,
+    gy: Array,
+    valid: Array,
+    minimum: int,
+    unsigned: bool,
+    pad: int,
+    directions: Array,
+    maps: Array,
+) -> None:
+    """Write the response maps (16, 2, 2, rows, columns) of a gradient image.
+
+    gx, gy : (H, W) int16.  valid : (H, W) uint8, 0 hides a pixel; (1, 1) when all are valid.
+    minimum : squared gradient below which there is no edge.  unsigned : cos of twice the angle, blind
+    to the sign of the contrast.  pad : even, px of zeros around.  directions (2, 2, 2, rows, columns) :
+    scratch, unit gradients in the order of the maps.
+    """
+    height, width = gx.shape
+    masked = valid.shape[0] == height and valid.shape[1] == width
+    directions[:] = 0
+    for y in range(height):
+        row = (y + pad) >> 1
+        for x in range(width):
+            a, b = np.float32(gx[y, x]), np.float32(gy[y, x])
+            power = a * a + b * b
+            if power < minimum or power == 0 or (masked and valid[y, x] == 0):
+                continue
+            column = (x + pad) >> 1
+            if unsigned:
+                a, b = (a * a - b * b) / power, np.float32(2) * a * b / power
+            else:
+                inverse = np.float32(1) / np.sqrt(power)
+                a, b = a * inverse, b * inverse
+            directions[0, y & 1, x & 1, row, column] = a
+            directions[1, y & 1, x & 1, row, column] = b
+    u, v = directions[0].reshape(-1), directions[1].reshape(-1)
+    for o in range(16):
+        angle = (4.0 if unsigned else 2.0) * np.pi * o / 16
+        cosine, sine = np.float32(np.cos(angle) * 7), np.float32(np.sin(angle) * 7)
+        target = maps[o].reshape(-1)
+        for i in range(len(u)):
+            # rounds to nearest: truncation of what is made positive first
+            target[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
+
+
+@kernel("void(i1[::1], i8[::1], i8, i8, i1[::1], i2[::1])")
+def add_group(
+    maps: Array,
+    offsets: Array,
+    first: int,
+    length: int,
+    bytes_: Array,
+    words: Array,
+) -> None:
+    """Add 16 points' responses at `length` positions from `first` to `words`."""
+    # slices that start at 0: otherwise each access checks for a negative index, and there is no SIMD
+    total = bytes_[:length]
+    for half in range(0, 16, 8):
+        a = maps[offsets[half] + first : offsets[half] + first + length]
+        b = maps[offsets[half + 1] + first : offsets[half + 1] + first + length]
+        c = maps[offsets[half + 2] + first : offsets[half + 2] + first + length]
+        d = maps[offsets[half + 3] + first : offsets[half + 3] + first + length]
+        e = maps[offsets[half + 4] + first : offsets[half + 4] + first + length]
+        f = maps[offsets[half + 5] + first : offsets[half + 5] + first + length]
+        g = maps[offsets[half + 6] + first : offsets[half + 6] + first + length]
+        h = maps[offsets[half + 7] + first : offsets[half + 7] + first + length]
+        if half == 0:
+            for i in range(length):
+                total[i] = a[i] + b[i] + c[i] + d[i] + e[i] + f[i] + g[i] + h[i]
+        else:
+            for i in range(length):
+                total[i] += a[i] + b[i] + c[i] + d[i] + e[i] + f[i] + g[i] + h[i]
+    target = words[:length]
+    for i in range(length):
+        target[i] += total[i]
+
+
+@kernel("i8(i2[::1], i8, b1)")
+def highest(
+    words: Array,
+    length: int,
+    both: bool,
+) -> int:
+    """Largest value, or largest magnitude, of the first `length` words."""
+    source = words[:length]
+    top, bottom = np.int16(-32000), np.int16(32000)
+    for i in range(length):
+        top = max(top, source[i])
+        bottom = min(bottom, source[i])
+    return int(max(np.int64(top), -np.int64(bottom)) if both else np.int64(top))
+
+
+@kernel("void(i1[::1], i8[:, ::1], i8[::1], i8, i8, b1, i2[:, :, ::1], i4[:, :, ::1])")
+def scan(
+    maps: Array,
+    offsets: Array,
+    sectors: Array,
+    positions: int,
+    threshold: int,
+    both: bool,
+    best: Array,
+    pose: Array,
+) -> None:
+    """Best score and pose per position, sign and 45° sector.
+
+    maps : flat response maps.  offsets : (P, N) where in `maps` each point of each pose begins.
+    best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
+    """
+    count = offsets.shape[1]
+    bytes_ = np.empty(BLOCK, np.int8)
+    words = np.empty(BLOCK, np.int16)
+    for first in range(0, positions, BLOCK):
+        length = min(BLOCK, positions - first)
+        for p in range(offsets.shape[0]):
+            words[:length] = 0
+            top = 0
+            for n in range(0, count, GROUP):
+                add_group(maps, offsets[p, n : n + GROUP], first, length, bytes_, words)
+                if n + GROUP == 2 * GROUP or n + GROUP == 4 * GROUP or n + GROUP == count:
+                    top = highest(words, length, both)
+                    # even if every point to come agreed, nothing here could reach the threshold
+                    if top < threshold - PEAK * (count - n - GROUP):
+                        break
+            if top < threshold:
+                continue
+            s = sectors[p]
+            for i in range(length):
+                value = words[i]
+                if value >= threshold and value > best[0, s, first + i]:
+                    best[0, s, first + i] = value
+                    pose[0, s, first + i] = p
+                elif both and -value >= threshold and -value > best[1, s, first + i]:
+                    best[1, s, first + i] = -value
+                    pose[1, s, first + i] = p
+
+
+@kernel("i8(i2[:, :, ::1], i8, i8, i8, i8, i8[:, ::1])")
+def collect_peaks(
+    best: Array,
+    rows: int,
+    columns: int,
+    stride: int,
+    threshold: int,
+    peaks: Array,
+) -> int:
+    """Local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); returns their number.
+
+    When there are more than `peaks` holds, the threshold is raised until they fit.
+    """
+    histogram = np.zeros(PEAK * TOP_POINTS + 2, np.int64)
+    cut = threshold
+    for turn in range(2):
+        number = 0
+        for sign in range(2):
+            for sector in range(best.shape[1]):
+                score = best[sign, sector]
+                for y in range(rows):
+                    for x in range(columns):
+                        value = score[y * stride + x]
+                        if value < cut or value <= 0:
+                            continue
+                        is_peak = True
+                        for dy in range(-1, 2):
+                            for dx in range(-1, 2):
+                                yy, xx = y + dy, x + dx
+                                if (dy == 0 and dx == 0) or not (0 <= yy < rows and 0 <= xx < columns):
+                                    continue
+                                other = score[yy * stride + xx]
+                                # of equal neighbours the first one is the peak
+                                if other > value or (other == value and (dy < 0 or (dy == 0 and dx < 0))):
+                                    is_peak = False
+                        if not is_peak:
+                            continue
+                        if turn == 0:
+                            histogram[min(value, len(histogram) - 1)] += 1
+                        elif number < len(peaks):
+                            peaks[number, 0] = value
+                            peaks[number, 1] = sign
+                            peaks[number, 2] = sector
+                            peaks[number, 3] = y
+                            peaks[number, 4] = x
+                            number += 1
+        if turn == 0:
+            total, cut = 0, len(histogram)
+            while cut > threshold and total + histogram[cut - 1] <= len(peaks):
+                cut -= 1
+                total += histogram[cut]
+    return number
+
+
+@kernel("void(f8[:, ::1], f8[::1], f8, f8, f8, i8, i8[:, ::1])")
+def place_on_maps(
+    points: Array,
+    directions: Array,
+    angle: float,
+    scale_x: float,
+    scale_y: float,
+    pad: int,
+    placed: Array,
+) -> None:
+    """Write (x, y, map) of each point of a pose whose origin is pixel (0, 0)."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for n in range(points.shape[0]):
+        u, v = points[n, 0] * scale_x, points[n, 1] * scale_y
+        placed[n, 0] = int(np.floor(cosine * u - sine * v + 0.5)) + pad
+        placed[n, 1] = int(np.floor(sine * u + cosine * v + 0.5)) + pad
+        placed[n, 2] = int(np.floor((directions[n] + angle) * (16 / (2 * np.pi)) + 0.5)) & 15
+
+
+@kernel("i8(i1[:, :, :, :, ::1], i8[:, ::1], i8, i8)")
+def response_sum(
+    maps: Array,
+    placed: Array,
+    x: int,
+    y: int,
+) -> int:
+    """Similarity of placed points with the origin at pixel (x, y), any parity."""
+    rows, columns = maps.shape[3], maps.shape[4]
+    total = 0
+    for n in range(placed.shape[0]):
+        px, py = x + placed[n, 0], y + placed[n, 1]
+        if px >= 0 and py >= 0 and (py >> 1) < rows and (px >> 1) < columns:
+            total += maps[placed[n, 2], py & 1, px & 1, py >> 1, px >> 1]
+    return total
+
+
+@kernel("void(i1[:, :, :, :, ::1], f8[:, ::1], f8[::1], i8, f8[::1], f8[:, ::1], f8[::1])")
+def polish(
+    maps: Array,
+    points: Array,
+    directions: Array,
+    pad: int,
+    steps: Array,
+    candidates: Array,
+    values: Array,
+) -> None:
+    """Climb from each candidate: position ±1 px, then angle, x scale, y scale ± half a step, position again.
+
+    steps (3,) : half steps of angle, x scale and y scale; a negative y step ties y to x.
+    candidates (N, 6) : x, y, angle, scale x, scale y, sign, changed in place; values (N,) the score reached.
+    """
+    placed = np.empty((points.shape[0], 3), np.int64)
+    trial, pose = np.empty(5), np.empty(5)
+    for c in range(candidates.shape[0]):
+        sign = int(candidates[c, 5])
+        best = -(1 << 30)
+        for turn in range(5):
+            pose[:] = candidates[c, :5]
+            if turn == 0 or turn == 4:
+                place_on_maps(points, directions, pose[2], pose[3], pose[4], pad, placed)
+                for dy in range(-1, 2):
+                    for dx in range(-1, 2):
+                        value = sign * response_sum(maps, placed, int(pose[0]) + dx, int(pose[1]) + dy)
+                        if value > best:
+                            best = value
+                            candidates[c, 0], candidates[c, 1] = pose[0] + dx, pose[1] + dy
+                continue
+            step = steps[turn - 1]
+            if step <= 0:
+                continue
+            for side in range(-1, 2, 2):
+                trial[:] = pose
+                if turn == 1:
+                    trial[2] += side * step
+                else:
+                    trial[turn + 1] *= 1 + side * step
+                    if turn == 2 and steps[2] < 0:
+                        trial[4] *= 1 + side * step
+                place_on_maps(points, directions, trial[2], trial[3], trial[4], pad, placed)
+                value = sign * response_sum(maps, placed, int(trial[0]), int(trial[1]))
+                if value > best:
+                    best = value
+                    candidates[c, :5] = trial
+        values[c] = best / (PEAK * points.shape[0])
+
+
+@kernel("i8(f8[:, ::1], i8, i8[::1])")
+def best_of_each_place(
+    rows: Array,
+    limit: int,
+    kept: Array,
+) -> int:
+    """Number of rows (x, y, angle, ., ., sign), best first, that no better one is near; `kept`: which."""
+    number = 0
+    for i in range(rows.shape[0]):
+        hidden = False
+        for k in range(number):
+            j = kept[k]
+            turn = abs((rows[i, 2] - rows[j, 2] + np.pi) % (2 * np.pi) - np.pi)
+            near = abs(rows[i, 0] - rows[j, 0]) <= 4 and abs(rows[i, 1] - rows[j, 1]) <= 4
+            if near and turn < 0.35 and rows[i, 5] == rows[j, 5]:
+                hidden = True
+                break
+        if not hidden:
+            kept[number] = i
+            number += 1
+            if number == limit:
+                break
+    return number
+
+
+def pose_offsets(
+    points: FloatArray,
+    directions: FloatArray,
+    poses: FloatArray,
+    rows: int,
+    columns: int,
+    pad: int,
+) -> npt.NDArray[np.int64]:
+    """(P, N) offsets into the flat maps for poses (P, 3): angle, scale x, scale y."""
+    cosine, sine = np.cos(poses[:, :1]), np.sin(poses[:, :1])
+    u, v = points[:, 0] * poses[:, 1:2], points[:, 1] * poses[:, 2:3]
+    x = np.floor(cosine * u - sine * v + 0.5).astype(np.int64) + pad
+    y = np.floor(sine * u + cosine * v + 0.5).astype(np.int64) + pad
+    o = (
+        np.floor((directions + poses[:, :1]) * (ORIENTATIONS / (2 * np.pi)) + 0.5).astype(np.int64)
+        % ORIENTATIONS
+    )
+    return np.ascontiguousarray((((o * 2 + (y & 1)) * 2 + (x & 1)) * rows + (y >> 1)) * columns + (x >> 1))

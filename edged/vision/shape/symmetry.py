@@ -1,0 +1,127 @@
+"""At which rotations a taught shape looks like itself: measured on the teaching image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.vision.edges import edges_along_normals
+from edged.vision.shape import refine, scan
+from edged.vision.shape.workspace import Workspace
+
+CONFUSABLE = 0.75
+"""Self-similarity, relative to the true pose, from which a rotation is watched in every search."""
+ROUND = 0.93
+"""A shape whose similarity never falls below this at any rotation is round."""
+MAX_ROTATIONS = 24
+MIN_TURN_RAD = 0.2
+
+
+class Level(Protocol):
+    """Points (N, 2) relative to the origin and unit normals (N, 2) of one pyramid level."""
+
+    @property
+    def points(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def normals(self) -> FloatArray: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Symmetry:
+    """rotations (K, 4) : dx, dy, angle, similarity of each motion in the model's plane that confuses.
+
+    centre_px (2,) : the point about which they turn.  round : every rotation looks the same.
+    """
+
+    rotations: FloatArray
+    centre_px: FloatArray
+    round: bool
+
+
+def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], contrast: float) -> Symmetry:
+    """Compare the model with its own teaching image (H, W) uint8 at every rotation."""
+    work = Workspace()
+    work.load(image, len(levels))
+    index = max(0, min(len(levels), len(work.images)) - 2)
+    level = levels[index]
+    centre = level.points.mean(axis=0)
+    origin = (origin_px + 0.5) / 2**index - 0.5
+    radius = float(np.linalg.norm(level.points - centre, axis=1).max())
+    height, width = work.images[index].shape
+    rows, columns, pad = scan.map_geometry(height, width, int(2 * radius) + 8)
+    maps = np.zeros((scan.ORIENTATIONS, 2, 2, rows, columns), np.int8)
+    gx, gy = work.gradient(index)
+    scratch = np.empty((2, 2, 2, rows, columns), np.float32)
+    scan.fill_responses(
+        gx, gy, np.ones((1, 1), np.uint8), int((2 * contrast) ** 2), False, pad, scratch, maps
+    )
+    number = max(24, int(np.ceil(2 * np.pi * radius)))
+    angles = np.arange(number) * (2 * np.pi / number)
+    directions = np.arctan2(level.normals[:, 1], level.normals[:, 0])
+    candidates = np.empty((number, 6))
+    values = np.empty(number)
+    for i, angle in enumerate(angles):
+        place = origin + centre - _turned(centre, angle)
+        candidates[i] = [*np.rint(place), angle, 1, 1, 1]
+    scan.polish(
+        maps, level.points, directions, pad, np.array([0.5 * angles[1], 0.0, 0.0]), candidates, values
+    )
+    scores = values / max(values[0], 1e-9)
+    is_round = bool(scores.min() > ROUND)
+    found: list[list[float]] = []
+    if not is_round:
+        peaks = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1)) & (scores > 0.8 * CONFUSABLE)
+        peaks &= np.minimum(angles, 2 * np.pi - angles) > MIN_TURN_RAD
+        own = _score(
+            image,
+            levels[0],
+            refine.start_pose(float(origin_px[0]), float(origin_px[1]), 0.0, 1.0, 1.0),
+            0.5 * contrast,
+        )
+        for k in sorted(np.flatnonzero(peaks), key=lambda k: -scores[k])[:MAX_ROTATIONS]:
+            pose = refine.start_pose(candidates[k, 0], candidates[k, 1], candidates[k, 2], 1.0, 1.0)
+            pose[:2] = (pose[:2] + 0.5) * 2**index - 0.5
+            fitted = _score(image, levels[0], pose, 0.5 * contrast, reach=3.0 * 2**index)
+            similarity = fitted[0] / max(own[0], 1e-9)
+            angle = float(np.arctan2(fitted[1][4], fitted[1][2]))
+            known = any(abs((angle - other[2] + np.pi) % (2 * np.pi) - np.pi) < 0.1 for other in found)
+            if similarity >= CONFUSABLE and abs(angle) > MIN_TURN_RAD and not known:
+                found.append([*(fitted[1][:2] - origin_px), angle, min(similarity, 1.0)])
+    rotations = _with_inverses(np.array(found, np.float64).reshape(-1, 4))
+    return Symmetry(rotations, centre * 2.0**index, is_round)
+
+
+def _with_inverses(rotations: FloatArray) -> FloatArray:
+    """If a motion confuses, so does its inverse."""
+    complete = list(rotations)
+    for dx, dy, angle, similarity in rotations:
+        if not any(abs((other[2] + angle + np.pi) % (2 * np.pi) - np.pi) < 0.1 for other in complete):
+            back = -_turned(np.array([dx, dy]), -angle)
+            complete.append(np.array([*back, -angle, similarity]))
+    return np.array(complete, np.float64).reshape(-1, 4)
+
+
+def _turned(point: FloatArray, angle: float) -> FloatArray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1]])
+
+
+def _score(
+    image: Image, level: Level, start: FloatArray, min_contrast: float, reach: float = 2.0
+) -> tuple[float, FloatArray]:
+    """Steger's score of a pose after a rigid fit, and the fitted pose; 0 when it cannot be fitted."""
+    pose = start.copy()
+    placed, edges = np.empty((len(level.points), 4)), np.empty((len(level.points), 2))
+    summary, matrix = np.zeros(3), np.zeros((8, 8))
+    for width in (reach, max(2.0, 0.5 * reach), 1.5):
+        refine.place(level.points, level.normals, pose, placed)
+        offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], width, 1)
+        edges[:, 0] = np.where(slopes >= min_contrast, offsets, np.nan)
+        refine.edge_directions(image, placed, 1, edges)
+        if not refine.robust_step(level.points, placed, edges, pose, refine.RIGID, 1.0, 8, summary, matrix):
+            return 0.0, start
+    return float(summary[0]), pose

@@ -1,0 +1,60 @@
+"""Buffers of the search, allocated once per image size: fresh large arrays cost page faults."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import Image
+
+MIN_LEVEL_SIZE_PX = 16
+
+
+class Workspace:
+    """The pyramid of one image with gradients, and the buffers of the exhaustive scan.
+
+    Reused from image to image; one per thread. Level l has pixel centres at (x + 0.5) / 2**l - 0.5.
+    """
+
+    def __init__(self) -> None:
+        self.images: list[Image] = []
+        self._gradients: list[tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]] | None] = []
+        self._pool: dict[tuple[str, int], npt.NDArray[Any]] = {}
+
+    def load(self, image: Image, levels: int) -> None:
+        """Build the pyramid (area averages) of an image (H, W) uint8, at most `levels` high."""
+        self.images = [np.ascontiguousarray(image)]
+        while len(self.images) < levels:
+            height, width = self.images[-1].shape
+            if min(height, width) < 2 * MIN_LEVEL_SIZE_PX:
+                break
+            below = self.images[-1][: height // 2 * 2, : width // 2 * 2]
+            level = self.buffer("image", (height // 2, width // 2), np.uint8, len(self.images))
+            cv2.resize(below, (width // 2, height // 2), dst=level, interpolation=cv2.INTER_AREA)
+            self.images.append(level)
+        self._gradients = [None] * len(self.images)
+
+    def gradient(self, level: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]]:
+        """Sobel x and y (H, W) int16 of a level, computed when first asked for."""
+        found = self._gradients[level]
+        if found is None:
+            shape = self.images[level].shape
+            gx = self.buffer("gx", shape, np.int16, level)
+            gy = self.buffer("gy", shape, np.int16, level)
+            cv2.spatialGradient(self.images[level], gx, gy)
+            found = self._gradients[level] = (gx, gy)
+        return found
+
+    def buffer(
+        self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike, slot: int = 0
+    ) -> npt.NDArray[Any]:
+        """An array of this shape, not cleared; its memory is kept and reused."""
+        size = int(np.prod(shape))
+        flat = self._pool.get((name, slot))
+        if flat is None or flat.size < size or flat.dtype != np.dtype(dtype):
+            flat = np.empty(size, dtype)
+            self._pool[(name, slot)] = flat
+        return flat[:size].reshape(shape)

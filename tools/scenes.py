@@ -1,0 +1,222 @@
+"""Synthetic scenes with exact truth for the shape search.
+
+A part is a stack of polygons in its own plane, painted with the exact area that each covers of each
+pixel; then blur, shot and read noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+import numpy.typing as npt
+
+Float = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """outlines : closed polygons (N, 2) in px about the origin, each with its grey value, in order."""
+
+    outlines: tuple[tuple[Float, float], ...]
+
+    @property
+    def radius(self) -> float:
+        """Of the farthest point from the origin."""
+        return max(float(np.linalg.norm(points, axis=1).max()) for points, _ in self.outlines)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Pose of one part: position of its origin in px, rotation from x to y, scales along its own axes."""
+
+    x: float
+    y: float
+    angle: float
+    scale_x: float = 1.0
+    scale_y: float = 1.0
+
+    @property
+    def linear(self) -> Float:
+        """(2, 2) image from part."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return np.array([[c, -s], [s, c]]) @ np.diag([self.scale_x, self.scale_y])
+
+
+def circle(x: float, y: float, radius: float, count: int = 180) -> Float:
+    """Polygon of a circle."""
+    t = np.arange(count) * (2 * np.pi / count)
+    return np.column_stack([x + radius * np.cos(t), y + radius * np.sin(t)])
+
+
+def box(x: float, y: float, width: float, height: float, angle: float = 0.0) -> Float:
+    """Polygon of a turned rectangle."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2, height / 2)
+    c, s = np.cos(angle), np.sin(angle)
+    return corners @ np.array([[c, s], [-s, c]]) + (x, y)
+
+
+def bracket(size: float = 250.0) -> Part:
+    """A plate with a cut corner, a slot and two bores of different size: no symmetry."""
+    k = size / 250
+    plate = np.array(
+        [(-125, -80), (90, -80), (125, -45), (125, 80), (20, 80), (0, 50), (-60, 50), (-125, 20)], float
+    )
+    holes = (circle(-80, -30, 22), circle(75, 30, 30), box(0, -30, 80, 18, 0.25))
+    return Part(((plate * k, 200.0), *((hole * k, 60.0) for hole in holes)))
+
+
+def flange(odd: bool, size: float = 250.0) -> Part:
+    """A round flange with six bolt holes; when odd, one of them is smaller."""
+    k = size / 250
+    outlines = [(circle(0, 0, 122 * k), 200.0), (circle(0, 0, 45 * k), 60.0)]
+    for i in range(6):
+        t = i * np.pi / 3 + 0.2
+        radius = 9.0 if odd and i == 0 else 14.0
+        outlines.append((circle(85 * k * np.cos(t), 85 * k * np.sin(t), radius * k, 90), 60.0))
+    return Part(tuple(outlines))
+
+
+def other_part(size: float = 250.0) -> Part:
+    """Something else of the same size and grey."""
+    k = size / 250
+    gear = np.array(
+        [
+            ((110 if i % 2 else 85) * np.cos(i * np.pi / 9), (110 if i % 2 else 85) * np.sin(i * np.pi / 9))
+            for i in range(18)
+        ]
+    )
+    return Part(((gear * k, 200.0), (box(0, 0, 60 * k, 60 * k), 60.0)))
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def coverage(points: Float, height: int, width: int) -> Float:
+    """Exact share of each pixel (H, W) that a closed polygon covers; an integer is a pixel's centre.
+
+    The signed area between each edge and the pixels to its right is summed along the rows, as font
+    rasterisers do. Clockwise and counter-clockwise outlines give the same.
+    """
+    area = np.zeros((height + 1, width + 2))
+    for n in range(len(points)):
+        x0, y0 = points[n - 1, 0] + 0.5, points[n - 1, 1] + 0.5
+        x1, y1 = points[n, 0] + 0.5, points[n, 1] + 0.5
+        sign = 1.0
+        if y0 > y1:
+            x0, y0, x1, y1, sign = x1, y1, x0, y0, -1.0
+        if y1 == y0:
+            continue
+        slope = (x1 - x0) / (y1 - y0)
+        for row in range(max(0, int(np.floor(y0))), min(height, int(np.floor(y1)) + 1)):
+            top, bottom = max(y0, row), min(y1, row + 1.0)
+            if bottom <= top:
+                continue
+            a, b = x0 + (top - y0) * slope, x0 + (bottom - y0) * slope
+            a, b = min(max(min(a, b), 0.0), width), min(max(max(a, b), 0.0), width)
+            first, last = int(a), int(b)
+            for column in range(first, last + 1):
+                # the part of the edge inside this column, and the mean distance to the column's right side
+                left, right = max(a, column), min(b, column + 1.0)
+                share = 1.0 if b - a < 1e-12 else (right - left) / (b - a)
+                if share <= 0:
+                    continue
+                inside = column + 1.0 - 0.5 * (left + right) if b - a >= 1e-12 else column + 1.0 - a
+                amount = sign * (bottom - top) * share
+                area[row, column] += amount * inside
+                area[row, column + 1] += amount * (1 - inside)
+    for row in range(height):
+        for column in range(1, width + 1):
+            area[row, column] += area[row, column - 1]
+    return np.abs(area[:height, :width])
+
+
+def paint(canvas: npt.NDArray[np.float32], part: Part, truth: Truth) -> None:
+    """Blend a part into a float canvas (H, W) with exact area coverage."""
+    height, width = canvas.shape
+    reach = part.radius * max(truth.scale_x, truth.scale_y) + 3
+    x0, x1 = max(0, int(truth.x - reach)), min(width, int(truth.x + reach) + 2)
+    y0, y1 = max(0, int(truth.y - reach)), min(height, int(truth.y + reach) + 2)
+    if x1 <= x0 or y1 <= y0:
+        return
+    for points, grey in part.outlines:
+        placed = points @ truth.linear.T + (truth.x - x0, truth.y - y0)
+        cover = coverage(np.ascontiguousarray(placed), y1 - y0, x1 - x0).astype(np.float32)
+        canvas[y0:y1, x0:x1] += cover * (np.float32(grey) - canvas[y0:y1, x0:x1])
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a scene is disturbed.
+
+    noise : read noise, grey values.  clutter : number of distracting shapes.  occlusion : share of the
+    part's disc covered by a strip.  invert : all contrasts.  gradient : relative change of light across.
+    texture : amplitude of a smooth random background.
+    """
+
+    noise: float = 1.0
+    clutter: int = 0
+    occlusion: float = 0.0
+    invert: bool = False
+    gradient: float = 0.0
+    texture: float = 0.0
+    blur: float = 0.7
+
+
+def render(
+    parts: Sequence[tuple[Part, Truth]],
+    look: Look,
+    rng: np.random.Generator,
+    size: tuple[int, int] = (1280, 960),
+) -> Grey:
+    """One image (H, W) uint8 of parts over a background, clutter below, occluders above."""
+    width, height = size
+    canvas = np.full((height, width), 60, np.float32)
+    if look.texture:
+        coarse = rng.normal(0, look.texture, (height // 6, width // 6)).astype(np.float32)
+        canvas += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    for _ in range(look.clutter):
+        kind, radius, grey = rng.integers(3), rng.uniform(10, 90), rng.uniform(20, 235)
+        shape = (
+            circle(0, 0, radius)
+            if kind == 0
+            else box(0, 0, radius * 2, rng.uniform(6, radius))
+            if kind == 1
+            else rng.normal(0, radius / 2, (5, 2))
+        )
+        paint(
+            canvas,
+            Part(((shape, grey),)),
+            Truth(rng.uniform(0, width), rng.uniform(0, height), rng.uniform(0, 6.3)),
+        )
+    for part, truth in parts:
+        paint(canvas, part, truth)
+    for part, truth in parts if look.occlusion else ():
+        side, radius = rng.uniform(0, 2 * np.pi), part.radius
+        # a half plane's edge at this distance from the centre covers about that share of the diameter
+        depth = radius * (1 - 2 * look.occlusion)
+        cover = Part(((box(0, 0, radius * 2, radius * 3), rng.uniform(30, 220)),))
+        at = depth + radius
+        paint(canvas, cover, Truth(truth.x + at * np.cos(side), truth.y + at * np.sin(side), side))
+    if look.gradient:
+        ramp = 1 + look.gradient * (
+            np.linspace(-0.5, 0.5, width)[None] + np.linspace(-0.5, 0.5, height)[:, None]
+        )
+        canvas *= ramp.astype(np.float32)
+    canvas = cv2.GaussianBlur(canvas, (0, 0), look.blur)
+    if look.invert:
+        canvas = 260 - canvas
+    shot = np.sqrt(np.maximum(canvas, 0) / 40)  # 10,000 electrons at 255
+    canvas += rng.standard_normal(canvas.shape, np.float32) * np.hypot(shot, look.noise).astype(np.float32)
+    return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+
+
+def teach_image(part: Part) -> tuple[Grey, Grey, Float]:
+    """Image, mask and origin (2,) of a part lying straight, nearly free of noise."""
+    radius = int(np.ceil(part.radius)) + 20
+    truth = Truth(radius + 0.0, radius + 0.0, 0.0)
+    size = 2 * radius + 1
+    image = render([(part, truth)], Look(noise=0.5), np.random.default_rng(1), (size, size))
+    return image, np.full(image.shape, 255, np.uint8), np.array([truth.x, truth.y])
