@@ -11,6 +11,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from edged import __version__
 from edged.adapters.aravis import AravisCamera, AravisSettings
-from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
 from edged.adapters.replay import replay_cameras
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
@@ -30,6 +31,7 @@ from edged.errors import ConfigError, EdgedError, UserError
 from edged.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.ports import Camera, Publisher
+from edged.robots import Convention
 from edged.sim.world import VirtualWorld
 from edged.store import load_rig
 from edged.vision.job import Job
@@ -272,14 +274,22 @@ class Daemon:
             self._tell_cycle()
 
     def _modbus(self, section: ModbusSection) -> ModbusPublisher:
+        serial, tls = section.serial, section.tls
         settings = ModbusSettings(
             host=section.host,
             port=section.port,
             unit_id=section.unit_id,
             word_order=section.word_order,
             base_address=section.base_address,
+            convention=Convention[section.convention.upper()],
             validity_s=section.validity_s,
             max_clients=section.max_clients,
+            readers=tuple(ip_network(network) for network in section.readers),
+            writers=tuple(ip_network(network) for network in section.writers),
+            serial=None if serial is None else SerialSettings(serial.device, serial.baud, serial.parity),
+            tls=None
+            if tls is None
+            else TlsSettings(tls.certificate, tls.key, tls.authority, frozenset(tls.writer_roles)),
         )
         return ModbusPublisher(settings, self._cycle)
 

@@ -8,11 +8,13 @@ degrees and milliseconds here; everything is converted once, where the values le
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -97,8 +99,33 @@ class CamerasSection(_Section):
         return self
 
 
+class SerialSection(_Section):
+    """Modbus RTU on a serial line, beside TCP and on the same registers."""
+
+    device: str = Field(min_length=1, description="for example /dev/ttyUSB0")
+    baud: int = Field(19200, ge=300, le=4_000_000)
+    parity: Literal["even", "odd", "none"] = "even"
+
+
+class TlsSection(_Section):
+    """Modbus/TCP Security: certificates on both sides, PEM files."""
+
+    certificate: FilePath
+    key: FilePath
+    authority: FilePath = Field(description="who signs the clients' certificates")
+    writer_roles: list[str] = Field(default_factory=lambda: ["operator"])
+
+
+def _network(value: str) -> str:
+    ipaddress.ip_network(value)  # ValueError names what is wrong
+    return value
+
+
+Network = Annotated[str, AfterValidator(_network)]
+
+
 class ModbusSection(_Section):
-    """The Modbus/TCP server for the PLC."""
+    """The Modbus server for the PLC."""
 
     enabled: bool = True
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
@@ -106,8 +133,19 @@ class ModbusSection(_Section):
     unit_id: int = Field(1, ge=1, le=247)
     word_order: Literal["high", "low"] = Field("high", description="which word of a 32-bit value comes first")
     base_address: int = Field(0, ge=0, le=60_000, description="added to every address of the map")
+    convention: Literal[
+        "fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"
+    ] = Field("fixed_xyz", description="what A, B, C mean; fixed_xyz: FANUC and Yaskawa W, P, R")
     validity_s: float = Field(2.0, gt=0, le=3600, description="a result older than this is not VALID")
     max_clients: int = Field(16, ge=1, le=256)
+    readers: list[Network] = Field(
+        default_factory=list, description="networks that may connect; empty: everyone"
+    )
+    writers: list[Network] = Field(
+        default_factory=lambda: ["127.0.0.0/8", "::1/128"], description="networks that may write commands"
+    )
+    serial: SerialSection | None = None
+    tls: TlsSection | None = None
 
 
 class ZenohSection(_Section):

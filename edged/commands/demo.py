@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
 import logging
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from edged.adapters.aravis import aravis_missing
 from edged.adapters.terminal import DemoView, reading_hints
 from edged.app import Daemon, load_cell, warm_up
 from edged.commands.run import SWITCH_INTERVAL_S, serve, set_up_logging
@@ -124,20 +124,12 @@ def make_view(
 
 
 def _aravis_is_here(console: Console) -> bool:
-    if importlib.util.find_spec("gi") is not None:
-        import gi
-
-        try:
-            gi.require_version("Aravis", "0.8")
-        except ValueError:
-            pass
-        else:
-            return True
-    console.print(
-        "Aravis is not installed (gir1.2-aravis-0.8, python3-gi): the demo runs without GigE Vision, "
-        "on cameras inside this process"
-    )
-    return False
+    missing = aravis_missing()
+    if missing:
+        console.print(
+            f"{missing}: the demo runs without GigE Vision, on cameras inside this process", highlight=False
+        )
+    return not missing
 
 
 @contextmanager
