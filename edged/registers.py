@@ -512,10 +512,10 @@ def _fingerprint(text: str) -> int:
 
 
 def _pose(target: Target, robot_from_rig: FloatArray | None, convention: Convention) -> Pose | None:
+    if not (_is_sane(target.rig_from_part) and _is_sane(target.covariance)):
+        return None
     to_frame = np.eye(4) if robot_from_rig is None else robot_from_rig
     frame_from_part = to_frame @ target.rig_from_part
-    if not (np.isfinite(frame_from_part).all() and np.isfinite(target.covariance).all()):
-        return None
     turn = np.kron(np.eye(2), to_frame[:3, :3])  # position and small rotation turn alike
     covariance = turn @ target.covariance @ turn.T
     R = frame_from_part[:3, :3]
@@ -545,13 +545,18 @@ def _pose(target: Target, robot_from_rig: FloatArray | None, convention: Convent
     )
 
 
+def _is_sane(matrix: FloatArray) -> bool:
+    """Whether all numbers are finite and far from the end of float64, so that sums of products are too."""
+    return bool((np.abs(matrix) < 1e30).all())
+
+
 def _clamp(number: int, top: int) -> int:
     return min(max(number, 0), top)
 
 
 def _saturated(value: float, unit: float) -> int:
     """A magnitude in units; 65535 for what is not known or too large."""
-    return min(round(value / unit), UINT16_MAX) if math.isfinite(value) and value >= 0 else UINT16_MAX
+    return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
 
 
 def _length_um(value_mm: float) -> int:
@@ -559,7 +564,7 @@ def _length_um(value_mm: float) -> int:
 
 
 def _score(score: float) -> int:
-    return _clamp(round(score * 1e4), 10_000) if math.isfinite(score) else 0
+    return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
 def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: bool) -> dict[str, Number]:

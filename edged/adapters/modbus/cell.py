@@ -118,7 +118,7 @@ class CellRegisters:
         state, cell = self._state, self._cell
         age_ms = reg.UINT32_MAX
         if state.result is not None:
-            age_ms = min(max(int((now_s - state.result.exposed_s) * 1000), 0), reg.UINT32_MAX - 1)
+            age_ms = min(max(round((now_s - state.result.exposed_s) * 1000), 0), reg.UINT32_MAX - 1)
         error = cell.error_code if cell is not None else 0
         if cell is not None and cell.error and not error:
             error = 1

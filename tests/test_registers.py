@@ -1,0 +1,261 @@
+"""The Modbus map: schema, encoding, robots' angles, `edged registers`."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from snapshots import make_snapshot, make_target, make_transform
+
+from edged import registers as reg
+from edged.commands.registers import render
+from edged.domain import Reject, Snapshot, Status
+from edged.errors import UserError
+from edged.robots import (
+    ANGLES_DEG,
+    Convention,
+    quaternion,
+    rotation_vector_rad,
+    sigma_angles_deg,
+)
+
+STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 215), "result": (300, 347)} | {
+    "ur": (400, 419),
+    "float": (500, 531),
+    "target 0": (600, 619),
+}
+
+
+def words_of(data: bytes) -> tuple[int, ...]:
+    """Big-endian words."""
+    return struct.unpack(f">{len(data) // 2}H", data)
+
+
+def shown(snapshot: Snapshot, *, valid: bool = True, order: reg.WordOrder = "high") -> dict[str, reg.Number]:
+    """The result blocks of a snapshot, encoded and decoded again."""
+    measured = reg.measured(snapshot, Convention.FIXED_XYZ)
+    values = reg.result_values(measured, 7, valid=valid, free_running=False)
+    decoded: dict[str, reg.Number] = {}
+    for block in (reg.RESULT, reg.UR, reg.FLOAT):
+        decoded |= reg.decode(block, words_of(reg.encode(block, values, order)), order)
+    return decoded
+
+
+# --- schema ----------------------------------------------------------------------------------
+
+
+def test_blocks_lie_where_the_contract_says_and_do_not_overlap() -> None:
+    """First and last word of each block are fixed; no word belongs to two registers."""
+    for block in reg.BLOCKS:
+        if block.name in STARTS:
+            assert STARTS[block.name] == (block.address, block.address + block.words - 1)
+        names = [register.name for register in block.registers]
+        assert len(set(names)) == len(names)
+    words = [
+        register.address + i
+        for block in reg.BLOCKS
+        for register in block.registers
+        for i in range(register.kind.words)
+    ]
+    assert len(set(words)) == len(words)
+
+
+def test_every_listing_names_every_register() -> None:
+    """md, csv and json come from the schema: same addresses, same names."""
+    total = sum(len(block.registers) for block in reg.BLOCKS)
+    from_json = json.loads(render("json"))["registers"]
+    from_csv = list(csv.DictReader(io.StringIO(render("csv"))))
+    assert total == len(from_json) == len(from_csv)
+    assert [(row["address"], row["name"]) for row in from_json] == [
+        (int(row["address"]), row["name"]) for row in from_csv
+    ]
+    markdown = render("md")
+    for block in reg.BLOCKS[:7]:
+        for register in block.registers:
+            assert f"| {register.address} | {register.name} |" in markdown
+    with pytest.raises(UserError, match="expected md, csv, json"):
+        render("xml")
+
+
+# --- encoding --------------------------------------------------------------------------------
+
+
+def test_probes_show_the_word_order() -> None:
+    """0x01020304 reads 0x0102 0x0304, or the other way round; 123.456 is 0x42F6E979."""
+    values = reg.constant_values(Convention.FIXED_XYZ, 0, 0)
+    assert (0x0102, 0x0304, 0x42F6, 0xE979) == words_of(reg.encode(reg.CONSTANTS, values))[2:6]
+    assert (0x0304, 0x0102, 0xE979, 0x42F6) == words_of(reg.encode(reg.CONSTANTS, values, "low"))[2:6]
+
+
+def test_crc_is_the_published_check_value() -> None:
+    """CRC-16/MODBUS of "123456789" is 0x4B37 (Greg Cook's catalogue of CRC algorithms)."""
+    assert 0x4B37 == reg.crc16(b"123456789")
+
+
+@pytest.mark.parametrize("order", ["high", "low"])
+def test_a_result_reads_back(order: reg.WordOrder) -> None:
+    """X Y Z in µm, angles in 0.001°, sigma, mirror and UR block all say what the snapshot said."""
+    snapshot = make_snapshot(cycle=70_000)
+    target = snapshot.targets[0]
+    decoded = shown(snapshot, order=order)
+    assert [10_000, 20_000, 200_000] == [decoded[axis] for axis in "XYZ"]
+    assert [10_000, 20_000, 200_000] == [decoded[f"UR_{axis}"] for axis in "XYZ"]
+    assert [1000, -2000, 3000] == [decoded[f"UR_R{axis}"] for axis in "XYZ"]
+    expected = Rotation.from_matrix(target.rig_from_part[:3, :3]).as_euler("xyz", degrees=True)
+    assert [round(angle * 1000) for angle in expected] == [decoded[axis] for axis in "ABC"]
+    np.testing.assert_allclose([decoded[f"F_{axis}"] for axis in "ABC"], expected, rtol=1e-6)
+    assert [round(sigma * 1e4) for sigma in target.sigma_mm] == [decoded[f"SIGMA_{axis}"] for axis in "XYZ"]
+    assert (5000, 40, 200_000) == (decoded["RADIUS"], decoded["SIGMA_RADIUS"], decoded["DEPTH"])
+    assert (9700, 50) == (decoded["SCORE"], decoded["EPIPOLAR_ERROR"])
+    assert (snapshot.exposed_ns, 70_000, 50_000) == tuple(
+        decoded[name] for name in ("EXPOSURE_NS", "CYCLE", "LATENCY")
+    )
+    assert (7, 7, 7, 7, 7, 7) == tuple(
+        decoded[p + name] for p in ("", "UR_", "F_") for name in ("SEQ_HEAD", "SEQ_TAIL")
+    )
+
+
+def test_an_invalid_result_has_no_coordinates_anywhere() -> None:
+    """INT32_MIN, NaN, 65535; but what was found and why it is no good stays readable."""
+    decoded = shown(make_snapshot(), valid=False)
+    coordinates = [*"XYZABC", "RADIUS", "DEPTH", *(f"UR_{a}" for a in "XYZ"), *(f"UR_R{a}" for a in "XYZ")]
+    assert {reg.INT32_MIN} == {decoded[name] for name in coordinates}
+    assert {reg.UINT16_MAX} == {decoded[f"SIGMA_{name}"] for name in "XYZABC"}
+    floats = [r.name for r in reg.FLOAT.registers if r.kind is reg.Kind.F32]
+    assert all(math.isnan(decoded[name]) for name in floats)
+    assert not int(decoded["FLAGS"]) & reg.Flag.VALID
+    assert 9700 == decoded["SCORE"]
+
+
+def test_robot_frame_moves_position_and_sigma() -> None:
+    """With robot_from_rig the coordinates are its; a turn by 90° about z swaps the sigmas of x and y."""
+    robot_from_rig = make_transform((0, 0, np.pi / 2), (100.0, 0.0, 0.0))
+    plain, moved = shown(make_snapshot()), shown(make_snapshot(robot_from_rig=robot_from_rig))
+    assert [80_000, 10_000, 200_000] == [moved[axis] for axis in "XYZ"]
+    assert (plain["SIGMA_X"], plain["SIGMA_Y"]) == (moved["SIGMA_Y"], moved["SIGMA_X"])
+    assert (False, True) == tuple(bool(int(d["FLAGS"]) & reg.Flag.ROBOT_FRAME) for d in (plain, moved))
+    assert 200_000 == moved["DEPTH"]
+
+
+@pytest.mark.parametrize("x_mm", [2.2e6, -2.2e6, math.nan, math.inf])
+def test_out_of_range_is_a_fault_and_never_wraps(x_mm: float) -> None:
+    """±2147 m is what a register holds; more, and what is no number, is not good."""
+    measured = reg.measured(make_snapshot(targets=(make_target(x_mm=x_mm),)), Convention.FIXED_XYZ)
+    assert not measured.good
+    assert reg.ResultCode.OUT_OF_RANGE == measured.code
+    reg.encode(reg.RESULT, reg.result_values(measured, 1, valid=False, free_running=True))
+    with pytest.raises(OverflowError, match="X: 2147483648 does not fit"):
+        reg.encode(reg.RESULT, {"X": 2**31})
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+def test_only_ok_without_reject_is_good(status: Status) -> None:
+    """Every other status, and a rejected target, is not for robots."""
+    assert not reg.measured(make_snapshot(status=status), Convention.FIXED_XYZ).good
+    rejected = make_snapshot(targets=(make_target(reject=Reject.TOLERANCE),))
+    assert not reg.measured(rejected, Convention.FIXED_XYZ).good
+    assert not reg.measured(make_snapshot(targets=()), Convention.FIXED_XYZ).good
+    assert reg.measured(make_snapshot(), Convention.FIXED_XYZ).good
+
+
+def test_the_table_lists_all_targets_and_shows_only_those_that_are_good() -> None:
+    """Row 1 is rejected: listed, without coordinates; row 2 is empty; each row has its own CRC."""
+    snapshot = make_snapshot(targets=(make_target(), make_target(reject=Reject.LOW_SCORE, x_mm=50.0)))
+    measured = reg.measured(snapshot, Convention.FIXED_XYZ)
+    rows = []
+    for index in range(3):
+        data = reg.encode(reg.TABLE[index], reg.row_values(measured, index, 9, valid=True))
+        assert reg.crc16(data[:-2]) == int.from_bytes(data[-2:], "big")
+        rows.append(reg.decode(reg.TABLE[index], words_of(data)))
+    assert [9, 9, 0] == [rows[i][f"T{i}_SEQ"] for i in range(3)]
+    assert [10_000, reg.INT32_MIN, reg.INT32_MIN] == [rows[i][f"T{i}_X"] for i in range(3)]
+    assert int(Reject.LOW_SCORE) == rows[1]["T1_REJECT"]
+
+
+@given(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.integers(-(2**70), 2**70),
+)
+@settings(max_examples=80, deadline=None, derandomize=True)
+def test_whatever_the_cell_says_can_be_encoded(x_mm: float, score: float, exposed_ns: int) -> None:
+    """No number that a snapshot can hold makes the encoder raise."""
+    target = make_target(x_mm=x_mm)
+    target = dataclasses.replace(
+        target, match=dataclasses.replace(target.match, score=score), epipolar_rms_px=score
+    )
+    snapshot = make_snapshot(targets=(target,), exposed_ns=exposed_ns)
+    measured = reg.measured(snapshot, Convention.UR_ROTATION_VECTOR)
+    shown(snapshot, valid=measured.good)
+
+
+# --- robots ----------------------------------------------------------------------------------
+
+SCIPY_ORDER = {
+    Convention.FIXED_XYZ: "xyz",
+    Convention.KUKA_ABC: "ZYX",
+    Convention.ABB_ZYX: "ZYX",
+    Convention.STAUBLI_XYZ: "XYZ",
+    Convention.KAWASAKI_OAT: "ZYZ",
+}
+UNIT = st.floats(-1, 1, allow_subnormal=False)
+
+
+def matrix_of(angles_deg: tuple[float, float, float], convention: Convention) -> np.ndarray:
+    """The rotation that a robot controller makes of A, B, C."""
+    if convention is Convention.UR_ROTATION_VECTOR:
+        return Rotation.from_rotvec(angles_deg, degrees=True).as_matrix()
+    return Rotation.from_euler(SCIPY_ORDER[convention], angles_deg, degrees=True).as_matrix()
+
+
+@pytest.mark.parametrize("convention", Convention)
+@given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_angles_give_the_rotation_back(convention: Convention, q: tuple[float, float, float, float]) -> None:
+    """Whatever the rotation, the controller makes the same rotation of A, B, C (judge: scipy)."""
+    R = Rotation.from_quat(q).as_matrix()
+    np.testing.assert_allclose(matrix_of(ANGLES_DEG[convention](R), convention), R, atol=2e-9)
+
+
+@pytest.mark.parametrize("convention", Convention)
+@pytest.mark.parametrize("turn", ["x", "y", "z", "-x", "-y", "-z", "xx", "yy", "zz"])
+def test_quarter_and_half_turns_give_the_rotation_back(convention: Convention, turn: str) -> None:
+    """The singular positions of every angle set: tool down, tool level."""
+    sign = -90 if turn.startswith("-") else 90 * len(turn)
+    R = np.round(Rotation.from_euler(turn[-1], sign, degrees=True).as_matrix())
+    np.testing.assert_allclose(matrix_of(ANGLES_DEG[convention](R), convention), R, atol=1e-12)
+
+
+@given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_quaternion_and_rotation_vector_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
+    """ABB's scalar-first quaternion with q1 >= 0, and UR's vector no longer than π."""
+    rotation = Rotation.from_quat(q)
+    mine = quaternion(rotation.as_matrix())
+    assert mine[0] >= 0
+    np.testing.assert_allclose(
+        Rotation.from_quat([*mine[1:], mine[0]]).as_matrix(), rotation.as_matrix(), atol=1e-9
+    )
+    vector = rotation_vector_rad(rotation.as_matrix())
+    assert math.hypot(*vector) <= math.pi + 1e-9
+    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), rotation.as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("convention", Convention)
+def test_sigma_of_angles_is_what_sampling_gives(convention: Convention) -> None:
+    """20,000 small rotations drawn from the covariance scatter A, B, C by the stated sigma (within 3 %)."""
+    R = Rotation.from_euler("xyz", (20, 35, -50), degrees=True).as_matrix()
+    factor = np.array([[3e-4, 0, 0], [1e-4, 2e-4, 0], [-1e-4, 5e-5, 4e-4]])
+    draws = np.random.default_rng(1).standard_normal((20_000, 3)) @ factor.T
+    matrices = Rotation.from_rotvec(draws).as_matrix() @ R
+    scatter = np.std([ANGLES_DEG[convention](matrix) for matrix in matrices], axis=0)
+    np.testing.assert_allclose(sigma_angles_deg(R, factor @ factor.T, convention), scatter, rtol=0.03)

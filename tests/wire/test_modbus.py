@@ -1,0 +1,735 @@
+"""The Modbus server with real clients: pymodbus, mbpoll, raw sockets, a pair of pseudo terminals."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import random
+import shutil
+import socket
+import ssl
+import struct
+import subprocess
+import tty
+from collections.abc import Callable, Coroutine
+from ipaddress import ip_network
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
+from snapshots import make_snapshot
+
+from edged import registers as reg
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
+from edged.adapters.modbus.rtu import split_frames
+from edged.adapters.modbus.security import certificate_role
+from edged.domain import CellState, Command, CommandKind, ExposureDone, JobChanged, Status
+from edged.errors import CommandRefused, ListenError
+from edged.registers import StatusBit, crc16
+
+READY = CellState("READY", True, True, "flange", 1, 0)
+WAIT_S = 10.0  # what a loaded machine may need; nothing here sleeps for it
+
+
+class Cell:
+    """A commander that keeps what it was given, or refuses it."""
+
+    def __init__(self) -> None:
+        self.commands: list[Command] = []
+        self.refuses = False
+
+    def submit(self, command: Command) -> None:
+        if self.refuses:
+            raise CommandRefused("not now")
+        self.commands.append(command)
+
+
+class Clock:
+    """A clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class Rig:
+    """A running server with its cell, its clock and one pymodbus client."""
+
+    def __init__(self, settings: ModbusSettings) -> None:
+        self.cell = Cell()
+        self.clock = Clock()
+        self.server = ModbusPublisher(settings, self.cell, clock_s=self.clock)
+        self.base = settings.base_address
+        self.order = settings.word_order
+        self.client: AsyncModbusTcpClient
+
+    async def block(self, block: reg.Block) -> dict[str, reg.Number]:
+        """Read one block by name."""
+        response = await self.client.read_holding_registers(self.base + block.address, count=block.words)
+        assert not response.isError(), response
+        return reg.decode(block, response.registers, self.order)
+
+    async def bits(self) -> StatusBit:
+        """The status bits."""
+        return StatusBit(int((await self.block(reg.STATUS))["STATUS_BITS"]))
+
+    async def command(self, kind: int, job: int, sequence: int) -> None:
+        """COMMAND, JOB, CMD_SEQ in one write."""
+        response = await self.client.write_registers(self.base + 100, [kind, job, sequence])
+        assert not response.isError(), response
+
+
+def serve(test: Callable[[Rig], Coroutine[Any, Any, None]], settings: ModbusSettings | None = None) -> None:
+    """Run a test against a server on a free port."""
+
+    async def run() -> None:
+        rig = Rig(settings or ModbusSettings(port=0))
+        await rig.server.start()
+        rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=WAIT_S)
+        try:
+            assert await rig.client.connect()
+            await asyncio.wait_for(test(rig), 60)
+        finally:
+            rig.client.close()
+            await rig.server.close()
+
+    asyncio.run(run())
+
+
+async def raw(rig: Rig) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection without a client library."""
+    return await asyncio.open_connection("127.0.0.1", rig.server.port)
+
+
+def frame(pdu: bytes, transaction: int = 1, unit: int = 1) -> bytes:
+    """Modbus/TCP around a PDU."""
+    return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
+
+
+async def ask(rig: Rig, pdu: bytes, unit: int = 1) -> bytes:
+    """One request over its own connection; the response PDU."""
+    reader, writer = await raw(rig)
+    try:
+        writer.write(frame(pdu, 0x1234, unit))
+        return await response(reader, 0x1234)
+    finally:
+        writer.close()
+        await writer.wait_closed()
+
+
+async def response(reader: asyncio.StreamReader, transaction: int) -> bytes:
+    """Read one response and check its header."""
+    header = await asyncio.wait_for(reader.readexactly(7), WAIT_S)
+    got, protocol, length, _ = struct.unpack(">HHHB", header)
+    assert (transaction, 0) == (got, protocol)
+    return await asyncio.wait_for(reader.readexactly(length - 1), WAIT_S)
+
+
+async def ended(reader: asyncio.StreamReader) -> bool:
+    """Whether the server closes the connection (after whatever it still says)."""
+    try:
+        while await asyncio.wait_for(reader.read(4096), WAIT_S):
+            pass
+    except ConnectionError:
+        pass
+    return True
+
+
+# --- the protocol of the cell ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [ModbusSettings(port=0), ModbusSettings(port=0, word_order="low", base_address=1000)],
+    ids=["default", "low word first, base 1000"],
+)
+def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
+    """Trigger, EXPOSURE_DONE, result with its sequence, acknowledge: VALID only in between."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(READY)
+        assert StatusBit.READY == await rig.bits()
+        await rig.command(CommandKind.LOCATE, 0, 41)
+        (command,) = rig.cell.commands
+        assert (CommandKind.LOCATE, "modbus", 41, 0) == (
+            command.kind,
+            command.source,
+            command.sequence,
+            command.job,
+        )
+        assert StatusBit.READY | StatusBit.BUSY == await rig.bits()
+        rig.server.announce(ExposureDone(1, command))
+        assert StatusBit.EXPOSURE_DONE in await rig.bits()
+        rig.server.announce(make_snapshot(1, command=command))
+        good = StatusBit.ACK | StatusBit.RESULT_VALID | StatusBit.OK
+        assert good in await rig.bits()
+        result = await rig.block(reg.RESULT)
+        assert (41, 41, 10_000, 20_000, 200_000) == tuple(
+            result[name] for name in ("SEQ_HEAD", "SEQ_TAIL", "X", "Y", "Z")
+        )
+        assert 41 == (await rig.block(reg.STATUS))["DONE_SEQ"]
+        await rig.client.write_register(rig.base + 103, 41)
+        assert StatusBit.RESULT_VALID not in await rig.bits()
+        assert reg.INT32_MIN == (await rig.block(reg.RESULT))["X"]
+
+    serve(test, settings)
+
+
+def test_a_result_grows_old() -> None:
+    """Two seconds after its exposure a result is neither valid nor readable; its age goes on."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(make_snapshot(3))  # exposed 50 ms before it was published
+        rig.clock.now_s += 1.9
+        assert StatusBit.RESULT_VALID in await rig.bits()
+        assert 1950 == (await rig.block(reg.STATUS))["RESULT_AGE"]
+        rig.clock.now_s += 0.1
+        assert StatusBit.RESULT_VALID not in await rig.bits()
+        for block, name in ((reg.RESULT, "X"), (reg.UR, "UR_X"), (reg.TABLE[0], "T0_X")):
+            assert reg.INT32_MIN == (await rig.block(block))[name]
+
+    serve(test)
+
+
+def test_a_dead_camera_shows() -> None:
+    """CAPTURE_FAULT replaces the free-running result; CAM_FAULT and its number are up."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(make_snapshot(3))
+        assert StatusBit.RESULT_VALID in await rig.bits()
+        rig.server.announce(make_snapshot(4, status=Status.CAPTURE_FAULT))
+        rig.server.announce(CellState("FAULT", False, False, "flange", 1, 0, "unplugged", 104))
+        bits = await rig.bits()
+        assert StatusBit.CAM_FAULT | StatusBit.ERROR | StatusBit.NOK in bits
+        assert not bits & (StatusBit.RESULT_VALID | StatusBit.OK | StatusBit.READY)
+        assert 104 == (await rig.block(reg.STATUS))["ERROR"]
+        result = await rig.block(reg.RESULT)
+        assert (reg.ResultCode.CAPTURE_FAULT, reg.INT32_MIN) == (result["RESULT"], result["X"])
+
+    serve(test)
+
+
+def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
+    """The write itself succeeds, NACK and NACK_REASON say why nothing happens."""
+
+    async def test(rig: Rig) -> None:
+        rig.cell.refuses = True
+        await rig.command(CommandKind.CHANGE_JOB, 77, 1)
+        status = await rig.block(reg.STATUS)
+        assert (1, 2) == (status["DONE_SEQ"], status["NACK_REASON"])
+        await rig.command(99, 0, 2)
+        status = await rig.block(reg.STATUS)
+        assert (2, 1) == (status["DONE_SEQ"], status["NACK_REASON"])
+        assert StatusBit.NACK in await rig.bits()
+
+    serve(test)
+
+
+def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
+    """ACK says "prepared", or "the picture was taken"; neither makes coordinates."""
+
+    async def test(rig: Rig) -> None:
+        await rig.command(CommandKind.CHANGE_JOB, 2, 1)
+        rig.server.announce(JobChanged(2, "lid", rig.cell.commands[0]))
+        assert StatusBit.ACK in await rig.bits()
+        await rig.command(CommandKind.GRAB, 0, 2)
+        assert StatusBit.ACK not in await rig.bits()
+        rig.server.announce(make_snapshot(1, status=Status.NO_TARGET, command=rig.cell.commands[1]))
+        bits = await rig.bits()
+        assert StatusBit.ACK in bits
+        assert not bits & (StatusBit.RESULT_VALID | StatusBit.NOK)
+        assert reg.ResultCode.GRABBED == (await rig.block(reg.RESULT))["RESULT"]
+
+    serve(test)
+
+
+def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone() -> None:
+    """DEVICE BUSY while another holds the right; the end of its connection passes it on."""
+
+    async def test(rig: Rig) -> None:
+        async def claim() -> bytes:
+            return await ask(rig, struct.pack(">BHH", 6, 104, 1))
+
+        await rig.client.write_register(104, 0)
+        assert bytes((0x86, 6)) == await claim()
+        await rig.client.write_coil(16 * 105, True)  # RELEASE
+        assert struct.pack(">BHH", 6, 104, 1) == await claim()
+        assert 0 == (await rig.block(reg.COMMAND))["OPTIONS"]
+        assert not (await rig.client.write_register(104, 0)).isError()
+
+    serve(test)
+
+
+def test_one_read_is_never_half_of_two_results() -> None:
+    """Results change between requests while a client reads: head, tail, CRC and X always belong together."""
+
+    async def test(rig: Rig) -> None:
+        for cycle in range(1, 150):
+            reads = [rig.client.read_holding_registers(300, count=48) for _ in range(3)]
+            tasks = [asyncio.create_task(read) for read in reads]
+            await asyncio.sleep(0)
+            rig.server.announce(make_snapshot(cycle))
+            for done in await asyncio.gather(*tasks):
+                words = done.registers
+                data = struct.pack(">48H", *words)
+                assert crc16(data[:92]) == words[46]
+                assert words[0] == words[47] == struct.unpack(">I", data[76:80])[0]
+
+    serve(test)
+
+
+# --- function codes and exceptions -------------------------------------------------------------
+
+
+def test_both_tables_and_bits_show_the_same_words() -> None:
+    """FC3 and FC4 read the same; FC1 and FC2 read the bits of register r at 16 r; FC23 writes and reads."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(READY)
+        rig.server.announce(make_snapshot(1))
+        holding = (await rig.client.read_holding_registers(300, count=48)).registers
+        assert holding == (await rig.client.read_input_registers(300, count=48)).registers
+        bits = int(await rig.bits())
+        for read in (rig.client.read_coils, rig.client.read_discrete_inputs):
+            seen = (await read(16 * 201, count=16)).bits[:16]
+            assert bits == sum(1 << i for i, bit in enumerate(seen) if bit)
+        both = await rig.client.readwrite_registers(read_address=104, read_count=1, address=104, values=[17])
+        assert [17] == both.registers
+
+    serve(test)
+
+
+EXCEPTIONS = {
+    "unknown function": (bytes((99, 0, 0)), 1),
+    "function 0": (bytes((0, 0, 0, 0, 1)), 1),
+    "a response's function": (bytes((0x83, 2)), 1),
+    "FC8 is not offered": (struct.pack(">BHH", 8, 0, 0), 1),
+    "43 with another MEI type": (bytes((0x2B, 0x0D, 1, 0)), 1),
+    "gap of the map": (struct.pack(">BHH", 3, 16, 1), 2),
+    "runs into a gap": (struct.pack(">BHH", 3, 300, 49), 2),
+    "beyond the end": (struct.pack(">BHH", 3, 65535, 2), 2),
+    "write to a result": (struct.pack(">BHH", 6, 300, 1), 2),
+    "write across the end of the block": (struct.pack(">BHHB2H", 16, 121, 2, 4, 0, 0), 2),
+    "coil that is no option": (struct.pack(">BHH", 5, 16 * 102, 0xFF00), 2),
+    "coils across two words": (struct.pack(">BHHBH", 15, 16 * 105 + 10, 10, 2, 0), 2),
+    "no words": (struct.pack(">BHH", 3, 0, 0), 3),
+    "126 words": (struct.pack(">BHH", 3, 0, 126), 3),
+    "2001 bits": (struct.pack(">BHH", 1, 0, 2001), 3),
+    "short read": (struct.pack(">BH", 3, 0), 3),
+    "long read": (struct.pack(">BHHB", 3, 0, 1, 0), 3),
+    "coil neither on nor off": (struct.pack(">BHH", 5, 16 * 105, 0x1234), 3),
+    "option that does not exist": (struct.pack(">BHH", 6, 105, 0x8000), 3),
+    "byte count of FC16": (struct.pack(">BHHBH", 16, 100, 1, 4, 0), 3),
+    "FC16 without data": (struct.pack(">BHH", 16, 100, 1), 3),
+    "FC15 with too little data": (struct.pack(">BHHBB", 15, 16 * 105, 9, 1, 0), 3),
+    "FC23 that writes nothing": (struct.pack(">BHHHHB", 23, 0, 1, 100, 0, 0), 3),
+    "FC23 whose byte count is wrong": (struct.pack(">BHHHHBH", 23, 0, 1, 100, 1, 4, 0), 3),
+}
+
+
+@pytest.mark.parametrize("case", EXCEPTIONS)
+def test_a_wrong_request_gets_the_right_exception(case: str) -> None:
+    """Function code with its high bit, the code of the specification, and the connection goes on."""
+    pdu, code = EXCEPTIONS[case]
+
+    async def test(rig: Rig) -> None:
+        assert bytes((pdu[0] | 0x80, code)) == await ask(rig, pdu)
+
+    serve(test)
+
+
+def test_a_refused_fc23_writes_nothing() -> None:
+    """Its read lies in a gap: the write is not carried out either."""
+
+    async def test(rig: Rig) -> None:
+        assert bytes((0x97, 2)) == await ask(rig, struct.pack(">BHHHHBH", 23, 50, 1, 104, 1, 2, 9))
+        assert 0 == (await rig.block(reg.COMMAND))["CLIENT_HEARTBEAT"]
+
+    serve(test)
+
+
+def test_unit_ids() -> None:
+    """The own unit, 0 and 255 are this device; another one is a gateway target that does not respond."""
+
+    async def test(rig: Rig) -> None:
+        read = struct.pack(">BHH", 3, 0, 1)
+        for unit in (1, 0, 255):
+            assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await ask(rig, read, unit)
+        assert bytes((0x83, 0x0B)) == await ask(rig, read, 17)
+
+    serve(test)
+
+
+def test_device_identification() -> None:
+    """FC43/14 as pymodbus asks for it, whole and object by object."""
+
+    async def test(rig: Rig) -> None:
+        basic = await rig.client.execute(False, ReadDeviceInformationRequest(read_code=1, object_id=0))
+        assert {0, 1, 2} == set(basic.information)
+        assert b"edged" == basic.information[0]
+        one = await ask(rig, bytes((0x2B, 0x0E, 4, 0x04)))
+        assert b"Stereo workpiece localisation" == one[9:]
+        assert bytes((0xAB, 2)) == await ask(rig, bytes((0x2B, 0x0E, 4, 0x7F)))
+        assert bytes((0xAB, 3)) == await ask(rig, bytes((0x2B, 0x0E, 9, 0)))
+
+    serve(test)
+
+
+# --- connections -----------------------------------------------------------------------------------
+
+
+def test_pipelined_requests_all_get_their_answer_in_order() -> None:
+    """100 requests in one segment, the last one cut in two."""
+
+    async def test(rig: Rig) -> None:
+        reader, writer = await raw(rig)
+        data = b"".join(frame(struct.pack(">BHH", 3, 0, 1), i) for i in range(1, 101))
+        writer.write(data[:-5])
+        for i in range(1, 100):
+            await response(reader, i)
+        writer.write(data[-5:])
+        await response(reader, 100)
+        writer.close()
+        await writer.wait_closed()
+
+    serve(test)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        struct.pack(">HHHB", 1, 1, 6, 1) + bytes(5),
+        struct.pack(">HHHB", 1, 0, 1, 1) + bytes(5),
+        struct.pack(">HHHB", 1, 0, 0, 1) + bytes(5),
+        struct.pack(">HHHB", 1, 0, 255, 1) + bytes(5),
+        b"GET / HTTP/1.1\r\nHost: cell\r\n\r\n",
+    ],
+    ids=["protocol id", "no function", "length 0", "length 255", "a browser"],
+)
+def test_lost_framing_closes_the_connection(data: bytes) -> None:
+    """What follows a header that cannot be right would be guesswork."""
+
+    async def test(rig: Rig) -> None:
+        reader, writer = await raw(rig)
+        writer.write(data)
+        assert await ended(reader)
+        writer.close()
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+
+    serve(test)
+
+
+def test_hostile_frames_leave_no_trace() -> None:
+    """3,000 random and mutated frames on 30 connections: a good client is served, nobody stays connected."""
+
+    async def test(rig: Rig) -> None:
+        dice = random.Random(5)
+        good = [pdu for pdu, _ in EXCEPTIONS.values()] + [struct.pack(">BHH", 3, 300, 48)]
+        for _ in range(30):
+            reader, writer = await raw(rig)
+            for _ in range(100):
+                data = bytearray(
+                    frame(dice.choice(good), dice.randrange(65536), dice.choice([0, 1, 1, 1, 9]))
+                )
+                for _ in range(dice.randrange(3)):
+                    data[dice.randrange(7, len(data))] = dice.randrange(256)
+                if dice.random() < 0.02:
+                    data = bytearray(dice.randbytes(dice.randrange(1, 300)))
+                writer.write(bytes(data))
+            writer.write(struct.pack(">HHHB", 1, 7, 6, 1) + bytes(5))  # ends it, if nothing before did
+            assert await ended(reader)
+            writer.close()
+            assert not (await rig.client.read_holding_registers(300, count=48)).isError()
+        assert 1 == (await rig.block(reg.STATUS))["CLIENTS"]
+
+    serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
+
+
+def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
+    """Back-pressure: it cannot make the server buffer its answers; others are served meanwhile."""
+
+    async def test(rig: Rig) -> None:
+        with socket.create_connection(("127.0.0.1", rig.server.port)) as lazy:
+            lazy.setblocking(False)
+            request = frame(struct.pack(">BHH", 3, 600, 120)) * 50
+            loop = asyncio.get_running_loop()
+            with pytest.raises(
+                TimeoutError
+            ):  # at last the socket takes no more: nobody reads at the other end
+                for _ in range(100_000):
+                    await asyncio.wait_for(loop.sock_sendall(lazy, request), 1.0)
+            assert not (await rig.client.read_holding_registers(300, count=48)).isError()
+
+    serve(test)
+
+
+def test_idle_and_dribbling_connections_are_closed() -> None:
+    """A connection that completes no request in the time is closed, even if bytes come."""
+
+    async def test(rig: Rig) -> None:
+        reader, writer = await raw(rig)
+        writer.write(b"\0")
+        assert await ended(reader)
+        writer.close()
+
+    serve(test, ModbusSettings(port=0, idle_s=0.2))
+
+
+def test_too_many_clients_are_closed_at_once() -> None:
+    """The third of two connections ends; the others go on."""
+
+    async def test(rig: Rig) -> None:
+        _, second = await raw(rig)
+        reader, third = await raw(rig)
+        assert await ended(reader)
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for writer in (second, third):
+            writer.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=2))
+
+
+def test_networks_that_may_not_connect_or_not_write() -> None:
+    """A stranger is closed when there is a list of readers; who is no writer gets "illegal function"."""
+
+    async def read_only(rig: Rig) -> None:
+        assert bytes((0x86, 1)) == await ask(rig, struct.pack(">BHH", 6, 102, 1))
+        assert [] == rig.cell.commands
+        assert 5 == len(await ask(rig, struct.pack(">BHH", 3, 0, 1))) + 1
+
+    serve(read_only, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
+
+    async def closed() -> None:
+        lan = (ip_network("10.0.0.0/8"),)
+        server = ModbusPublisher(ModbusSettings(port=0, readers=lan, writers=lan), Cell())
+        await server.start()
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+        assert await ended(reader)
+        writer.close()
+        await server.close()
+
+    asyncio.run(closed())
+
+
+def test_a_port_in_use_is_named() -> None:
+    """`ListenError` says which port and how to find out who has it."""
+
+    async def test(rig: Rig) -> None:
+        second = ModbusPublisher(ModbusSettings(port=rig.server.port), Cell())
+        with pytest.raises(ListenError, match=f"127.0.0.1:{rig.server.port}: the port is in use"):
+            await second.start()
+        await second.close()
+
+    serve(test)
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_mbpoll_reads_the_result_and_writes_a_command() -> None:
+    """An implementation of somebody else's (libmodbus) sees the same words."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(make_snapshot(9))
+        common = ["mbpoll", "-m", "tcp", "-p", str(rig.server.port), "-a", "1", "-1", "-q", "-t"]
+        run = asyncio.to_thread
+        read = await run(
+            subprocess.run,
+            [*common, "4", "-r", "301", "-c", "48", "127.0.0.1"],
+            capture_output=True,
+            text=True,
+            timeout=WAIT_S,
+        )
+        assert 0 == read.returncode, read.stderr
+        seen = [int(line.split()[1]) for line in read.stdout.splitlines() if line.startswith("[")]
+        assert (await rig.client.read_holding_registers(300, count=48)).registers == seen
+        write = await run(
+            subprocess.run,
+            [*common, "4", "-r", "101", "127.0.0.1", "1", "0", "7"],
+            capture_output=True,
+            text=True,
+            timeout=WAIT_S,
+        )
+        assert 0 == write.returncode, write.stderr
+        assert [7] == [command.sequence for command in rig.cell.commands]
+
+    serve(test)
+
+
+# --- RTU -------------------------------------------------------------------------------------------
+
+
+def rtu_frame(unit: int, pdu: bytes) -> bytes:
+    """Modbus RTU around a PDU."""
+    body = bytes((unit,)) + pdu
+    return body + struct.pack("<H", crc16(body))
+
+
+class Line:
+    """Two pseudo terminals joined by a thread: what is written to one can be read from the other."""
+
+    def __init__(self, name: Path) -> None:
+        self.master, slave = pty.openpty()
+        tty.setraw(self.master)
+        tty.setraw(slave)
+        self.path = name
+        name.symlink_to(os.ttyname(slave))
+        self._slave = slave  # kept open: without a reader a pseudo terminal reports an error to its master
+
+    def unplug(self) -> None:
+        """The device vanishes."""
+        self.path.unlink()
+        os.close(self.master)
+        os.close(self._slave)
+
+
+async def rtu_answer(line: Line, data: bytes, size: int) -> bytes:
+    """Write to the line and wait for so many bytes."""
+    loop = asyncio.get_running_loop()
+    os.write(line.master, data)
+    received = b""
+    arrived = asyncio.Event()
+    loop.add_reader(line.master, arrived.set)
+    try:
+        while len(received) < size:
+            await asyncio.wait_for(arrived.wait(), WAIT_S)
+            received += os.read(line.master, 4096)
+            arrived.clear()
+    finally:
+        loop.remove_reader(line.master)
+    return received
+
+
+READ_MAGIC = struct.pack(">BHH", 3, 0, 1)
+MAGIC_ANSWER = rtu_frame(1, struct.pack(">BBH", 3, 2, reg.MAGIC))
+
+
+def test_frames_that_arrive_together_are_told_apart() -> None:
+    """A request to another slave, its answer, and one to us in one piece; noise in front is dropped."""
+    frames = [rtu_frame(9, READ_MAGIC), rtu_frame(9, bytes((3, 2, 1, 2))), rtu_frame(1, READ_MAGIC)]
+    assert frames == split_frames(b"".join(frames))
+    assert frames[2:] == split_frames(b"\x55\xaa" + frames[2])
+    assert [] == split_frames(frames[2][:-1])
+    assert [] == split_frames(b"")
+
+
+def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Path) -> None:
+    """Foreign ids and damaged frames: silence. Broadcast: carried out in silence. Unplugged: reopened."""
+
+    async def run() -> None:
+        line = Line(tmp_path / "line")
+        cell = Cell()
+        serial = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
+        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), cell)
+        await server.start()
+        try:
+            assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
+            # whatever was answered to these would come before the answer to the last one
+            damaged = bytearray(rtu_frame(1, READ_MAGIC))
+            damaged[3] ^= 1
+            broadcast = rtu_frame(0, struct.pack(">BHHB3H", 16, 100, 3, 6, 1, 0, 5))
+            for data in (rtu_frame(9, READ_MAGIC), bytes(damaged), broadcast):
+                os.write(line.master, data)
+                await asyncio.sleep(0.06)
+            assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
+            assert [5] == [command.sequence for command in cell.commands]
+            line.unplug()
+            await asyncio.sleep(0.2)
+            line = Line(tmp_path / "line")
+            async with asyncio.timeout(WAIT_S):
+                while True:  # the server looks for the device every 50 ms
+                    try:
+                        answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
+                        break
+                    except TimeoutError:
+                        continue
+            assert answer.endswith(MAGIC_ANSWER)
+        finally:
+            await server.close()
+            line.unplug()
+
+    asyncio.run(run())
+
+
+def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
+    """And the TCP port that was opened before is closed again."""
+
+    async def run() -> None:
+        serial = SerialSettings(str(tmp_path / "nothing"))
+        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), Cell())
+        with pytest.raises(ListenError, match="is it plugged in"):
+            await server.start()
+        assert 0 == server.port
+
+    asyncio.run(run())
+
+
+# --- TLS -------------------------------------------------------------------------------------------
+
+
+def test_the_role_is_read_from_its_extension() -> None:
+    """OID 1.3.6.1.4.1.50316.802.1, octet string, UTF8String; with and without "critical"; else none."""
+    oid = bytes.fromhex("060b2b060104018389 0c862201".replace(" ", ""))
+    value = bytes((0x04, 10, 0x0C, 8)) + b"operator"
+    assert "operator" == certificate_role(b"before" + oid + value + b"after")
+    assert "operator" == certificate_role(oid + bytes((1, 1, 0xFF)) + value)
+    assert certificate_role(b"no such extension") is None
+    assert certificate_role(oid + value[:-1]) is None
+    assert certificate_role(oid) is None
+
+
+def openssl(folder: Path, *arguments: str) -> None:
+    """Run openssl in a folder."""
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
+
+
+def make_certificates(folder: Path) -> None:
+    """An authority; a server for 127.0.0.1; clients with the roles operator and viewer."""
+    new = ["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2"]
+    openssl(folder, *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=cell")
+    role = "1.3.6.1.4.1.50316.802.1=ASN1:UTF8String:"
+    extensions = {
+        "server": "subjectAltName=IP:127.0.0.1",
+        "operator": f"{role}operator",
+        "viewer": f"{role}viewer",
+    }
+    for name, extension in extensions.items():
+        signed = ["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "basicConstraints=critical,CA:FALSE"]
+        files = ["-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}"]
+        openssl(folder, *new, *files, *signed, "-addext", extension)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Path) -> None:
+    """An operator writes, a viewer reads, and who shows no certificate of ours gets nothing."""
+    make_certificates(tmp_path)
+    tls = TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
+
+    async def ask_as(port: int, name: str | None, pdu: bytes) -> bytes:
+        context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+        if name is not None:
+            context.load_cert_chain(tmp_path / f"{name}.pem", tmp_path / f"{name}.key")
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=context)
+        try:
+            writer.write(frame(pdu))
+            return await response(reader, 1)
+        finally:
+            writer.transport.abort()
+
+    async def run() -> None:
+        server = ModbusPublisher(ModbusSettings(port=0, tls=tls), Cell())
+        await server.start()
+        try:
+            write, read = struct.pack(">BHH", 6, 104, 1), struct.pack(">BHH", 3, 0, 1)
+            assert write == await ask_as(server.port, "operator", write)
+            assert bytes((0x86, 1)) == await ask_as(server.port, "viewer", write)
+            assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await ask_as(server.port, "viewer", read)
+            with pytest.raises((ssl.SSLError, ConnectionError, asyncio.IncompleteReadError)):
+                await ask_as(server.port, None, read)
+        finally:
+            await server.close()
+
+    asyncio.run(run())
