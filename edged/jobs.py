@@ -7,7 +7,6 @@ their names. The shape model beside it is checksummed and never edited.
 from __future__ import annotations
 
 import math
-import os
 import shutil
 import tempfile
 import tomllib
@@ -116,7 +115,8 @@ def load_job(folder: Path) -> Job:
         raise FileFormatError(f"{path}: not TOML: {error}") from error
     except ValidationError as error:
         details = "; ".join(
-            f"{'.'.join(str(part) for part in detail['loc']) or '(file)'}: {detail['msg'].removeprefix('Value error, ')}"
+            f"{'.'.join(str(part) for part in detail['loc']) or '(file)'}: "
+            f"{detail['msg'].removeprefix('Value error, ')}"
             for detail in error.errors()
         )
         raise FileFormatError(f"{path}: {details}") from error
@@ -173,7 +173,7 @@ def save_job(folder: Path, job: Job) -> None:
             old = folder.with_name(folder.name + ".old")
             shutil.rmtree(old, ignore_errors=True)
             folder.replace(old)
-        os.replace(fresh, folder)
+        fresh.replace(folder)
     except BaseException:
         shutil.rmtree(fresh, ignore_errors=True)
         raise
@@ -190,7 +190,7 @@ def _to_toml(job: Job) -> str:
         f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
     )
     lines = [
-        "# A taught job. Edit what you like below; unknown keys are errors. shape.npz beside it is not for editing.",
+        "# A taught job. Edit what you like below; unknown keys are errors. shape.npz is not for editing.",
         'format = "edged-job"',
         "version = 1",
         f'name = "{job.name}"',

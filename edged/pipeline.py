@@ -40,7 +40,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
     lap : called with the name of each stage as it ends, for timing.
     Raises `ImageError` when the images do not fit the rig.
     """
-    return judge([measured for measured in inspect(pair, job, rig, lap)])
+    return judge(inspect(pair, job, rig, lap))
 
 
 def inspect(

@@ -217,3 +217,198 @@ def matching_jacobian(value: FloatArray, slope: FloatArray, gain: float) -> Floa
     v, u = np.mgrid[-half : half + 1, -half : half + 1]
     columns = [-gain * slope, -gain * slope * u, -gain * slope * v, value, np.ones_like(value)]
     return np.stack(columns, axis=-1).reshape(-1, 5)
+
+
+# --- edged.vision.edges -------------------------------------------------------------------------
+
+
+def cubic_value(image: Image, x: float, y: float) -> float:
+    """Keys' cubic convolution (a = -1/2) at one place: the sum of all pixels under its bell."""
+
+    def bell(distance: float) -> float:
+        d = abs(distance)
+        if d < 1:
+            return 1.5 * d**3 - 2.5 * d**2 + 1
+        return -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2 if d < 2 else 0.0
+
+    total = 0.0
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            total += bell(x - column) * bell(y - row) * float(image[row, column])
+    return total
+
+
+def edge_along_normal(
+    image: Image,
+    point: FloatArray,
+    normal: FloatArray,
+    reach_px: float,
+    polarity: int,
+    sigma_px: float,
+    step_px: float,
+) -> tuple[float, float, bool]:
+    """Offset and slope of the strongest edge across one point (NaN where there is none), and whether the
+    sensor clips within 2.5 px of it."""
+    inner, radius = math.ceil(reach_px / step_px) + 1, math.ceil(3.5 * sigma_px / step_px)
+    height, width = image.shape
+
+    def grey(place: int) -> float:
+        x, y = point + place * step_px * normal
+        return cubic_value(image, x, y)
+
+    for place in (-inner - radius, inner + radius):
+        x, y = point + place * step_px * normal
+        if not (1 <= x < width - 2 and 1 <= y < height - 2):
+            return math.nan, math.nan, False
+    taps = [i * math.exp(-0.5 * (i * step_px / sigma_px) ** 2) for i in range(-radius, radius + 1)]
+    gain = sum(i * step_px * tap for i, tap in zip(range(-radius, radius + 1), taps, strict=True))
+    slopes = [
+        sum(tap * grey(s + i) for i, tap in zip(range(-radius, radius + 1), taps, strict=True)) / gain
+        for s in range(-inner, inner + 1)
+    ]
+    best, found = 0.0, (math.nan, math.nan)
+    for s in range(1, 2 * inner):
+        sign = polarity or (-1 if slopes[s] < 0 else 1)
+        before, here, after = (sign * slope for slope in slopes[s - 1 : s + 2])
+        if here > 0 and here >= before and here > after:
+            hill = min(before, after) > 0.25 * here  # a Gaussian is a parabola in its logarithm
+            values = [math.log(v) if hill else v for v in (before, here, after)]
+            c, b, a = np.linalg.solve([[1, -1, 1], [1, 0, 0], [1, 1, 1]], values)  # c + b x + a x²
+            fraction, top = -b / (2 * a), c - b * b / (4 * a)
+            peak = math.exp(top) if hill else top
+            offset = (s - inner + fraction) * step_px
+            weight = peak * math.exp(-0.5 * (offset / reach_px) ** 2)
+            if abs(offset) <= reach_px and weight > best:
+                best, found = weight, (offset, math.copysign(peak, slopes[s]))
+    if math.isnan(found[0]):
+        return *found, False
+    beside = range(int(found[0] / step_px - 2.5 / step_px), math.ceil(found[0] / step_px + 2.5 / step_px) + 1)
+    greys = [grey(place) for place in beside if abs(place) <= inner + radius]
+    return *found, max(greys) >= 254.5 or min(greys) <= 0.5
+
+
+# --- edged.vision.startplane --------------------------------------------------------------------
+
+
+def row_edges(
+    image: Image, point: FloatArray, sign: float, low: float, high: float, min_slope: float, most: int
+) -> list[float]:
+    """Disparities of the strongest edges of one sign on a point's row, sorted; three rows together."""
+    height, width = image.shape
+    row = round(float(point[1]))
+    if not 1 <= row <= height - 2:
+        return []
+    taps = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10
+    mean = image[row - 1 : row + 2].astype(float).mean(axis=0)
+    slope = sign * np.array([taps @ mean[x - 2 : x + 3] for x in range(2, width - 2)])  # of column x + 2
+    found = []
+    for x in range(max(3, math.floor(point[0] - high)), min(width - 4, math.ceil(point[0] - low)) + 1):
+        before, here, after = slope[x - 3], slope[x - 2], slope[x - 1]
+        if here >= min_slope and here >= before and here > after:
+            place = x + 0.5 * (before - after) / (before - 2 * here + after)
+            found.append((here, float(point[0] - place)))
+    return sorted(disparity for _, disparity in sorted(found, reverse=True)[:most])
+
+
+def plane_agreement(
+    points: FloatArray, rivals: FloatArray, plane: tuple[float, float, float], tolerance: float
+) -> int:
+    """How many points have a rival within the tolerance of d = a x + b y + c."""
+    a, b, c = plane
+    return sum(
+        any(abs(rival - (a * x + b * y + c)) < tolerance for rival in row if not math.isnan(rival))
+        for (x, y), row in zip(points, rivals, strict=True)
+    )
+
+
+# --- edged.vision.shape ------------------------------------------------------------------------
+
+
+def shape_responses(gx: np.ndarray, gy: np.ndarray, minimum: int, unsigned: bool) -> np.ndarray:
+    """(16, H, W): 7 cos(gradient direction - orientation), not rounded; of twice the angle when unsigned."""
+    maps = np.zeros((16, *gx.shape))
+    for y in range(gx.shape[0]):
+        for x in range(gx.shape[1]):
+            if math.hypot(gx[y, x], gy[y, x]) < max(math.sqrt(minimum), 1):
+                continue
+            direction = math.atan2(gy[y, x], gx[y, x])
+            for o in range(16):
+                turn = direction - 2 * math.pi * o / 16
+                maps[o, y, x] = 7 * math.cos(2 * turn if unsigned else turn)
+    return maps
+
+
+def shape_similarity(
+    maps: np.ndarray, points: np.ndarray, directions: np.ndarray, x: int, y: int, pose: np.ndarray
+) -> int:
+    """Sum of the responses (16, H, W) under the points of a pose (angle, scale x, scale y) at (x, y)."""
+    total = 0
+    for (px, py), direction in zip(points, directions, strict=True):
+        u, v = px * pose[1], py * pose[2]
+        i = x + math.floor(math.cos(pose[0]) * u - math.sin(pose[0]) * v + 0.5)
+        j = y + math.floor(math.sin(pose[0]) * u + math.cos(pose[0]) * v + 0.5)
+        o = math.floor((direction + pose[0]) * 16 / (2 * math.pi) + 0.5) % 16
+        if 0 <= i < maps.shape[2] and 0 <= j < maps.shape[1]:
+            total += int(maps[o, j, i])
+    return total
+
+
+def shape_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Where a pose vector puts a model point."""
+    return pose[:2] + pose[2:6].reshape(2, 2) @ point / (1 + pose[6:] @ point)
+
+
+def shape_step(pose: np.ndarray, step: np.ndarray, freedom: int) -> np.ndarray:
+    """A pose after a step of 3, 4, 5, 6 or 8 unknowns."""
+    moved = pose.copy()
+    moved[:2] += step[:2]
+    if freedom <= 5:
+        scales = {3: (1, 1), 4: (1 + step[-1], 1 + step[-1]), 5: (1 + step[-2], 1 + step[-1])}[freedom]
+        turn = np.array([[math.cos(step[2]), -math.sin(step[2])], [math.sin(step[2]), math.cos(step[2])]])
+        moved[2:6] = (turn @ pose[2:6].reshape(2, 2) @ np.diag(scales)).ravel()
+    else:
+        moved[2:freedom] += step[2:]
+    return moved
+
+
+def shape_edge(
+    gx: np.ndarray, gy: np.ndarray, place: np.ndarray, reach: float, sign: int, minimum: float
+) -> tuple[float, float]:
+    """Offset and cos of the strongest, nearest extremum of the gradient along a normal; NaN, 0 for none."""
+
+    def at(image: np.ndarray, x: float, y: float) -> float:
+        i, j = math.floor(x), math.floor(y)
+        a, b = x - i, y - j
+        top = (1 - a) * image[j, i] + a * image[j, i + 1]
+        return float((1 - b) * top + b * ((1 - a) * image[j + 1, i] + a * image[j + 1, i + 1]))
+
+    x, y, nx, ny = place
+    inner = math.ceil(reach) + 1
+    best, offset, cosine = 0.0, math.nan, 0.0
+    samples = []
+    for s in range(-inner, inner + 1):
+        u, v = at(gx, x + s * nx, y + s * ny), at(gy, x + s * nx, y + s * ny)
+        samples.append((u * nx + v * ny, math.hypot(u, v)))
+    for s in range(1, 2 * inner):
+        factor = -1 if sign < 0 or (sign == 0 and samples[s][0] < 0) else 1
+        before, here, after = (factor * samples[s + k][0] for k in (-1, 0, 1))
+        if here < minimum or here < before or here <= after:
+            continue
+        position = s - inner + (before - after) / (2 * (before - 2 * here + after))
+        weight = here * math.exp(-0.5 * (position / reach) ** 2)
+        if abs(position) <= reach and weight > best:
+            best, offset, cosine = weight, position, here / samples[s][1]
+    return offset, cosine
+
+
+def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: float) -> np.ndarray:
+    """Robust least squares with Tukey's weights by numpy's solver."""
+    weights = np.ones(len(values))
+    solution = np.zeros(design.shape[1])
+    for _ in range(iterations):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+        residuals = values - design @ solution
+        ratio = residuals / (4.685 * max(1.4826 * float(np.median(np.abs(residuals))), floor))
+        weights = np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0)
+    return solution

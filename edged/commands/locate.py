@@ -10,7 +10,7 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import Frame, FramePair, Outcome, Status
+from edged.domain import FloatArray, Frame, FramePair, Outcome, Status
 from edged.jobs import load_job
 from edged.payload import outcome_to_json
 from edged.pipeline import inspect, judge, prepare
@@ -71,6 +71,7 @@ def _print(outcome: Outcome, console: Console) -> None:
         table = Table(title=f"{target.job}, score {target.match.score:.3f}", title_justify="left")
         for column in ("", "x mm", "y mm", "z mm", "radius mm", "sigma mm"):
             table.add_column(column, justify="right")
+        rows: list[tuple[str, FloatArray, float | None, FloatArray]]
         rows = [("position", target.position_mm, None, target.sigma_mm)]
         rows += [(c.name, c.centre_mm, c.radius_mm, c.sigma_centre_mm) for c in target.circles]
         for name, place, radius, sigma in rows:

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import ClassVar
 
 from edged.app import Daemon, load_cell, warm_up
 from edged.sim.world import VirtualWorld
@@ -32,7 +33,7 @@ def set_up_logging() -> None:
 class _JournalFormatter(logging.Formatter):
     """sd-daemon(3): a line that starts with <N> has the priority N."""
 
-    PRIORITIES = {
+    PRIORITIES: ClassVar = {
         logging.DEBUG: 7,
         logging.INFO: 6,
         logging.WARNING: 4,

@@ -49,7 +49,8 @@ def teach(
         cx, cy, _ = circle.centre_mm
         kind = "hole" if circle.polarity > 0 else "disc"
         console.print(
-            f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm at ({cx:.3f}, {cy:.3f}) mm in the part frame"
+            f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm "
+            f"at ({cx:.3f}, {cy:.3f}) mm in the part frame"
         )
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
@@ -61,5 +62,6 @@ def _check_name(name: str) -> None:
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
         raise TeachError(
-            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', beginning with a letter or digit"
+            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
+            "beginning with a letter or digit"
         )

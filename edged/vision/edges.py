@@ -2,11 +2,12 @@
 
 No rectification, no smoothing of the whole image: a profile is sampled across each predicted
 edge point with bicubic interpolation, and the edge is the extremum of the profile's convolution
-with the derivative of a Gaussian (J. Canny, PAMI 1986), refined by the parabola through its
-neighbours. At its best width, sqrt(5) times the blur, that operator is within 1.2 x of the
-Cramér-Rao bound for an edge in white noise. Beside texture a narrower one is better, so an edge
-can be measured at several widths from one profile; who fits the curve sees which of them
-scatters least.
+with the derivative of a Gaussian (J. Canny, PAMI 1986). A blurred step gives a Gaussian hill there,
+so the extremum is refined by the Gaussian through it and its neighbours: a parabola would pull it
+towards the sample by up to 0.023 px. At its best width, sqrt(5) times the blur, that operator is
+within 1.2 x of the Cramér-Rao bound for an edge in white noise. Beside texture a narrower one is
+better, so an edge can be measured at several widths from one profile; who fits the curve sees which
+of them scatters least.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ EDGE_SIGMA_PX = 1.2
 WIDTHS_PX = (0.6, 0.85, 1.2, 1.7)
 """Widths to choose from: beside texture, in between, focused lens with noise, soft or noisy image."""
 FINE_STEP_PX = 0.5
-"""Sampling of the profile for narrow operators: the parabola is then exact to 0.003 px."""
+"""Sampling of the profile for narrow operators."""
+_HILL_SHARE = 0.25
+"""Of the extremum that both neighbours of a blurred step exceed at either sampling; below it, texture."""
 _CLIP_REACH_PX = 2.5  # the plateaus on both sides of an edge begin here, for a blur of up to 1 px
 
 
@@ -85,7 +88,7 @@ def edge_profiles(
 ) -> tuple[FloatArray, FloatArray]:
     """Grey values (N, S) across each point and their places (S,) in px; NaN rows leave the image."""
     half = round(half_px / step_px)
-    places = np.arange(-half, half + 1) * step_px
+    places = np.asarray(np.arange(-half, half + 1) * step_px, dtype=np.float64)
     return _profiles(image, _columns(points_px), _columns(normals), half, step_px), places
 
 
@@ -111,7 +114,7 @@ def _columns(points: FloatArray) -> FloatArray:
 
 
 @kernel("void(f8, f8[::1])")
-def _cubic_weights(fraction: float, weights: npt.NDArray[np.float64]) -> None:
+def _cubic_weights(fraction: float, weights: FloatArray) -> None:
     """Catmull-Rom weights of the four neighbours (R. Keys, 1981, a = -0.5)."""
     f = fraction
     weights[0] = ((-0.5 * f + 1.0) * f - 0.5) * f
@@ -121,7 +124,17 @@ def _cubic_weights(fraction: float, weights: npt.NDArray[np.float64]) -> None:
 
 
 @kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1], f8[::1], f8[::1])")
-def _sample_profile(image, x, y, sx, sy, half, wx, wy, profile):  # type: ignore[no-untyped-def]
+def _sample_profile(
+    image: Image,
+    x: float,
+    y: float,
+    sx: float,
+    sy: float,
+    half: int,
+    wx: FloatArray,
+    wy: FloatArray,
+    profile: FloatArray,
+) -> bool:
     """Fill profile with 2 half + 1 bicubic samples, (sx, sy) apart; False when it leaves the image."""
     height, width = image.shape
     for end in (-half, half):
@@ -145,7 +158,7 @@ def _sample_profile(image, x, y, sx, sy, half, wx, wy, profile):  # type: ignore
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8)")
-def _profiles(image, points, normals, half, step):  # type: ignore[no-untyped-def]
+def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, step: float) -> FloatArray:
     count = points.shape[0]
     found = np.full((count, 2 * half + 1), np.nan)
     wx, wy = np.empty(4), np.empty(4)
@@ -158,7 +171,18 @@ def _profiles(image, points, normals, half, step):  # type: ignore[no-untyped-de
 
 
 @kernel("void(f8[::1], f8[::1], i8, i8, i8, f8, i8, f8, f8[::1], f8[::1])")
-def _best_extremum(profile, derivative, radius, half, inner, reach, polarity, step, slopes, best):  # type: ignore[no-untyped-def]
+def _best_extremum(
+    profile: FloatArray,
+    derivative: FloatArray,
+    radius: int,
+    half: int,
+    inner: int,
+    reach: float,
+    polarity: int,
+    step: float,
+    slopes: FloatArray,
+    best: FloatArray,
+) -> None:
     """best = (offset px, slope) of the strongest extremum of profile * derivative; NaN if there is none."""
     first = half - inner - radius
     for s in range(2 * inner + 1):
@@ -174,17 +198,31 @@ def _best_extremum(profile, derivative, radius, half, inner, reach, polarity, st
             before, here, after = -before, -here, -after
         if here <= 0 or here < before or here <= after:
             continue
-        curvature = before - 2.0 * here + after
-        offset = (s - inner + 0.5 * (before - after) / curvature) * step
-        weight = here * np.exp(-0.5 * (offset / reach) ** 2)
+        hill = min(before, after) > _HILL_SHARE * here
+        if hill:
+            before, here, after = np.log(before), np.log(here), np.log(after)
+        fraction = 0.5 * (before - after) / (before - 2.0 * here + after)
+        peak = here - 0.25 * (before - after) * fraction
+        if hill:
+            peak = np.exp(peak)
+        offset = (s - inner + fraction) * step
+        weight = peak * np.exp(-0.5 * (offset / reach) ** 2)
         if abs(offset) <= reach and weight > best_weight:
             best_weight = weight
             best[0] = offset
-            best[1] = slopes[s]
+            best[1] = peak if slopes[s] > 0 else -peak
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], f8, f8[::1], i8[::1], f8)")
-def _edge_offsets(image, points, normals, reach, widths, polarity, step):  # type: ignore[no-untyped-def]
+def _edge_offsets(
+    image: Image,
+    points: FloatArray,
+    normals: FloatArray,
+    reach: float,
+    widths: FloatArray,
+    polarity: npt.NDArray[np.int64],
+    step: float,
+) -> FloatArray:
     """Rows: the offset at each width, then the slope at each width, then 1 where the sensor clips."""
     count, many = points.shape[0], widths.shape[0]
     found = np.full((2 * many + 1, count), np.nan)

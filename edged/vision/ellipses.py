@@ -51,7 +51,7 @@ class ImageEllipse:
 
 
 def find_ellipses(image: Image, mask: Image) -> list[ImageEllipse]:
-    """Ellipses among the strong edges inside a mask, largest first; two edges of one chamfer are both given."""
+    """Ellipses among the strong edges inside a mask, largest first; both edges of a chamfer are given."""
     edges = strong_edges(image, mask)
     if edges is None:
         return []
@@ -79,10 +79,7 @@ def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | N
         return None, best_inliers
     random = np.random.default_rng(0)
     for trial in range(TRIALS):
-        if trial == 0:
-            sample = points
-        else:
-            sample = points[random.choice(len(points), 6, replace=False)]
+        sample = points if trial == 0 else points[random.choice(len(points), 6, replace=False)]
         candidate = _fit(sample)
         if candidate is None:
             continue

@@ -16,9 +16,10 @@ FRACTION_BITS = 4  # cv2 draws with 1/16 px
 
 
 def draw_pair(left: Image, right: Image, measured: Sequence[Measured]) -> npt.NDArray[np.uint8]:
-    """(H, 2 W, 3) BGR: both raw images; edge points green where they agree, red where not; axes x red, y green."""
+    """(H, 2 W, 3) BGR: both raw images; edge points green where they agree, else red; and figures."""
     canvases = {
-        side: cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for side, image in (("left", left), ("right", right))
+        side: np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        for side, image in (("left", left), ("right", right))
     }
     for one in measured:
         for fit in one.fits:

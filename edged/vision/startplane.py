@@ -19,7 +19,7 @@ from edged.vision.rectification import Rectification
 from edged.vision.triangulation import triangulate
 
 MAX_SLOPE = 0.25
-"""Of the disparity over the image, px per px: faces tilted by up to about 25° at a ratio Z / baseline of 2."""
+"""Of the disparity over the image, px per px: faces tilted by up to about 25° at Z / baseline = 2."""
 MIN_ALONG_ROW = 0.45
 """An edge must be crossed by its row at no less than this (cosine), or its column is vague."""
 TOLERANCE_PX = 1.0
@@ -90,7 +90,15 @@ def _rivals(
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8, i8)")
-def _row_edges(image, points, sign, low, high, min_slope, most):  # type: ignore[no-untyped-def]
+def _row_edges(
+    image: Image,
+    points: FloatArray,
+    sign: FloatArray,
+    low: float,
+    high: float,
+    min_slope: float,
+    most: int,
+) -> FloatArray:
     height, width = image.shape
     count = points.shape[0]
     found = np.full((count, most), np.nan)
@@ -158,7 +166,14 @@ def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: floa
 
 
 @kernel("UniTuple(f8, 4)(f8[:, ::1], f8[:, ::1], i8, f8, f8, f8)")
-def _ransac(points, rivals, trials, max_slope, tolerance, min_area):  # type: ignore[no-untyped-def]
+def _ransac(
+    points: FloatArray,
+    rivals: FloatArray,
+    trials: int,
+    max_slope: float,
+    tolerance: float,
+    min_area: float,
+) -> tuple[float, float, float, float]:
     """(a, b, c, count) of the plane through three points, one rival each, that most points agree with."""
     count, most = rivals.shape
     best_a = best_b = best_c = 0.0
