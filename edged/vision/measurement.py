@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle, fit_face
 from edged.vision.geometry import apply
 from edged.vision.job import CircleFeature, Job
 from edged.vision.rectification import Rectification, row_difference_px
@@ -19,6 +19,12 @@ DEPTH_MARGIN = 0.05
 OUTLINE_POINTS = 240
 PLACE_TOLERANCE = 0.02
 """A feature farther from its place than this share of the part's size is another edge."""
+PLACE_MARGIN_MM = 0.1
+MIN_SUPPORT = 0.15
+"""Share of the reference circle that each camera must show to be measured at all; the job's limit is higher."""
+MIN_OTHER_SUPPORT = 0.4
+OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0))
+TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,23 +46,23 @@ class Measured:
 
 
 def measure(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Measured | None:
-    """Measure one found part; None when the right camera does not show what the left one found."""
-    reference = job.reference_circle
-    face = _face(images, rectification, job, match, reference)
-    if face is None:
-        return None
-    main = _fit(images, rectification, job, match, face, reference, face_known=False)
+    """Measure one found part; None when the right camera does not show what the left one found.
+
+    First the reference circle, for the plane of the face; then the other circles near the places where
+    the pose puts them; then all that were found, together.
+    """
+    main = _reference(images, rectification, job, match)
     if main is None:
         return None
-    normal = main.circle.normal
-    face = Plane(normal, float(normal @ main.circle.centre_mm))
+    start = _start_rotation(rectification, job, match, main)
     others = [
         fit
         for circle in job.circles
-        if circle is not reference
-        and (fit := _fit(images, rectification, job, match, face, circle, face_known=True)) is not None
+        if circle.name != job.reference
+        and (fit := _other(images, rectification, job, match, main, start, circle)) is not None
     ]
-    start = _start_rotation(rectification, job, match, face, main)
+    main, others = _together(images, rectification, main, others)
+    start = _start_rotation(rectification, job, match, main)
     rotation, sigma_turn, used = _rotation(job, main, others, start)
     rig_from_part = np.eye(4)
     rig_from_part[:3, :3] = rotation
@@ -64,18 +70,91 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
     fits = (main, *(others[index] for index in used))
     origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
     epipolar = _epipolar_rms(rectification, main)
+    covariance = _pose_covariance(main, sigma_turn)
     target = Target(
         job=job.name,
         match=Match(
             float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
         ),
         rig_from_part=rig_from_part,
-        covariance=_pose_covariance(main, sigma_turn),
+        covariance=covariance,
         circles=tuple(_in_order(job, fits)),
         epipolar_rms_px=epipolar,
-        reject=_judge(job, match, main, rig_from_part, epipolar, _pose_covariance(main, sigma_turn)),
+        reject=_judge(job, match, main, rig_from_part, epipolar, covariance),
     )
     return Measured(target, fits)
+
+
+def _reference(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> CircleFit | None:
+    """The reference circle, measured on its own; its contrast may be the opposite of the taught one."""
+    reference = job.reference_circle
+    expected = _polarity(reference, match)
+    for polarity in (expected,) if job.search.polarity == "same" else (expected, -expected):
+        face = _face(images, rectification, job, match, polarity)
+        if face is None:
+            continue
+        rays = _rays(rectification, _predicted(rectification, job, match, reference.centre_mm[None]))
+        if not np.isfinite(rays).all():
+            return None
+        centre = face.meet(rays)[0]
+        guess = CircleGuess(reference.name, centre, reference.radius_mm, polarity)
+        fit = fit_circle(rectification.rig, images.left, images.right, guess, face.normal)
+        if fit is None:
+            continue
+        near = np.linalg.norm(fit.circle.centre_mm - centre) < 0.2 * reference.radius_mm
+        sized = abs(fit.circle.radius_mm - reference.radius_mm) < 0.1 * reference.radius_mm
+        if near and sized and min(fit.support_left, fit.support_right) >= MIN_SUPPORT:
+            return fit
+    return None
+
+
+def _other(
+    images: Images,
+    rectification: Rectification,
+    job: Job,
+    match: ShapeMatch,
+    main: CircleFit,
+    rotation: FloatArray,
+    circle: CircleFeature,
+) -> CircleFit | None:
+    """Another circle of the face, near the place where the pose puts it."""
+    arm = circle.centre_mm - job.reference_circle.centre_mm
+    centre = main.circle.centre_mm + rotation @ arm
+    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    expected = _polarity(circle, match)
+    for polarity in (expected,) if job.search.polarity == "same" else (expected, -expected):
+        fit = fit_circle(
+            rectification.rig,
+            images.left,
+            images.right,
+            CircleGuess(circle.name, centre, circle.radius_mm, polarity),
+            main.circle.normal,
+            OTHER_PARAMS,
+            fixed_normal=True,
+        )
+        if fit is None:
+            continue
+        near = np.linalg.norm(fit.circle.centre_mm - centre) < limit
+        sized = abs(fit.circle.radius_mm - circle.radius_mm) < limit
+        if near and sized and min(fit.support_left, fit.support_right) >= MIN_OTHER_SUPPORT:
+            return fit
+    return None
+
+
+def _together(
+    images: Images, rectification: Rectification, main: CircleFit, others: list[CircleFit]
+) -> tuple[CircleFit, list[CircleFit]]:
+    """Measure all circles again in one common plane; circles that stand off it keep their distance."""
+    if not others:
+        return main, others
+    normal = main.circle.normal
+    guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
+    for fit in others:
+        off = float(normal @ (fit.circle.centre_mm - main.circle.centre_mm))
+        in_plane = fit.circle.centre_mm - off * normal
+        guesses.append(CircleGuess(fit.circle.name, in_plane, fit.circle.radius_mm, fit.polarity))
+    face = fit_face(rectification.rig, images.left, images.right, guesses, normal, TOGETHER_PARAMS)
+    return (main, others) if face is None else (face.fits[0], list(face.fits[1:]))
 
 
 def _predicted(
@@ -96,10 +175,10 @@ def _outline(circle: CircleFeature, count: int) -> FloatArray:
 
 
 def _face(
-    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, reference: CircleFeature
+    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, polarity: int
 ) -> Plane | None:
     """The plane of the part's face, from the reference circle's outline in both rectified images."""
-    points = _predicted(rectification, job, match, _outline(reference, OUTLINE_POINTS))
+    points = _predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
     centre = points.mean(axis=0)
     tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
@@ -113,7 +192,7 @@ def _face(
         images.rectified_right,
         points,
         normals,
-        _polarity(reference, match),
+        polarity,
         (depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)),
     )
 
@@ -127,44 +206,10 @@ def _rays(rectification: Rectification, rectified_px: FloatArray) -> FloatArray:
     return np.column_stack([normalised, np.ones(len(normalised))])
 
 
-def _fit(
-    images: Images,
-    rectification: Rectification,
-    job: Job,
-    match: ShapeMatch,
-    face: Plane,
-    circle: CircleFeature,
-    *,
-    face_known: bool,
-) -> CircleFit | None:
-    """Measure one circle near the place where the match and the face say it is."""
-    pixel = _predicted(rectification, job, match, circle.centre_mm[None])
-    rays = _rays(rectification, pixel)
-    if not np.isfinite(rays).all():
-        return None
-    centre = face.meet(rays)[0]
-    fit = fit_circle(
-        rectification.rig,
-        images.left,
-        images.right,
-        CircleGuess(circle.name, centre, circle.radius_mm, _polarity(circle, match)),
-        face.normal,
-        CircleFitParams(reach_px=(3.0, 2.5, 2.0)) if face_known else CircleFitParams(),
-        fixed_normal=face_known,
-    )
-    if fit is None:
-        return None
-    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + 0.1
-    near = np.linalg.norm(fit.circle.centre_mm - centre) < (limit if face_known else 10 * limit)
-    sized = abs(fit.circle.radius_mm - circle.radius_mm) < (limit if face_known else 0.1 * circle.radius_mm)
-    supported = min(fit.support_left, fit.support_right) >= (0.4 if face_known else 0.15)
-    return fit if near and sized and supported else None
-
-
-def _start_rotation(
-    rectification: Rectification, job: Job, match: ShapeMatch, face: Plane, main: CircleFit
-) -> FloatArray:
+def _start_rotation(rectification: Rectification, job: Job, match: ShapeMatch, main: CircleFit) -> FloatArray:
     """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
+    normal = main.circle.normal
+    face = Plane(normal, float(normal @ main.circle.centre_mm))
     radius = job.reference_circle.radius_mm
     tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
     space = face.meet(_rays(rectification, _predicted(rectification, job, match, tips)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle, fit_face
 from edged.vision.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry import apply, invert
 from edged.vision.job import CircleFeature, Job, Limits
@@ -22,6 +22,8 @@ DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane: shading displaces such edges, they are left out."""
+IN_FACE_MM = 0.05
+"""Machined faces are flat to better than this, and holes measured singly are off by less."""
 MIN_SUPPORT = 0.75
 
 
@@ -57,8 +59,18 @@ def teach(
     if not ellipses:
         raise TeachError("no circle found inside the region: a job needs at least one that both cameras see")
     face, reference = _reference(left, right, rectified_left, rectified_right, rectification, ellipses)
-    fits = [reference, *_others(left, right, rectification, ellipses, face, reference)]
-    fits = _named(fits)
+    others = _others(left, right, rectification, ellipses, face, reference)
+    fits = _named([reference, *others])
+    together = fit_face(
+        rectification.rig,
+        left,
+        right,
+        _guesses(fits),
+        reference.circle.normal,
+        CircleFitParams(reach_px=(2.0,)),
+    )
+    if together is not None:
+        fits = list(together.fits)
     rig_from_part = _part_frame(fits[0])
     depth = float(rig_from_part[2, 3])
     features = tuple(
@@ -206,6 +218,20 @@ def _fit_on(
         reach,
         fixed_normal=fixed_normal,
     )
+
+
+def _guesses(fits: list[CircleFit]) -> list[CircleGuess]:
+    """The circles as found, those that do not stand off the face by more than their doubt laid into it."""
+    normal, origin = fits[0].circle.normal, fits[0].circle.centre_mm
+    guesses = []
+    for fit in fits:
+        centre = fit.circle.centre_mm
+        off = float(normal @ (centre - origin))
+        sigma = float(np.sqrt(normal @ fit.circle.covariance[:3, :3] @ normal))
+        if abs(off) < max(IN_FACE_MM, 3 * sigma):
+            centre = centre - off * normal
+        guesses.append(CircleGuess(fit.circle.name, centre, fit.circle.radius_mm, fit.polarity))
+    return guesses
 
 
 def _common_depths(rectification: Rectification) -> tuple[float, float]:
