@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,6 +25,7 @@ from edged.vision.boards import Board, Detection, Missed, StereoView, parse_boar
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
 from edged.vision.detection import detect_board, remeasure_board
+from edged.vision.heldout import HeldOutView, hold_out
 from edged.vision.rectification import make_rectification
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -63,15 +64,17 @@ def calibrate(
     views = remeasure_views(pairs, views, first, console)
     with console.status("bundle adjustment"):
         calibration = calibrate_stereo(views, *sizes, lens)
+    with console.status("holding views out"):
+        held = hold_out(calibration)
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
-    quality = quality_figures(calibration, boards)
-    page = calibration_report(calibration, views, quality) if report else None
+    quality = quality_figures(calibration, held, boards)
+    page = calibration_report(calibration, held, views, quality) if report else None
     kept = _keep_old(output)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_atomically(report, page.encode())
-    _print(console, calibration, output, report, kept)
+    _print(console, calibration, quality, output, report, kept)
     return 0
 
 
@@ -210,7 +213,9 @@ def _one_size(paths: list[Path], sizes: list[tuple[int, int]]) -> tuple[int, int
     return usual
 
 
-def quality_figures(calibration: Calibration, boards: Sequence[Board]) -> dict[str, Any]:
+def quality_figures(
+    calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[Board]
+) -> dict[str, Any]:
     """What the rig file keeps about its calibration."""
     return {
         "board": ",".join(str(board) for board in boards),
@@ -220,9 +225,29 @@ def quality_figures(calibration: Calibration, boards: Sequence[Board]) -> dict[s
         "left_rms_px": round(calibration.rms_left_px, 5),
         "right_rms_px": round(calibration.rms_right_px, 5),
         "epipolar_rms_px": round(calibration.epipolar_rms_px, 5),
+        "held_out": _held_out_figures(held),
         "model_error_px": [round(value, 5) for value in calibration.model_error_px],
         "outliers": calibration.outliers,
         "notes": list(calibration.notes),
+    }
+
+
+def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
+    """Root mean squares over the views; None where no view could be held out."""
+    if not held:
+        return None
+
+    def rms(values: Sequence[float]) -> float:
+        return round(float(np.sqrt(np.mean(np.square(values)))), 6)
+
+    scales = np.array([view.scale for view in held])
+    return {
+        "reprojection_rms_px": rms([view.reprojection_rms_px for view in held]),
+        "epipolar_rms_px": rms([view.epipolar_rms_px for view in held]),
+        "board_size": round(float(scales.mean()), 7),
+        "board_size_std": round(float(scales.std()), 7),
+        "length_error_rms_mm": rms([view.length_error_mm for view in held]),
+        "flatness_rms_mm": rms([view.flatness_mm for view in held]),
     }
 
 
@@ -249,7 +274,12 @@ def _keep_old(output: Path) -> Path | None:
 
 
 def _print(
-    console: Console, calibration: Calibration, output: Path, report: Path | None, kept: Path | None
+    console: Console,
+    calibration: Calibration,
+    quality: Mapping[str, Any],
+    output: Path,
+    report: Path | None,
+    kept: Path | None,
 ) -> None:
     rig = calibration.rig
     sigma = np.zeros(len(rig.parameter_names)) if rig.covariance is None else np.sqrt(np.diag(rig.covariance))
@@ -266,6 +296,16 @@ def _print(
     console.print(
         f"stereo rms {calibration.rms_px:.4f} px, epipolar rms {calibration.epipolar_rms_px:.4f} px, "
         f"baseline {rig.baseline_mm:.4f} mm, {len(calibration.views)} views"
+    )
+    if quality["held_out"]:
+        held = quality["held_out"]
+        console.print(
+            f"held-out views: reprojection {held['reprojection_rms_px']:.4f} px, "
+            f"epipolar {held['epipolar_rms_px']:.4f} px, board size {held['board_size']:.6f} of true, "
+            f"longest length {held['length_error_rms_mm']:.4f} mm (rms)"
+        )
+    console.print(
+        f"all lengths rest on the stated board ({escape(quality['board'])}): the pictures cannot prove it"
     )
     for name, reason in calibration.excluded:
         console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}")

@@ -182,6 +182,19 @@ def relation_information(
     return information, gradient
 
 
+def adjust_poses(state: BundleState, left: Observations, right: Observations) -> BundleState:
+    """The state with the board poses that fit best, lenses and right_from_left held."""
+    nothing = np.zeros((4 + len(state.left.distortion), 0)), np.zeros((4 + len(state.right.distortion), 0))
+    for _ in range(_MAX_STEPS):
+        normal = _normal_equations(state, left, right, nothing, robust=True)
+        solved = np.linalg.solve(normal.poses, normal.poses_right[..., None])
+        steps = np.asarray(solved[..., 0], dtype=np.float64)
+        state = _moved(state, np.zeros(6), steps, nothing)
+        if float(np.sum(steps * normal.poses_right)) < _NEGLIGIBLE_GAIN:
+            break
+    return state
+
+
 def _of_view(seen: Observations, view: int) -> Observations:
     """The marks of one view, as view 0."""
     kept = seen.view == view

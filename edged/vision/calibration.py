@@ -158,10 +158,11 @@ def _solve_and_clean(
 
 
 def _problem(views: list[StereoView]) -> _Problem:
-    return _Problem(views, _observations(views, "left"), _observations(views, "right"))
+    return _Problem(views, observations(views, "left"), observations(views, "right"))
 
 
-def _observations(views: Sequence[StereoView], side: str) -> Observations:
+def observations(views: Sequence[StereoView], side: str) -> Observations:
+    """All marks of the "left" or "right" images, with the precision their own fits state."""
     found = [view.found(side) for view in views]
     return Observations(
         np.concatenate([np.full(len(seen.ids), i, dtype=np.int64) for i, seen in enumerate(found)]),
@@ -176,7 +177,10 @@ def _estimate(problem: _Problem, state: BundleState, freedoms: tuple[LensFreedom
     errors = _START_ERROR_PX, _START_ERROR_PX
     try:
         for _ in range(_ESTIMATE_ROUNDS):
-            left, right = _with_error(problem.left, errors[0]), _with_error(problem.right, errors[1])
+            left, right = (
+                with_model_error(problem.left, errors[0]),
+                with_model_error(problem.right, errors[1]),
+            )
             result = adjust(state, left, right, *freedoms)
             state, before = result.state, errors
             share = result.freedom / (2 * (len(left.view) + len(right.view)))
@@ -208,7 +212,8 @@ def _without_outliers(solution: _Solution) -> _Solution:
     return solution
 
 
-def _with_error(seen: Observations, error_px: float) -> Observations:
+def with_model_error(seen: Observations, error_px: float) -> Observations:
+    """The marks with the common model error joined to their own."""
     return replace(seen, sigma_px=np.hypot(seen.sigma_px, error_px))
 
 
@@ -248,7 +253,7 @@ def _check_movement(solution: _Solution) -> None:
     """
     problem, result = solution.problem, solution.result
     errors = solution.model_error_px
-    left, right = _with_error(problem.left, errors[0]), _with_error(problem.right, errors[1])
+    left, right = with_model_error(problem.left, errors[0]), with_model_error(problem.right, errors[1])
     information, gradient = relation_information(result.state, left, right)
     before, score = np.cumsum(information, axis=0)[:-1], np.cumsum(gradient, axis=0)[:-1]
     after, rest = information.sum(axis=0) - before, gradient.sum(axis=0) - score

@@ -20,6 +20,7 @@ CORNER, DOT = 0, 1
 _MOST_UNKNOWNS = 10
 _STEPS = 40
 _RECENTRED = 2  # the window is laid round the corner found, so that what is symmetric cancels
+_CENTRED_PX = 0.2  # a window that lies this well needs no second fit
 _MIN_SHARE_INSIDE = 0.7  # of the window's pixels; less lets one edge go unseen
 _TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
 
@@ -59,14 +60,15 @@ def unknowns_of(kind: int) -> int:
 
 
 @kernel()
-def corner_value(p: FloatArray, window: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
+def corner_value(
+    p: FloatArray, window: FloatArray, shape: FloatArray, dx: float, dy: float, row: FloatArray
+) -> float:
     """Grey value of a corner at (dx, dy) from its centre; fills its derivatives row (9,).
 
     p (9,) : x, y, directions of both edges, log blur, grey, half contrast, relative
     slope of the light along x and y in 1/px.
     """
-    scale = 1.0 / (math.sqrt(2.0) * math.exp(p[4]))
-    sin1, cos1, sin2, cos2 = math.sin(p[2]), math.cos(p[2]), math.sin(p[3]), math.cos(p[3])
+    scale, sin1, cos1, sin2, cos2 = shape[0], shape[1], shape[2], shape[3], shape[4]
     along1, along2 = cos1 * dx + sin1 * dy, cos2 * dx + sin2 * dy
     beside1, beside2 = cos1 * dy - sin1 * dx, cos2 * dy - sin2 * dx
     bend1, bend2 = window[3] * along1, window[4] * along2
@@ -94,7 +96,7 @@ def corner_value(p: FloatArray, window: FloatArray, dx: float, dy: float, row: F
 
 
 @kernel()
-def dot_value(p: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
+def dot_value(p: FloatArray, shape: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
     """Grey value of a dot at (dx, dy) from its centre; fills its derivatives row (10,).
 
     p (10,) : x, y, b11, b12, b22 (symmetric matrix that makes the ellipse a unit circle), log of the
@@ -102,7 +104,7 @@ def dot_value(p: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
     """
     q1, q2 = p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy
     radius = math.sqrt(q1 * q1 + q2 * q2)
-    scale = 1.0 / (math.sqrt(2.0) * math.exp(p[5]))
+    scale = shape[0]
     u = (radius - 1.0) * scale
     edge = math.erf(u)
     slope = _TWO_OVER_ROOT_PI * math.exp(-u * u) * p[7]
@@ -120,6 +122,13 @@ def dot_value(p: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
     row[8] = surface * dx
     row[9] = surface * dy
     return float(surface * light)
+
+
+@kernel()
+def shape_of(kind: int, p: FloatArray, shape: FloatArray) -> None:
+    """What all pixels of a mark share: 1 / (√2 blur), and a corner's sines and cosines."""
+    shape[0] = 1.0 / (math.sqrt(2.0) * math.exp(p[4] if kind == CORNER else p[5]))
+    shape[1], shape[2], shape[3], shape[4] = math.sin(p[2]), math.cos(p[2]), math.sin(p[3]), math.cos(p[3])
 
 
 @kernel()
@@ -141,7 +150,8 @@ def accumulate(
     n = unknowns_of(kind)
     normal[:] = 0.0
     gradient[:] = 0.0
-    row = np.empty(_MOST_UNKNOWNS)
+    row, shape = np.empty(_MOST_UNKNOWNS), np.empty(5)
+    shape_of(kind, p, shape)
     radius2 = window[2] * window[2]
     total, count = 0.0, 0
     for y in range(
@@ -153,9 +163,9 @@ def accumulate(
             if (x - window[0]) ** 2 + (y - window[1]) ** 2 > radius2:
                 continue
             if kind == CORNER:
-                value = corner_value(p, window, x - p[0], y - p[1], row)
+                value = corner_value(p, window, shape, x - p[0], y - p[1], row)
             else:
-                value = dot_value(p, x - p[0], y - p[1], row)
+                value = dot_value(p, shape, x - p[0], y - p[1], row)
             residual = image[y, x] - value
             total += residual * residual
             count += 1
@@ -214,6 +224,9 @@ def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covar
         step[:] = gradient
         if not solve_spd(damped, step, n):
             return math.nan
+        # far below what noise leaves open; asked before the trial, whose sum may only differ by rounding
+        if math.fabs(step[0]) < 1e-5 and math.fabs(step[1]) < 1e-5 and math.fabs(step[blur]) < 1e-4:
+            break
         trial[:] = p + step
         if math.fabs(trial[blur]) < 5.0:
             trial_total, _ = accumulate(kind, image, trial, window, trial_normal, trial_gradient, False)
@@ -225,9 +238,6 @@ def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covar
             gradient[:] = trial_gradient
             total = trial_total
             damping = max(damping * 0.1, 1e-9)
-            # far below what noise leaves open
-            if math.fabs(step[0]) < 1e-5 and math.fabs(step[1]) < 1e-5 and math.fabs(step[blur]) < 1e-4:
-                break
         else:
             damping *= 10.0
             if damping > 1e8:
@@ -292,7 +302,7 @@ def fit_corners(image: Image, start: FloatArray, result: FloatArray) -> None:
             start_corner(image, p, window)
             p[4] = max(p[4], -0.7)
             noise = fit_window(CORNER, image, p, window, covariance)
-            if math.isnan(noise):
+            if math.isnan(noise) or math.hypot(p[0] - window[0], p[1] - window[1]) < _CENTRED_PX:
                 break
         if math.isnan(noise):
             continue

@@ -1,0 +1,127 @@
+"""How good a calibration is on views it has not seen, in pixels and in millimetres.
+
+Residuals of the views that made a calibration flatter it. Here the views are held out in
+turn, the rest is adjusted again, and the held-out marks are measured with the result like any
+part would be: row differences, and lengths on the board against their known values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+from edged.vision.bundle import BundleState, LensFreedom, adjust, adjust_poses
+from edged.vision.calibration import (
+    Calibration,
+    epipolar_errors_px,
+    fit_of_view,
+    marks_in_both,
+    observations,
+    with_model_error,
+)
+from edged.vision.camera import DISTORTION_NAMES, CameraModel, StereoRig
+from edged.vision.geometry import fit_rigid
+from edged.vision.triangulation import triangulate_raw
+
+_MAX_FOLDS = 10
+_MIN_REST = 3  # views a calibration needs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutView:
+    """One view measured with a calibration that has not seen it.
+
+    scale : measured size of the board over its true size.
+    flatness_mm : rms distance of the measured marks from a plane.
+    length_mm, length_error_mm : the longest distance on the board, and measured - true of it.
+    """
+
+    name: str
+    reprojection_rms_px: float
+    epipolar_rms_px: float
+    scale: float
+    flatness_mm: float
+    length_mm: float
+    length_error_mm: float
+
+
+def hold_out(calibration: Calibration) -> tuple[HeldOutView, ...]:
+    """Measure every view with the calibration of the others (in up to ten groups).
+
+    Empty where there are too few views to leave any out.
+    """
+    fits = calibration.views
+    folds = min(_MAX_FOLDS, len(fits))
+    if len(fits) - int(np.ceil(len(fits) / folds)) < _MIN_REST:
+        return ()
+    results: dict[str, HeldOutView] = {}
+    for fold in range(folds):
+        rest = [i for i in range(len(fits)) if i % folds != fold]
+        rig = _calibrated_without(calibration, rest)
+        for i in range(fold, len(fits), folds):
+            results[fits[i].name] = _measure(calibration, rig, i)
+    return tuple(results[fit.name] for fit in fits)
+
+
+def _calibrated_without(calibration: Calibration, rest: list[int]) -> StereoRig:
+    """The rig adjusted to the views `rest` only."""
+    rig, views = calibration.rig, [calibration.views[i].view for i in rest]
+    poses = np.array([calibration.views[i].left_from_board for i in rest])
+    state = BundleState(rig.left, rig.right, rig.right_from_left, poses)
+    left, right = (
+        with_model_error(observations(views, side), error)
+        for side, error in zip(("left", "right"), calibration.model_error_px, strict=True)
+    )
+    try:
+        result = adjust(state, left, right, _freedom(rig.left), _freedom(rig.right))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError("one view less, and the equations are singular: take more views") from error
+    found = result.state
+    return replace(rig, left=found.left, right=found.right, right_from_left=found.right_from_left)
+
+
+def _freedom(camera: CameraModel) -> LensFreedom:
+    """What was estimated of a camera, read off its values."""
+    names = DISTORTION_NAMES[camera.model]
+    free = tuple(n for n, v in zip(names, camera.distortion, strict=True) if n != "k3" or v != 0.0)
+    return LensFreedom(camera.fx == camera.fy, free)
+
+
+def _measure(calibration: Calibration, rig: StereoRig, index: int) -> HeldOutView:
+    fit = calibration.views[index]
+    view = fit.view
+    state = BundleState(rig.left, rig.right, rig.right_from_left, fit.left_from_board[None])
+    left, right = (
+        with_model_error(observations([view], side), error)
+        for side, error in zip(("left", "right"), calibration.model_error_px, strict=True)
+    )
+    pose = adjust_poses(state, left, right).left_from_board[0]
+    ids, left_px, right_px = marks_in_both(view)
+    measured = triangulate_raw(rig, left_px, right_px)
+    known = view.board.points_mm[ids]
+    rows = epipolar_errors_px(rig, view)
+    first, last = _farthest(known)
+    true_length = float(np.linalg.norm(known[last] - known[first]))
+    return HeldOutView(
+        view.name,
+        fit_of_view(view, rig, pose).rms_px,
+        float(np.sqrt(np.mean(rows**2))),
+        fit_rigid(known, measured, with_scale=True).scale,
+        _flatness_mm(measured),
+        true_length,
+        float(np.linalg.norm(measured[last] - measured[first])) - true_length,
+    )
+
+
+def _farthest(points_mm: FloatArray) -> tuple[int, int]:
+    distances = np.linalg.norm(points_mm[:, None] - points_mm, axis=2)
+    first, last = np.unravel_index(int(np.argmax(distances)), distances.shape)
+    return int(first), int(last)
+
+
+def _flatness_mm(points_mm: FloatArray) -> float:
+    spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    return float(spread[2] / np.sqrt(len(points_mm)))

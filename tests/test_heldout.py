@@ -1,0 +1,98 @@
+"""Held-out views, and the report page made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from boards import board_poses, synthetic_views
+from rigs import make_rig
+
+from edged.commands.calibrate import quality_figures
+from edged.report import calibration_report
+from edged.vision.boards import Chessboard, Missed
+from edged.vision.calibration import calibrate_stereo
+from edged.vision.heldout import hold_out
+
+BOARD = Chessboard(11, 8, 4.0)
+RIG = make_rig()
+SIZE = (1280, 960)
+VIEWS = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 8, 1), 0.02, 1)
+
+
+def test_held_out_figures_are_the_noise_that_was_put_in() -> None:
+    """With marks of 0.02 px noise the held-out residuals are just above it, the size is true."""
+    held = hold_out(calibrate_stereo(VIEWS, SIZE, SIZE, "division"))
+    assert [view.name for view in held] == [view.name for view in VIEWS]
+    reprojection = np.sqrt(np.mean([view.reprojection_rms_px**2 for view in held]))
+    assert reprojection == pytest.approx(0.02 * np.sqrt(2), rel=0.1)
+    assert np.mean([view.epipolar_rms_px for view in held]) == pytest.approx(0.02 * np.sqrt(2), rel=0.2)
+    assert np.mean([view.scale for view in held]) == pytest.approx(1, abs=1e-4)
+    assert held[0].length_mm == pytest.approx(np.hypot(40, 28))
+    assert np.abs([view.length_error_mm for view in held]).max() < 0.02
+    assert 0 < max(view.flatness_mm for view in held) < 0.01
+
+
+def test_a_view_of_a_wrongly_printed_board_shows_in_its_length() -> None:
+    """A board 0.1 % too large in one view only is seen when that view is held out."""
+    large = replace(BOARD, pitch_mm=4.004)
+    poses = board_poses(RIG, BOARD, 8, 1)
+    views = [
+        *VIEWS[:7],
+        replace(synthetic_views(RIG, large, [poses[7]], 0.02, 3)[0], name="large", board=BOARD),
+    ]
+    held = {view.name: view for view in hold_out(calibrate_stereo(views, SIZE, SIZE, "division"))}
+    assert held["large"].scale == pytest.approx(1.001, abs=2e-4)
+    assert abs(held["view_02"].scale - 1) < 2e-4
+
+
+def test_three_views_leave_nothing_to_hold_out() -> None:
+    """The minimum calibrates, but holds nothing out."""
+    assert hold_out(calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")) == ()
+
+
+class _Page(HTMLParser):
+    """Checks that every element is closed where it must be, and collects the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text = ""
+        self.outside: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "path", "rect"):
+            self.open.append(tag)
+        self.outside += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in ("path", "rect"):
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
+    """Well formed, without references to the outside, user text escaped, every view and figure in it."""
+    spoiled = replace(VIEWS[3], name="<b>3", left=Missed("too dark & blurred"))
+    views = [*VIEWS[:3], spoiled, *VIEWS[4:]]
+    calibration = calibrate_stereo(views, SIZE, SIZE, "division")
+    held = hold_out(calibration)
+    page = calibration_report(calibration, held, views, quality_figures(calibration, held, [BOARD]))
+    parsed = _Page()
+    parsed.feed(page)
+    assert parsed.open == []
+    assert parsed.outside == []
+    assert "<b>3" not in page
+    for text in (
+        "too dark & blurred",
+        calibration.rig.calibration_id,
+        "Held-out views",
+        "σZ at Z",
+        "view_07",
+    ):
+        assert text in parsed.text
+    assert f"{calibration.rms_px:.4f} px" in parsed.text
