@@ -45,6 +45,7 @@ class ShapeModel:
     values per px.
     symmetries (K, 4) : dx, dy, angle, similarity: motions after which the shape looks (nearly) the same.
     centre_px (2,) : about which they turn, relative to the origin.  round : any rotation looks the same.
+    repetition : how many points share the noise of one pixel; the covariance of a match is that much larger.
     """
 
     levels: tuple[ShapeLevel, ...]
@@ -54,6 +55,7 @@ class ShapeModel:
     symmetries: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
     centre_px: FloatArray = field(default_factory=lambda: np.zeros(2))
     round: bool = False
+    repetition: float = 1.0
 
     @property
     def same_score(self) -> float:
@@ -68,6 +70,7 @@ class ShapeModel:
             "symmetries": self.symmetries,
             "centre_px": self.centre_px,
             "round": np.array([float(self.round)]),
+            "repetition": np.array([self.repetition]),
         }
         for index, level in enumerate(self.levels):
             arrays[f"points{index}"], arrays[f"normals{index}"] = level.points, level.normals
@@ -96,7 +99,12 @@ class ShapeModel:
         centre, is_round = _checked(arrays, "centre_px", (2,)), _checked(arrays, "round", (1,))
         if np.abs(centre).max() > 1e5 or np.abs(origin).max() > 1e6:
             raise ValueError("centre_px, origin_px: impossible values")
-        return ShapeModel(tuple(levels), origin, radius, contrast, symmetries, centre, bool(is_round[0]))
+        (repetition,) = _checked(arrays, "repetition", (1,))
+        if not 1 <= repetition <= 100:
+            raise ValueError(f"repetition: impossible value {repetition}")
+        return ShapeModel(
+            tuple(levels), origin, radius, contrast, symmetries, centre, bool(is_round[0]), float(repetition)
+        )
 
 
 def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -161,8 +169,24 @@ def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None)
     radius = float(np.linalg.norm(levels[0].points, axis=1).max())
     symmetry = find_symmetry(image, origin, levels, contrast)
     return ShapeModel(
-        tuple(levels), origin, radius, contrast, symmetry.rotations, symmetry.centre_px, symmetry.round
+        tuple(levels),
+        origin,
+        radius,
+        contrast,
+        symmetry.rotations,
+        symmetry.centre_px,
+        symmetry.round,
+        _repetition(levels[0].points),
     )
+
+
+def _repetition(points: FloatArray) -> float:
+    """Sum of the correlations of a point's noise with all points', averaged; 1 for points far apart.
+
+    Bicubic samples of white noise half a pixel apart correlate by about 0.6: a Gaussian of sigma 0.5 px.
+    """
+    squared = np.sum((points[:, None] - points[None]) ** 2, axis=2)
+    return float(np.exp(-2 * squared).sum(axis=1).mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -181,19 +181,25 @@ def collect_peaks(
 ) -> int:
     """Local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); returns their number.
 
-    When there are more than `peaks` holds, the threshold is raised until they fit.
+    When there are more than `peaks` holds, the highest are kept, of equal ones the first.
     """
     histogram = np.zeros(PEAK * TOP_POINTS + 2, np.int64)
     cut = threshold
-    for turn in range(2):
-        number = 0
+    # turns: count; enter what is above the cut; fill up with what lies on it
+    number = 0
+    for turn in range(3):
         for sign in range(2):
             for sector in range(best.shape[1]):
                 score = best[sign, sector]
                 for y in range(rows):
                     for x in range(columns):
                         value = score[y * stride + x]
-                        if value < cut or value <= 0:
+                        if (
+                            value < cut
+                            or value <= 0
+                            or (turn == 1 and value == cut)
+                            or (turn == 2 and value != cut)
+                        ):
                             continue
                         is_peak = True
                         for dy in range(-1, 2):
@@ -217,10 +223,10 @@ def collect_peaks(
                             peaks[number, 4] = x
                             number += 1
         if turn == 0:
-            total, cut = 0, len(histogram)
-            while cut > threshold and total + histogram[cut - 1] <= len(peaks):
-                cut -= 1
+            total, cut = 0, len(histogram) - 1
+            while cut > threshold and total + histogram[cut] <= len(peaks):
                 total += histogram[cut]
+                cut -= 1
     return number
 
 

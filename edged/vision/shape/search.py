@@ -187,7 +187,8 @@ class _Search:
         score = min(float(summary[0]), 1.0)
         if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.03):
             return None
-        return Hypothesis(pose, hypothesis.sign, score, _covariance(matrix, freedom, float(summary[2]), pose))
+        sigma = float(summary[2]) * np.sqrt(self.model.repetition)
+        return Hypothesis(pose, hypothesis.sign, score, _covariance(matrix, freedom, sigma, pose))
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None

@@ -17,6 +17,8 @@ CONFUSABLE = 0.75
 """Self-similarity, relative to the true pose, from which a rotation is watched in every search."""
 ROUND = 0.93
 """A shape whose similarity never falls below this at any rotation is round."""
+MIN_CONTRAST = 2.0
+"""Grey values per px: as weak an edge as a search accepts may pass for the model's."""
 MAX_ROTATIONS = 24
 MIN_TURN_RAD = 0.2
 
@@ -85,7 +87,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
         for k in sorted(np.flatnonzero(peaks), key=lambda k: -scores[k])[:MAX_ROTATIONS]:
             pose = refine.start_pose(candidates[k, 0], candidates[k, 1], candidates[k, 2], 1.0, 1.0)
             pose[:2] = (pose[:2] + 0.5) * 2**index - 0.5
-            fitted = _score(image, levels[0], pose, 0.5 * contrast, reach=3.0 * 2**index)
+            fitted = _score(image, levels[0], pose, MIN_CONTRAST, reach=3.0 * 2**index)
             similarity = fitted[0] / max(own[0], 1e-9)
             angle = float(np.arctan2(fitted[1][4], fitted[1][2]))
             known = any(abs((angle - other[2] + np.pi) % (2 * np.pi) - np.pi) < 0.1 for other in found)

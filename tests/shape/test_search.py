@@ -1,0 +1,326 @@
+"""The shape search on drawn parts of known pose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawings import BRACKET, disc, draw, flange
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edged.domain import Image
+from edged.errors import ImageError, TeachError, UserError
+from edged.vision.shape.model import ShapeModel, create_model
+from edged.vision.shape.search import SearchParams, ShapeMatch, Workspace, find_shapes
+
+RIGID = SearchParams(scale_min=1.0, scale_max=1.0, sub_pixel="rigid")
+
+
+def _teach(outlines: tuple) -> ShapeModel:  # type: ignore[type-arg]
+    image = draw(outlines, (100.3, 99.8, 0, 1, 1), (200, 200))
+    return create_model(image, np.full(image.shape, 255, np.uint8), np.array([100.3, 99.8]))
+
+
+@pytest.fixture(scope="module")
+def bracket() -> ShapeModel:
+    """A part without symmetry."""
+    return _teach(BRACKET)
+
+
+def _turn(one: float, other: float) -> float:
+    return abs((one - other + math.pi) % (2 * math.pi) - math.pi)
+
+
+def _one(matches: list[ShapeMatch]) -> ShapeMatch:
+    assert len(matches) == 1
+    return matches[0]
+
+
+@pytest.mark.parametrize("angle", np.linspace(-3.1, 3.1, 9))
+def test_pose_of_a_turned_part(bracket: ShapeModel, angle: float) -> None:
+    """Any rotation is found, to 0.02 px and 0.02°, with nearly full score."""
+    image = draw(BRACKET, (190.37, 150.81, angle, 1, 1))
+    match = _one(find_shapes(image, bracket, RIGID))
+    assert math.hypot(match.x_px - 190.37, match.y_px - 150.81) < 0.02
+    assert _turn(match.angle_rad, angle) < math.radians(0.02)
+    assert match.score > 0.97
+    assert not match.ambiguous
+    assert not match.inverted
+
+
+@pytest.mark.parametrize("scale", [0.8, 0.93, 1.0, 1.2])
+def test_size_of_a_part(bracket: ShapeModel, scale: float) -> None:
+    """Size is found to 0.1 %, position to 0.03 px."""
+    image = draw(BRACKET, (190.37, 150.81, 2.0, scale, scale))
+    params = SearchParams(scale_min=0.75, scale_max=1.25, sub_pixel="similarity")
+    match = _one(find_shapes(image, bracket, params))
+    assert match.scale_x == pytest.approx(scale, rel=1e-3)
+    assert match.scale_y == pytest.approx(match.scale_x)
+    assert math.hypot(match.x_px - 190.37, match.y_px - 150.81) < 0.03
+
+
+@pytest.mark.parametrize(("scale_x", "scale_y"), [(0.9, 1.1), (1.1, 0.9), (1.05, 1.0)])
+def test_different_sizes_along_x_and_y(bracket: ShapeModel, scale_x: float, scale_y: float) -> None:
+    """A part stretched along its own axes is found with both scales."""
+    image = draw(BRACKET, (190.37, 150.81, -1.0, scale_x, scale_y))
+    params = SearchParams(scale_min=0.9, scale_max=1.1, scale_y_min=0.9, scale_y_max=1.1, sub_pixel="stretch")
+    match = _one(find_shapes(image, bracket, params))
+    assert (match.scale_x, match.scale_y) == pytest.approx((scale_x, scale_y), rel=1.5e-3)
+    assert _turn(match.angle_rad, -1.0) < math.radians(0.05)
+
+
+def test_match_maps_the_model_to_the_image(bracket: ShapeModel) -> None:
+    """`apply` and `transform` put the model's points where the truth puts them."""
+    image = draw(BRACKET, (180.0, 160.0, 0.7, 1, 1))
+    match = _one(find_shapes(image, bracket, replace(RIGID, sub_pixel="projective")))
+    points = np.array([[0.0, 0], [60, 40], [-50, 10]])
+    c, s = math.cos(0.7), math.sin(0.7)
+    truth = points @ np.array([[c, s], [-s, c]]) + (180.0, 160.0)
+    np.testing.assert_allclose(match.apply(points), truth, atol=0.08)
+    np.testing.assert_allclose(
+        points @ match.transform()[:, :2].T + match.transform()[:, 2], truth, atol=0.15
+    )
+
+
+def test_inverted_contrast(bracket: ShapeModel) -> None:
+    """With "global" an inverted part is found and said to be inverted; with "same" it is not there."""
+    image = 255 - draw(BRACKET, (190.0, 150.0, 1.0, 1, 1))
+    match = _one(find_shapes(image, bracket, RIGID))
+    assert match.inverted
+    assert math.hypot(match.x_px - 190.0, match.y_px - 150.0) < 0.03
+    assert find_shapes(image, bracket, replace(RIGID, polarity="same")) == []
+
+
+def test_local_inversion(bracket: ShapeModel) -> None:
+    """On a background half darker, half brighter than the part only "local" sees all of it."""
+    background = np.full((320, 400), 20, np.uint8)
+    background[:, 195:] = 250
+    outlines = tuple((points, 130.0 if index == 0 else grey) for index, (points, grey) in enumerate(BRACKET))
+    image = draw(outlines, (190.0, 150.0, 0.3, 1, 1), background=background)
+    local = _one(find_shapes(image, bracket, replace(RIGID, polarity="local", min_score=0.5)))
+    assert math.hypot(local.x_px - 190.0, local.y_px - 150.0) < 0.1
+    assert local.score > 0.9
+    same = find_shapes(image, bracket, replace(RIGID, polarity="same", min_score=0.3))
+    assert all(match.score < 0.8 for match in same)
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_occlusion_lowers_the_score_only(bracket: ShapeModel, side: int) -> None:
+    """A third hidden: the score says so, the position does not move."""
+    image = draw(BRACKET, (190.0, 150.0, 0.5, 1, 1))
+    if side < 2:
+        image[:, slice(0, 165) if side else slice(215, 400)] = 128
+    else:
+        image[slice(0, 140) if side == 2 else slice(165, 320)] = 128
+    match = _one(find_shapes(image, bracket, replace(RIGID, min_score=0.4)))
+    assert 0.4 < match.score < 0.93
+    assert math.hypot(match.x_px - 190.0, match.y_px - 150.0) < 0.1
+    assert _turn(match.angle_rad, 0.5) < math.radians(0.1)
+
+
+def test_part_half_outside(bracket: ShapeModel) -> None:
+    """A part that leaves the image is found by what is visible, unless that is not wanted."""
+    image = draw(BRACKET, (30.0, 150.0, 0.2, 1, 1))
+    params = replace(RIGID, min_score=0.45)
+    match = _one(find_shapes(image, bracket, params))
+    assert math.hypot(match.x_px - 30.0, match.y_px - 150.0) < 0.1
+    assert find_shapes(image, bracket, replace(params, allow_partial=False)) == []
+
+
+def test_several_parts_best_first(bracket: ShapeModel) -> None:
+    """All parts are found once each, ordered by score; max_matches cuts."""
+    image = draw(BRACKET, (90.0, 90.0, 0.2, 1, 1))
+    image = draw(BRACKET, (290.0, 200.0, -2.2, 1, 1), background=image)
+    image[150:, 330:] = 90
+    both = find_shapes(image, bracket, replace(RIGID, max_matches=5))
+    assert [round(match.x_px) for match in both] == [90, 290]
+    assert both[0].score > both[1].score
+    assert len(find_shapes(image, bracket, RIGID)) == 1
+
+
+def test_odd_hole_decides_the_rotation() -> None:
+    """A flange with one hole missing is never turned by a hole, and the choice is not called ambiguous."""
+    model = _teach(flange(odd=True))
+    assert len(model.symmetries) >= 5
+    for angle in np.linspace(-3, 3, 7):
+        match = _one(find_shapes(draw(flange(odd=True), (200, 160, angle, 1, 1), noise=6), model, RIGID))
+        assert _turn(match.angle_rad, angle) < math.radians(0.2)
+        assert not match.ambiguous
+
+
+def test_hidden_odd_hole_is_ambiguous() -> None:
+    """When the place of the missing hole cannot be seen, the match says that its rotation is a guess."""
+    model = _teach(flange(odd=True))
+    image = draw(flange(odd=True), (200, 160, 0, 1, 1))
+    image[:, 205:] = 128
+    match = _one(find_shapes(image, model, replace(RIGID, min_score=0.3)))
+    assert match.ambiguous
+
+
+def test_symmetric_part_has_one_canonical_angle() -> None:
+    """Six equal holes: any of the six rotations is right; the reported one is within 30° of the taught."""
+    model = _teach(flange(odd=False))
+    for angle in (-2.9, -1.0, 0.1, 1.7, 3.0):
+        match = _one(find_shapes(draw(flange(odd=False), (200, 160, angle, 1, 1)), model, RIGID))
+        assert match.symmetric
+        assert not match.ambiguous
+        assert abs(match.angle_rad) <= math.pi / 6 + 0.01
+        assert abs(math.sin(3 * (match.angle_rad - angle))) < 0.01
+
+
+def test_round_part_has_no_rotation() -> None:
+    """A disc is found; its angle is zero and said to mean nothing."""
+    model = _teach(((disc(0, 0, 50), 200.0), (disc(0, 0, 20), 60.0)))
+    assert model.round
+    match = _one(
+        find_shapes(
+            draw(((disc(0, 0, 50), 200.0), (disc(0, 0, 20), 60.0)), (180, 150, 1, 1, 1)), model, RIGID
+        )
+    )
+    assert match.symmetric
+    assert abs(match.angle_rad) < 1e-6
+    assert math.hypot(match.x_px - 180, match.y_px - 150) < 0.03
+
+
+def test_best_of_several_models_wins(bracket: ShapeModel) -> None:
+    """Two models in one call: each part is reported once, by the model that fits it."""
+    other = _teach(flange(odd=True))
+    image = draw(BRACKET, (100.0, 150.0, 0.2, 1, 1))
+    image = draw(flange(odd=True), (300.0, 150.0, 0.5, 1, 1), background=image)
+    matches = find_shapes(image, [bracket, other], replace(RIGID, max_matches=5))
+    assert sorted((match.model, round(match.x_px)) for match in matches) == [(0, 100), (1, 300)]
+
+
+def test_nothing_in_noise_or_another_part(bracket: ShapeModel) -> None:
+    """Noise, a flat image and another part hold no bracket."""
+    noise = np.random.default_rng(0).integers(0, 256, (320, 400)).astype(np.uint8)
+    for image in (noise, np.full((320, 400), 255, np.uint8), draw(flange(odd=False), (200, 160, 0, 1, 1))):
+        assert find_shapes(image, bracket, SearchParams()) == []
+
+
+def test_border_of_the_valid_area_is_no_edge(bracket: ShapeModel) -> None:
+    """Where nothing is valid nothing is found, whatever the image shows there."""
+    image = draw(BRACKET, (190.0, 150.0, 0.2, 1, 1))
+    valid = np.full(image.shape, 255, np.uint8)
+    assert len(find_shapes(image, bracket, RIGID, valid)) == 1
+    valid[:, :260] = 0
+    assert find_shapes(image, bracket, RIGID, valid) == []
+
+
+def test_equal_input_equal_output(bracket: ShapeModel) -> None:
+    """Results are bit-equal, also with a workspace that has seen other images of other sizes."""
+    image = draw(BRACKET, (190.3, 150.1, 0.2, 1, 1), noise=10)
+    work = Workspace()
+    find_shapes(draw(BRACKET, (80, 80, 2, 1, 1), (260, 180)), bracket, RIGID, workspace=work)
+    first, second = find_shapes(image, bracket, RIGID), find_shapes(image, bracket, RIGID, workspace=work)
+    assert (first[0].x_px, first[0].y_px, first[0].score) == (second[0].x_px, second[0].y_px, second[0].score)
+    np.testing.assert_array_equal(first[0].linear, second[0].linear)
+
+
+def test_covariance_is_the_scatter(bracket: ShapeModel) -> None:
+    """Over many noises the squared error over the stated variance is about one."""
+    rng = np.random.default_rng(2)
+    clean = draw(BRACKET, (190.3, 150.1, 0.6, 1, 1), noise=0).astype(np.float64)
+    ratios = []
+    for _ in range(100):
+        image = np.clip(np.rint(clean + rng.normal(0, 12, clean.shape)), 0, 255).astype(np.uint8)
+        match = _one(find_shapes(image, bracket, RIGID))
+        error = np.array([match.x_px - 190.3, match.y_px - 150.1, match.angle_rad - 0.6])
+        ratios.append(error**2 / np.diag(match.covariance)[:3])
+    assert np.all(np.mean(ratios, axis=0) > 0.6)
+    assert np.all(np.mean(ratios, axis=0) < 1.6)
+
+
+def test_deadline_ends_the_search(bracket: ShapeModel) -> None:
+    """Once the deadline has passed the search returns what it has, here nothing."""
+    image = draw(BRACKET, (190.0, 150.0, 0.2, 1, 1))
+    assert find_shapes(image, bracket, RIGID, deadline=lambda: True) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"min_score": math.nan},
+        {"min_score": 0.0},
+        {"scale_min": -1.0},
+        {"scale_min": 1.2, "scale_max": 1.0},
+        {"max_matches": 0},
+        {"max_overlap": 2.0},
+        {"polarity": "any"},
+        {"sub_pixel": "best"},
+        {"angle_extent_rad": 9.0},
+        {"scale_y_min": 0.9},
+        {"min_contrast": math.inf},
+    ],
+)
+def test_wrong_parameters_are_named(wrong: dict) -> None:  # type: ignore[type-arg]
+    """Each impossible value is refused, and the message names it."""
+    with pytest.raises(UserError, match=f"search.*{next(iter(wrong))[:7]}"):
+        SearchParams(**wrong)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (15, 400), (16, 16), (40, 17), (320, 400)])
+def test_any_size_of_image(bracket: ShapeModel, shape: tuple[int, int]) -> None:
+    """An image too small for the model has no match."""
+    assert find_shapes(np.zeros(shape, np.uint8), bracket) == []
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((50, 50), np.uint16), np.zeros((50, 50, 3), np.uint8), np.zeros((50, 50))]
+)
+def test_other_arrays_are_refused(bracket: ShapeModel, image: Image) -> None:
+    """16-bit, colour and float images are errors that say what was expected."""
+    with pytest.raises(ImageError, match="8-bit grey"):
+        find_shapes(image, bracket)
+    with pytest.raises(TeachError, match="8-bit grey"):
+        create_model(image, np.full((50, 50), 255, np.uint8))
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_flat_region_cannot_be_taught(grey: int) -> None:
+    """Black, grey or saturated: no edges, and the message says so."""
+    with pytest.raises(TeachError, match="too few edges"):
+        create_model(np.full((100, 100), grey, np.uint8), np.full((100, 100), 255, np.uint8))
+
+
+def test_model_survives_its_file_form(bracket: ShapeModel) -> None:
+    """from_arrays inverts to_arrays: the same matches, bit by bit."""
+    again = ShapeModel.from_arrays(bracket.to_arrays())
+    image = draw(BRACKET, (190.3, 150.1, 0.2, 1, 1))
+    one, other = find_shapes(image, bracket, RIGID), find_shapes(image, again, RIGID)
+    assert (one[0].x_px, one[0].score) == (other[0].x_px, other[0].score)
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_foreign_arrays_are_refused_or_harmless(data: st.DataObject) -> None:
+    """Any damage to any array gives a ValueError, or a model that can be searched for."""
+    arrays = dict(_FUZZ.to_arrays())
+    name = data.draw(st.sampled_from(sorted(arrays)))
+    kind = data.draw(st.sampled_from(["drop", "nan", "huge", "shape", "type", "value"]))
+    array = arrays[name].astype(np.float64).copy()
+    if kind == "drop":
+        del arrays[name]
+    elif kind == "shape":
+        arrays[name] = array[:-1] if data.draw(st.booleans()) else array[None]
+    elif kind == "type":
+        arrays[name] = array.astype(np.float32)
+    elif array.size:
+        array.flat[data.draw(st.integers(0, array.size - 1))] = {
+            "nan": math.nan,
+            "huge": 1e30,
+            "value": data.draw(st.floats(-300, 300)),
+        }[kind]
+        arrays[name] = array
+    try:
+        model = ShapeModel.from_arrays(arrays)
+    except ValueError as error:
+        assert str(error)
+    else:
+        find_shapes(np.zeros((60, 60), np.uint8), model)
+
+
+_FUZZ = _teach(flange(odd=True))
