@@ -14,7 +14,7 @@ from rigs import make_camera, make_rig, random_points, rigs
 from edged.errors import CalibrationError, ImageError
 from edged.vision.camera import StereoRig
 from edged.vision.geometry import apply, rotation_matrix, transform
-from edged.vision.rectification import make_rectification
+from edged.vision.rectification import make_rectification, row_difference_px
 
 few = settings(max_examples=12, deadline=None)  # each example builds four maps
 
@@ -196,3 +196,15 @@ def test_plain_opencv_finds_the_same_rows() -> None:
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
     )[:, 0]
     assert np.allclose(rectification.rectify_points("right", raw), expected, atol=1e-6)
+
+
+def test_the_row_difference_needs_no_maps() -> None:
+    """row_difference_px is the difference of rectified rows, also for points that do not correspond."""
+    rig = make_rig("brown")
+    rectification = make_rectification(rig)
+    rng = np.random.default_rng(6)
+    left, right = rng.uniform((0, 0), (1279, 959), (2, 40, 2))
+    expected = (
+        rectification.rectify_points("left", left)[:, 1] - rectification.rectify_points("right", right)[:, 1]
+    )
+    assert np.allclose(row_difference_px(rig, left, right), expected, atol=1e-9)

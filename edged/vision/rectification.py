@@ -169,6 +169,19 @@ def make_rectification(rig: StereoRig) -> Rectification:
     )
 
 
+def row_difference_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
+    """Rectified row of raw left points (N, 2) minus that of raw right points (N, 2): the epipolar error.
+
+    In rectified pixels of the focal length `make_rectification` chooses; needs no maps.
+    """
+    left_axes = _rectified_axes(rig)
+    right_axes = left_axes @ rig.right_from_left[:3, :3].T
+    focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
+    left = _rays_to_pixels(left_axes, rig.left.normalise(left_px))
+    right = _rays_to_pixels(right_axes, rig.right.normalise(right_px))
+    return np.asarray(focal * (left[:, 1] - right[:, 1]))
+
+
 def _rectified_axes(rig: StereoRig) -> FloatArray:
     """Rows: the rectified x, y, z axes in the left camera's frame."""
     left_from_right = rig.right_from_left[:3, :3].T
