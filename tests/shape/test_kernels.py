@@ -63,7 +63,8 @@ def test_scan_finds_the_best_pose_of_each_place() -> None:
         [RNG.uniform(-np.pi, np.pi, 12), RNG.uniform(0.9, 1.1, 12), RNG.uniform(0.9, 1.1, 12)]
     )
     rows, columns = maps.shape[3:]
-    offsets = scan.pose_offsets(points, directions, poses, rows, columns, pad)
+    offsets = np.empty((12, 32), np.int64)
+    scan.pose_offsets(points, directions, poses, rows, columns, pad, offsets)
     sectors = np.floor(poses[:, 0] * (8 / (2 * np.pi))).astype(np.int64) % 8
     best = np.zeros((2, 8, 11 * columns), np.int16)
     pose = np.zeros(best.shape, np.int32)
@@ -92,7 +93,8 @@ def test_scan_without_inversion_ignores_negative_sums() -> None:
     maps, _, pad = _maps(False)
     points, directions = _points(32)
     rows, columns = maps.shape[3:]
-    offsets = scan.pose_offsets(points, directions, np.array([[0.3, 1, 1]]), rows, columns, pad)
+    offsets = np.empty((1, 32), np.int64)
+    scan.pose_offsets(points, directions, np.array([[0.3, 1.0, 1.0]]), rows, columns, pad, offsets)
     best = np.zeros((2, 8, 11 * columns), np.int16)
     pose = np.zeros(best.shape, np.int32)
     scan.scan(maps.reshape(-1), offsets, np.zeros(1, np.int64), 11 * columns, 10, False, best, pose)

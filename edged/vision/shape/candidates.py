@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -20,7 +21,7 @@ SCAN_SHARE = 0.55
 """Share of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
 POLISHED_SHARE = 0.62
 MAX_PEAKS = 1024
-MAX_POLISHED = 48
+MAX_POLISHED = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +46,7 @@ class Hypothesis:
 
 def scan_top(
     work: Workspace, model: ShapeModel, top: int, params: SearchParams, valid: Image | None
-) -> list[Hypothesis]:
+) -> Iterator[Hypothesis]:
     """Poses of the top level that may be the model, best first."""
     level = model.levels[top]
     count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
@@ -68,7 +69,8 @@ def scan_top(
     best = work.buffer("best", (2, scan.SECTORS, positions), np.int16, top)
     pose = work.buffer("pose", (2, scan.SECTORS, positions), np.int32, top)
     best[:] = 0
-    offsets = scan.pose_offsets(points, directions, poses, rows, columns, pad)
+    offsets = np.empty((len(poses), count), np.int64)
+    scan.pose_offsets(points, directions, poses, rows, columns, pad, offsets)
     sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
     scan.scan(
         maps.reshape(-1), offsets, sectors, positions, threshold, params.polarity == "global", best, pose
@@ -78,11 +80,12 @@ def scan_top(
     chosen = _choose(peaks[:number].copy(), pose, poses, columns)
     values = np.zeros(len(chosen))
     scan.polish(maps, points, directions, pad, steps, chosen, values)
-    return [
-        Hypothesis(refine.start_pose(*chosen[i, :5]), int(chosen[i, 5]), float(values[i]))
-        for i in np.lexsort((np.arange(len(values)), -values))
-        if values[i] >= POLISHED_SHARE * params.min_score
-    ][: 24 + 2 * params.max_matches]
+    order = np.lexsort((np.arange(len(values)), -values))[: 24 + 2 * params.max_matches]
+    good = order[values[order] >= POLISHED_SHARE * params.min_score]
+    return (
+        Hypothesis(refine.start_pose(*chosen[i, :5].tolist()), int(chosen[i, 5]), float(values[i]))
+        for i in good
+    )
 
 
 def pose_grid(radius: float, params: SearchParams) -> tuple[FloatArray, FloatArray]:

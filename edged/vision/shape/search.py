@@ -42,6 +42,8 @@ TILT_PRIOR = 0.02
 distance. Keeps the perspective at rest where the edges do not show it."""
 MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
+MIN_FIRST = 200
+"""Points of the first step on the finest level."""
 DECIDED_SHARE = 0.35
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
@@ -164,20 +166,22 @@ class _Search:
         """Robust steps on edges measured in the image itself, with the operator that measured the model."""
         image = self.work.images[0]
         level = self.model.levels[0]
-        placed, edges = np.empty((len(level.points), 4)), np.empty((len(level.points), 2))
         freedom = FREEDOM[self.params.sub_pixel]
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
         sign = self._sign(hypothesis)
-        for reach in (2.0, 1.5):
-            refine.place(level.points, level.normals, pose, placed)
+        # points are in random order: every second one is enough to come near
+        for count, reach in ((max(len(level.points) // 2, MIN_FIRST), 2.0), (len(level.points), 1.5)):
+            points, normals = level.points[:count], level.normals[:count]
+            placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
+            refine.place(points, normals, pose, placed)
             offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
             edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
             refine.edge_directions(image, placed, sign, edges)
             trial = pose.copy()
             prior = TILT_PRIOR / self._radius(0)
             moved = refine.robust_step(
-                level.points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
+                points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
             )
             if not moved:
                 return None

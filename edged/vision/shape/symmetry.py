@@ -13,7 +13,7 @@ from edged.vision.edges import edges_along_normals
 from edged.vision.shape import refine, scan
 from edged.vision.shape.workspace import Workspace
 
-CONFUSABLE = 0.75
+CONFUSABLE = 0.82
 """Self-similarity, relative to the true pose, from which a rotation is watched in every search."""
 ROUND = 0.93
 """A shape whose similarity never falls below this at any rotation is round."""
