@@ -291,23 +291,25 @@ def edge_along_normal(
 
 
 def row_edges(
-    image: Image, point: FloatArray, sign: float, low: float, high: float, min_slope: float, most: int
-) -> list[float]:
-    """Disparities of the strongest edges of one sign on a point's row, sorted; three rows together."""
+    image: Image, point: FloatArray, sign: float, low: float, high: float, min_slope: float
+) -> list[tuple[float, float]]:
+    """(slope, disparity) of all edges of one sign on a point's row, strongest first; three rows together."""
     height, width = image.shape
     row = round(float(point[1]))
     if not 1 <= row <= height - 2:
         return []
-    taps = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10
-    mean = image[row - 1 : row + 2].astype(float).mean(axis=0)
-    slope = sign * np.array([taps @ mean[x - 2 : x + 3] for x in range(2, width - 2)])  # of column x + 2
+    taps = np.array([-2, -1, 0, 1, 2])
+    total = image[row - 1 : row + 2].astype(int).sum(axis=0)
+    slope = (
+        sign * np.array([taps @ total[x - 2 : x + 3] for x in range(2, width - 2)]) / 30
+    )  # of column x + 2
     found = []
     for x in range(max(3, math.floor(point[0] - high)), min(width - 4, math.ceil(point[0] - low)) + 1):
         before, here, after = slope[x - 3], slope[x - 2], slope[x - 1]
         if here >= min_slope and here >= before and here > after:
             place = x + 0.5 * (before - after) / (before - 2 * here + after)
-            found.append((here, float(point[0] - place)))
-    return sorted(disparity for _, disparity in sorted(found, reverse=True)[:most])
+            found.append((float(here), float(point[0] - place)))
+    return sorted(found, reverse=True)
 
 
 def plane_agreement(

@@ -1,0 +1,118 @@
+"""Small scenes with exact truth for tests: the demo's rig at half its resolution, and whole cells on disc."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain import FloatArray, Frame, FramePair, Image
+from edged.sim.cell import demo_part, demo_rig, stereo_views
+from edged.sim.scene import Part, Placed, Scene, Surface, Table
+from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry import rotation_matrix
+from edged.vision.teaching import Region
+
+PLACE_MM = (8.0, 0.0, 205.0)
+"""Where both cameras of the demo's rig look."""
+TEXTURED = Surface(albedo=0.16, contrast=0.25, feature_mm=0.8, seed=2)
+
+
+def small_rig() -> StereoRig:
+    """The demo's rig with pixels of twice the size: pictures of 640x480."""
+
+    def halved(camera: CameraModel) -> CameraModel:
+        return replace(
+            camera,
+            width=camera.width // 2,
+            height=camera.height // 2,
+            fx=camera.fx / 2,
+            fy=camera.fy / 2,
+            cx=(camera.cx + 0.5) / 2 - 0.5,
+            cy=(camera.cy + 0.5) / 2 - 0.5,
+        )
+
+    rig = demo_rig()
+    return replace(rig, left=halved(rig.left), right=halved(rig.right))
+
+
+def pose(
+    place_mm: tuple[float, float, float] = PLACE_MM, turn_deg: float = 0.0, tilt_deg: float = 0.0
+) -> FloatArray:
+    """rig_from_part: turned about its normal, then tilted about an oblique axis."""
+    tilt = rotation_matrix(math.radians(tilt_deg) * np.array([0.6, 0.8, 0.0]))
+    rig_from_part = np.eye(4)
+    rig_from_part[:3, :3] = tilt @ rotation_matrix(np.array([0.0, 0.0, math.radians(turn_deg)]))
+    rig_from_part[:3, 3] = place_mm
+    return rig_from_part
+
+
+def scene(*placed: tuple[Part, FloatArray], table: Surface = TEXTURED) -> Scene:
+    """Parts over a table 6 mm below PLACE_MM."""
+    rig_from_table = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] + 6.0))
+    return Scene(Table(table, rig_from_table), tuple(Placed(part, where) for part, where in placed))
+
+
+def pictures(rig: StereoRig, world: Scene, seed: int = 0) -> tuple[Image, Image]:
+    """Left and right raw image, with the sensor's noise."""
+    views = stereo_views(rig)
+    left, right = (
+        views[side].render(world, np.random.default_rng((seed, index)))
+        for index, side in enumerate(("left", "right"))
+    )
+    return left, right
+
+
+def clean_greys(rig: StereoRig, world: Scene) -> tuple[FloatArray, FloatArray]:
+    """Left and right picture without noise, before rounding: for many draws of one scene."""
+    views = stereo_views(rig)
+    left, right = (
+        view.sensor.black + view.sensor.white * view.radiance(world).astype(np.float64)
+        for view in (views["left"], views["right"])
+    )
+    return left, right
+
+
+def noisy(grey: FloatArray, noise: float, rng: np.random.Generator) -> Image:
+    """A picture with white noise, in 8 bits."""
+    return np.clip(np.rint(grey + rng.normal(0, noise, grey.shape)), 0, 255).astype(np.uint8)
+
+
+def frame_pair(left: Image, right: Image) -> FramePair:
+    """Two images as one exposure."""
+    return FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
+
+
+def region_around(rig: StereoRig, centre_mm: FloatArray, radius_mm: float) -> Region:
+    """The square of the left image that holds a disc with some room."""
+    x, y = rig.left.project(centre_mm[None])[0]
+    half = 1.12 * radius_mm * rig.left.fx / centre_mm[2]
+    return Region(float(x - half), float(y - half), float(2 * half), float(2 * half))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flange:
+    """The demo's flange as it lies for teaching on the small rig."""
+
+    rig: StereoRig
+    part: Part
+    rig_from_part: FloatArray
+    left: Image
+    right: Image
+
+    @property
+    def region(self) -> Region:
+        """Around the whole part."""
+        return region_around(self.rig, self.rig_from_part[:3, 3], 14.0)
+
+
+@functools.cache
+def flange() -> Flange:
+    """One pair for all tests of a process; nobody writes into it."""
+    rig, part, where = small_rig(), demo_part(), pose()
+    left, right = pictures(rig, scene((part, where)))
+    for image in (left, right):
+        image.flags.writeable = False
+    return Flange(rig, part, where, left, right)
