@@ -21,6 +21,9 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.vision.jit import kernel
 
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
 EDGE_SIGMA_PX = 1.2
 """Width of the operator: about sqrt(5) times the blur of a focused lens (0.55 px) is optimal."""
 WIDTHS_PX = (0.6, 0.85, 1.2, 1.7)
@@ -89,7 +92,7 @@ def edge_profiles(
     """Grey values (N, S) across each point and their places (S,) in px; NaN rows leave the image."""
     half = round(half_px / step_px)
     places = np.asarray(np.arange(-half, half + 1) * step_px, dtype=np.float64)
-    return _profiles(image, _columns(points_px), _columns(normals), half, step_px), places
+    return _profiles(_pixels(image), _columns(points_px), _columns(normals), half, step_px), places
 
 
 def _measured(
@@ -104,13 +107,20 @@ def _measured(
     points = _columns(points_px)
     signs = np.full(len(points), polarity, dtype=np.int64)
     widths = np.asarray(widths_px, dtype=np.float64)
-    result = _edge_offsets(image, points, _columns(normals), float(reach_px), widths, signs, float(step_px))
+    result = _edge_offsets(
+        _pixels(image), points, _columns(normals), float(reach_px), widths, signs, float(step_px)
+    )
     count = len(widths)
     return EdgeSamples(result[:count], result[count : 2 * count], result[2 * count] > 0)
 
 
 def _columns(points: FloatArray) -> FloatArray:
-    return np.ascontiguousarray(points, dtype=np.float64)
+    return np.require(points, np.float64, "CW")
+
+
+def _pixels(image: Image) -> Image:
+    """As the kernels take it: a copy of what is a view or read-only."""
+    return np.require(image, np.uint8, "CW")
 
 
 @kernel("void(f8, f8[::1])")

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle, fit_face
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply
 from edged.vision.job import CircleFeature, Job
 from edged.vision.rectification import Rectification, row_difference_px
@@ -21,7 +22,7 @@ PLACE_TOLERANCE = 0.02
 """A feature farther from its place than this share of the part's size is another edge."""
 PLACE_MARGIN_MM = 0.1
 MIN_SUPPORT = 0.15
-"""Share of the reference circle that each camera must show to be measured at all; the job's limit is higher."""
+"""Share of the reference circle that each camera must show to be measured at all; the job asks for more."""
 MIN_OTHER_SUPPORT = 0.4
 OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0))
 TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))

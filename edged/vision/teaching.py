@@ -9,8 +9,9 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, fit_circle, fit_face
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
 from edged.vision.ellipses import ImageEllipse, find_ellipses
+from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, invert
 from edged.vision.job import CircleFeature, Job, Limits
 from edged.vision.rectification import Rectification
@@ -21,7 +22,7 @@ from edged.vision.startplane import Plane, find_plane
 DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 FACE_TOLERANCE_MM = 0.15
-"""A circle farther from the face belongs to another plane: shading displaces such edges, they are left out."""
+"""A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
 IN_FACE_MM = 0.05
 """Machined faces are flat to better than this, and holes measured singly are off by less."""
 MIN_SUPPORT = 0.75
@@ -51,7 +52,8 @@ def teach(
     ):
         if image.shape != (camera.height, camera.width):
             raise ImageError(
-                f"{side} image: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for {camera.width}x{camera.height}"
+                f"{side} image: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for "
+                f"{camera.width}x{camera.height}"
             )
     mask = _mask(region, rectification)
     rectified_left, rectified_right = rectification.left_image(left), rectification.right_image(right)

@@ -1,0 +1,452 @@
+"""Circles of one face, fitted in space to the raw edges of both cameras at once.
+
+The paper fits an ellipse in each rectified image and triangulates its centre; but the image of a
+circle's centre is not the centre of its ellipse (0.1-0.3 mm at 24° vergence). Here the unknowns
+are the circles themselves: one plane, and in it a centre and a radius for each. They are
+projected through lens and pose of each camera, edges are measured across the projected curves,
+and their offsets along the normals are the residuals of one robust least-squares problem.
+Nothing is rectified, no ellipse is formed, no point needs a partner in the other image.
+
+Each curve in each image is a group (see `robust`) with a scatter, a correlation along the edge and
+an operator width of its own. Half of the variance of the slow displacements is each curve's own,
+half is shared by the curves of one kind in one image: five holes in one light are not five
+independent witnesses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import Circle3D, FloatArray, Image
+from edged.vision.camera import StereoRig
+from edged.vision.circlefit import (
+    SIDES,
+    CircleFit,
+    CircleFitParams,
+    CircleGuess,
+    FaceFit,
+    ProjectedCircle,
+    circle_axes,
+    project_circle,
+)
+from edged.vision.edges import WIDTHS_PX, EdgeSamples, edges_at_widths
+from edged.vision.projection import project_with_jacobians
+from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups, variance_of_mean
+
+CLIPPED_WEIGHT = 0.02
+"""A saturated plateau hides half of its step and moves the edge by 0.1-0.2 px, where a good edge is known
+to 0.02: such points only help where there are no others."""
+BIAS_SHARE = 1.3
+"""Texture beside an edge, shading and second edges displace it along whole arcs, more at a wide operator
+than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
+0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
+1.2 and 0.6, for each kind of edge."""
+MIN_BIAS_PX = 0.005
+MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
+MIN_SPOKES, MAX_SPOKES = 48, 720
+STILL_PX = 0.01  # edges measured anew at curves that moved by less come out the same
+START_WIDTH = 2  # index into WIDTHS_PX of the operator that finds the edge; the last step chooses for itself
+DEFAULT_PARAMS = CircleFitParams()
+START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
+_FIRST = 6  # unknowns of the first circle: centre (3), tilt about u, tilt about v, radius
+
+
+def fit_circle(
+    rig: StereoRig,
+    left: Image,
+    right: Image,
+    guess: CircleGuess,
+    normal: FloatArray,
+    params: CircleFitParams = DEFAULT_PARAMS,
+    *,
+    fixed_normal: bool = False,
+) -> CircleFit | None:
+    """Measure one circle near a first guess; None when the images do not show one.
+
+    left, right : raw images (H, W) uint8.
+    fixed_normal : the plane's direction is known better from elsewhere (a small hole in a large face).
+    """
+    face = fit_face(rig, left, right, [guess], normal, params, fixed_normal=fixed_normal)
+    return None if face is None else face.fits[0]
+
+
+def fit_face(
+    rig: StereoRig,
+    left: Image,
+    right: Image,
+    guesses: Sequence[CircleGuess],
+    normal: FloatArray,
+    params: CircleFitParams = DEFAULT_PARAMS,
+    *,
+    fixed_normal: bool = False,
+) -> FaceFit | None:
+    """Measure circles of one plane together; None when the images do not show them.
+
+    The guesses' centres may lie off the plane through the first one: that distance is kept.
+    """
+    face = _Face.start(rig, guesses, normal, params)
+    if face is None:
+        return None
+    images = (left, right)
+    reaches = [*params.reach_px, *[params.reach_px[-1]] * params.repeats]
+    step: _Step | None = None
+    for number, reach in enumerate(reaches):
+        final = number >= len(params.reach_px)
+        if number == 1:  # far away there is one dominant edge; from here on each circle keeps its sign
+            face = face.with_polarity(images, reach, params)
+        step = face.step(images, reach, params, free_tilt=not fixed_normal, final=final)
+        moved = None if step is None else face.moved(step.delta)
+        if step is None or moved is None:
+            return None
+        face = moved
+        if final and step.moved_px < STILL_PX:
+            break
+    return None if step is None else face.result(step)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
+    """What one circle shows in one image: offset_px (N,), NaN where is no edge, and prior weights base (N,).
+
+    bias_px : one sigma of each of the slow displacements along the curve.
+    """
+
+    offset_px: FloatArray
+    base: FloatArray
+    bias_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """One step of the joint problem, and the samples it stands on.
+
+    moved_px : farthest that a curve moves.  points (2, N, 2) px; weights, residuals (2, N): left and right.
+    """
+
+    delta: FloatArray
+    covariance: FloatArray
+    moved_px: float
+    points: FloatArray
+    weights: FloatArray
+    residuals: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Face:
+    """State of the joint problem, and where along the curves it is sampled.
+
+    origin (3,) centre of the first circle; places (K, 3): centres along u, v and the normal from there.
+    index, phase (N,) : circle and angle of each sample; starts (K + 1,): where each circle's begin.
+    polarity (K,).
+    """
+
+    rig: StereoRig
+    names: tuple[str, ...]
+    origin: FloatArray
+    normal: FloatArray
+    places: FloatArray
+    radii: FloatArray
+    polarity: npt.NDArray[np.int64]
+    index: npt.NDArray[np.int64]
+    phase: FloatArray
+    starts: npt.NDArray[np.int64]
+
+    @staticmethod
+    def start(
+        rig: StereoRig, guesses: Sequence[CircleGuess], normal: FloatArray, params: CircleFitParams
+    ) -> _Face | None:
+        normal = np.array(normal, np.float64)
+        u, v = circle_axes(normal)
+        centres = np.array([guess.centre_mm for guess in guesses], dtype=np.float64)
+        radii = np.array([guess.radius_mm for guess in guesses], dtype=np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rims = rig.left.project(centres + radii[:, None] * u) - rig.left.project(centres)
+        sizes = np.linalg.norm(rims, axis=1)
+        usable = (sizes >= MIN_RADIUS_PX) & (sizes <= MAX_RADIUS_PX) & (centres[:, 2] > 0)  # False for NaN
+        if not usable.all():
+            return None
+        counts = np.clip(2 * np.pi * sizes / params.spacing_px, MIN_SPOKES, MAX_SPOKES).astype(np.int64)
+        return _Face(
+            rig,
+            tuple(guess.name for guess in guesses),
+            centres[0],
+            normal,
+            (centres - centres[0]) @ np.stack([u, v, normal]).T,
+            radii,
+            np.array([guess.polarity for guess in guesses], dtype=np.int64),
+            np.repeat(np.arange(len(guesses)), counts),
+            np.concatenate([np.arange(count) * (2 * np.pi / count) for count in counts]),
+            np.concatenate([[0], np.cumsum(counts)]),
+        )
+
+    @property
+    def unknowns(self) -> int:
+        return _FIRST + 3 * (len(self.names) - 1)
+
+    def frame(self) -> FloatArray:
+        """Rows u, v, normal."""
+        return np.vstack([circle_axes(self.normal), self.normal])
+
+    def project(self, side: str) -> ProjectedCircle:
+        centres = self.origin + self.places @ self.frame()
+        return project_circle(
+            self.rig, side, centres[self.index], self.normal, self.radii[self.index], self.phase
+        )
+
+    def design(self, curve: ProjectedCircle) -> FloatArray:
+        """(N, 8): derivative of each curve along its normal by the unknowns it depends on.
+
+        Those are the origin (3), the tilts about u and v, the circle's place along u and v, its radius.
+        """
+        u, v, n = self.frame()
+        x, y, z = self.places[self.index].T
+        by_centre = curve.jacobian[:, :3]
+        by_u, by_v, by_n = by_centre @ u, by_centre @ v, by_centre @ n
+        tilt_u = curve.jacobian[:, 3] + by_n * y - by_v * z
+        tilt_v = curve.jacobian[:, 4] + by_n * x - by_u * z
+        return np.column_stack([by_centre, tilt_u, tilt_v, by_u, by_v, curve.jacobian[:, 5]])
+
+    def columns(self, free_tilt: bool) -> npt.NDArray[np.int64]:
+        """(K, 8): which unknown each column of `design` is, -1 for those that are held."""
+        columns = np.tile(np.array([0, 1, 2, 3, 4, -1, -1, 5]), (len(self.names), 1))
+        for k in range(1, len(self.names)):
+            columns[k, 5:] = _FIRST + 3 * (k - 1) + np.arange(3)
+        if not free_tilt:
+            columns[:, 3:5] = -1
+        return columns
+
+    def with_polarity(self, images: tuple[Image, Image], reach: float, params: CircleFitParams) -> _Face:
+        """Give circles of unknown polarity the sign of most of their contrast."""
+        if (self.polarity != 0).all():
+            return self
+        total = np.zeros(len(self.names))
+        for side, image in zip(SIDES, images, strict=True):
+            curve = self.project(side)
+            slope = edges_at_widths(image, curve.pixels, curve.normals, reach, 0, START_WIDTHS_PX).slope[0]
+            strong = np.abs(np.nan_to_num(slope)) >= params.min_slope
+            total += np.bincount(self.index, np.where(strong, slope, 0.0), len(total))
+        sign = np.where(total < 0, -1, 1)
+        return replace(self, polarity=np.where(self.polarity == 0, sign, self.polarity))
+
+    def step(
+        self,
+        images: tuple[Image, Image],
+        reach: float,
+        params: CircleFitParams,
+        *,
+        free_tilt: bool,
+        final: bool,
+    ) -> _Step | None:
+        """Measure the edges at the present curves and solve for the step that fits them best.
+
+        final : each curve chooses its width, and slow displacements are reckoned with.
+        """
+        curves = tuple(self.project(side) for side in SIDES)
+        widths = WIDTHS_PX if final else START_WIDTHS_PX
+        signs = self.polarity[self.index]
+        measured: list[_Curve] = []
+        for image, curve in zip(images, curves, strict=True):
+            seen = edges_at_widths(image, curve.pixels, curve.normals, reach, signs, widths)
+            waves = _slow_waves(curve.normals)
+            measured += [
+                _choose_width(seen, slice(*self.starts[k : k + 2]), waves, params.min_slope)
+                for k in range(len(self.names))
+            ]
+        offsets = np.concatenate([curve.offset_px for curve in measured])
+        groups, priors = self._groups(curves, measured, free_tilt, final)
+        if np.count_nonzero(groups.base) < 2 * MIN_SAMPLES:
+            return None
+        # unknowns that are held leave no gap: the solver would find them undetermined
+        used = np.unique(groups.columns[groups.columns >= 0])
+        dense = replace(
+            groups, columns=np.where(groups.columns < 0, -1, np.searchsorted(used, groups.columns))
+        )
+        solution = solve_groups(dense, len(used), priors)
+        if solution is None:
+            return None
+        free = len(used) - priors
+        delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        delta[used[:free]] = solution.delta[:free]
+        inverse = solution.covariance[:free, :free]
+        if final and self.rig.covariance is not None:
+            gain = propagate(dense, solution, _calibration_causes(self.rig, self._points(), curves))[:free]
+            inverse = inverse + gain @ self.rig.covariance @ gain.T
+        covariance[np.ix_(used[:free], used[:free])] = inverse
+        by_group = np.append(delta, 0.0)[np.tile(self.columns(free_tilt), (2, 1))]  # -1: the zero at the end
+        moved = np.sum(groups.design[:, :8] * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
+        found = [
+            curve.pixels + curve.normals * offset[:, None]
+            for curve, offset in zip(curves, np.split(offsets, 2), strict=True)
+        ]
+        return _Step(
+            delta,
+            covariance,
+            float(np.abs(moved).max()),
+            np.stack(found),
+            solution.weights.reshape(2, -1),
+            solution.residuals.reshape(2, -1),
+        )
+
+    def _groups(
+        self, curves: tuple[ProjectedCircle, ...], measured: list[_Curve], free_tilt: bool, final: bool
+    ) -> tuple[Groups, int]:
+        """The samples of both images as groups, and the number of unknowns for shared displacements."""
+        starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
+        waves = np.concatenate([_slow_waves(curve.normals) for curve in curves])
+        bias = np.array([curve.bias_px for curve in measured]) * np.sqrt(0.5)
+        design = np.concatenate([self.design(curve) for curve in curves])
+        columns = np.tile(self.columns(free_tilt), (2, 1))
+        priors = 0
+        if final:
+            kinds = [(side, int(sign)) for side in range(2) for sign in self.polarity]
+            shared = sorted(set(kinds))
+            priors = waves.shape[1] * len(shared)
+            first = np.array([self.unknowns + waves.shape[1] * shared.index(kind) for kind in kinds])
+            columns = np.hstack([columns, first[:, None] + np.arange(waves.shape[1])])
+            design = np.hstack([design, waves * np.repeat(bias, np.diff(starts))[:, None]])
+        values = np.nan_to_num(np.concatenate([curve.offset_px for curve in measured]))
+        base = np.concatenate([curve.base for curve in measured])
+        return Groups(design, columns, starts, values, base, waves, bias), priors
+
+    def _points(self) -> FloatArray:
+        """(N, 3): the samples in space."""
+        u, v, _ = self.frame()
+        radial = np.cos(self.phase)[:, None] * u + np.sin(self.phase)[:, None] * v
+        centres = self.origin + self.places @ self.frame()
+        return np.asarray(centres[self.index] + self.radii[self.index, None] * radial)
+
+    def moved(self, delta: FloatArray) -> _Face | None:
+        """The state after a step; None when it has run away."""
+        if not np.isfinite(delta).all() or np.abs(delta[:3]).max() > 0.2 * self.origin[2]:
+            return None
+        u, v, n = self.frame()
+        turned = np.cross(u + delta[4] * n, v + delta[3] * n)
+        turned = turned / np.linalg.norm(turned) * np.sign(turned @ n)
+        places, radii = self.places.copy(), self.radii.copy()
+        radii[0] += delta[5]
+        further = delta[_FIRST:].reshape(-1, 3)
+        places[1:, :2] += further[:, :2]
+        radii[1:] += further[:, 2]
+        origin = self.origin + delta[:3]
+        if (radii <= 0).any() or origin[2] <= 0:
+            return None
+        # the new axes differ from the tilted old ones by a turn about the normal: keep the centres in space
+        fresh = circle_axes(turned)
+        tilted = np.stack([u + delta[4] * n, v + delta[3] * n])
+        tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+        places[:, :2] = places[:, :2] @ tilted @ fresh.T
+        return replace(self, origin=origin, normal=turned, places=places, radii=radii)
+
+    def result(self, step: _Step) -> FaceFit | None:
+        fits = []
+        for k in range(len(self.names)):
+            fit = self._circle(k, step)
+            if fit is None:
+                return None
+            fits.append(fit)
+        return FaceFit(tuple(fits), step.covariance)
+
+    def _circle(self, k: int, step: _Step) -> CircleFit | None:
+        rows = slice(*self.starts[k : k + 2])
+        weights, residuals = step.weights[:, rows], step.residuals[:, rows]
+        total = float(weights.sum())
+        if total < MIN_SAMPLES:
+            return None
+        covariance = self._to_circle(k) @ step.covariance @ self._to_circle(k).T
+        u, v, n = self.frame()
+        circle = Circle3D(
+            self.names[k],
+            self.origin + self.places[k] @ self.frame(),
+            n if n[2] < 0 else -n,
+            float(self.radii[k]),
+            covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])],
+        )
+        return CircleFit(
+            circle,
+            covariance,
+            np.stack([u, v]),
+            float((weights[0] > 0).mean()),
+            float((weights[1] > 0).mean()),
+            float(np.sqrt(np.sum(weights * residuals**2) / total)),
+            step.points[0, rows],
+            step.points[1, rows],
+            weights[0],
+            weights[1],
+            int(self.polarity[k]),
+        )
+
+    def _to_circle(self, k: int) -> FloatArray:
+        """(6, P): centre, tilts and radius of one circle by the joint unknowns."""
+        u, v, n = self.frame()
+        x, y, z = self.places[k]
+        to_circle = np.zeros((_FIRST, self.unknowns))
+        to_circle[:3, :3] = np.eye(3)
+        to_circle[:3, 3], to_circle[:3, 4] = y * n - z * v, x * n - z * u
+        to_circle[3, 3] = to_circle[4, 4] = 1.0
+        if k == 0:
+            to_circle[5, 5] = 1.0
+        else:
+            column = _FIRST + 3 * (k - 1)
+            to_circle[:3, column], to_circle[:3, column + 1], to_circle[5, column + 2] = u, v, 1.0
+        return to_circle
+
+
+def _slow_waves(normals: FloatArray) -> FloatArray:
+    """(N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
+
+    What a wrong circle looks like, and a bias: light and view have one direction in the image.
+    """
+    angle = np.arctan2(normals[:, 1], normals[:, 0])
+    return np.column_stack([np.ones(len(angle)), *(f(m * angle) for m in (1, 2) for f in (np.cos, np.sin))])
+
+
+def _choose_width(seen: EdgeSamples, rows: slice, waves: FloatArray, min_slope: float) -> _Curve:
+    """Of the widths that were measured, the one whose edges place the curve best.
+
+    Best is the smallest variance plus squared bias. A second edge close by (a chamfer, the wall of a
+    disc) pulls a wide operator more than a narrow one, and along a whole arc: what a width says
+    otherwise than the narrowest one, slowly changing around the circle, is its bias.
+    """
+    waves = np.ascontiguousarray(waves[rows])
+    offsets, slopes = seen.offset_px[:, rows], seen.slope[:, rows]
+    known = np.isfinite(offsets) & (np.abs(np.nan_to_num(slopes)) >= min_slope)
+    base = np.where(known, np.where(seen.clipped[rows], CLIPPED_WEIGHT, 1.0), 0.0)
+    if len(offsets) == 1:
+        return _Curve(np.where(known[0], offsets[0], np.nan), base[0], 0.0)
+    values = np.where(known, offsets, 0.0)
+    merits, squares = [], []
+    for w in range(len(values)):
+        variance, _ = variance_of_mean(values[w], base[w], waves)
+        doubt, slow = variance_of_mean(values[w] - values[0], np.minimum(base[w], base[0]), waves)
+        squares.append(max(slow - waves.shape[1] * doubt, 0.0) if np.isfinite(doubt) else 0.0)
+        merits.append(variance + squares[-1])
+    best = int(np.argmin(merits))
+    # the mean square of waves of equal amplitude: 1 for the constant, a half for each of the others
+    bias = BIAS_SHARE * np.sqrt(squares[START_WIDTH] / (0.5 + 0.5 * waves.shape[1]))
+    return _Curve(np.where(known[best], offsets[best], np.nan), base[best], max(float(bias), MIN_BIAS_PX))
+
+
+def _calibration_causes(
+    rig: StereoRig, points_mm: FloatArray, curves: tuple[ProjectedCircle, ...]
+) -> FloatArray:
+    """(2 N, Q): shift of each edge against its projected curve per unit of `rig.parameter_names`."""
+    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
+    turned = points_mm @ rotation.T
+    _, _, by_left = project_with_jacobians(rig.left, points_mm)
+    _, by_point, by_right = project_with_jacobians(rig.right, turned + translation)
+    left, right = (
+        np.einsum("ni,niq->nq", curve.normals, by)
+        for curve, by in zip(curves, (by_left, by_right), strict=True)
+    )
+    along = np.einsum("ni,nij->nj", curves[1].normals, by_point)
+    # a small rotation w on the left of R moves a point by w x (R X): a . (w x b) = w . (b x a)
+    pose = np.hstack([np.cross(turned, along), along])
+    count = len(points_mm)
+    causes = np.zeros((2 * count, left.shape[1] + right.shape[1] + 6))
+    causes[:count, : left.shape[1]] = left
+    causes[count:, left.shape[1] :] = np.hstack([right, pose])
+    return -causes
