@@ -137,6 +137,19 @@ def test_no_edge_is_nan() -> None:
     assert np.isnan(edges_along_normals(tiny, points, normals, 3.0, 0)[0]).all()
 
 
+def test_views_and_read_only_images_are_taken() -> None:
+    """A crop, a transposed and a read-only image are images too."""
+    points, normals = across(0.0)
+    wide = exposed(np.hstack([step_image(0.4), step_image(0.4)]))
+    expected, _ = edges_along_normals(wide[:, : SIZE[1]].copy(), points, normals, 3.0, 1)
+    frozen = wide[:, : SIZE[1]].copy()
+    frozen.flags.writeable = False
+    for image in (wide[:, : SIZE[1]], np.asfortranarray(frozen), frozen):
+        assert np.array_equal(edges_along_normals(image, points, normals, 3.0, 1)[0], expected)
+    one_normal = np.broadcast_to(normals[0], normals.shape)
+    assert np.array_equal(edges_along_normals(frozen, points, one_normal, 3.0, 1)[0], expected)
+
+
 def test_a_saturated_plateau_is_noted() -> None:
     """Where the sensor clips beside the edge, the sample says so; on a normal edge it does not."""
     points, normals = across(0.0)

@@ -115,12 +115,12 @@ def _measured(
 
 
 def _columns(points: FloatArray) -> FloatArray:
-    return np.require(points, np.float64, "CW")
+    return np.require(points, np.float64, ("C", "W"))
 
 
 def _pixels(image: Image) -> Image:
     """As the kernels take it: a copy of what is a view or read-only."""
-    return np.require(image, np.uint8, "CW")
+    return np.require(image, np.uint8, ("C", "W"))
 
 
 @kernel("void(f8, f8[::1])")

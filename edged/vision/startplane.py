@@ -84,8 +84,9 @@ def _rivals(
     right: Image, points: FloatArray, sign: FloatArray, low: float, high: float, min_slope: float
 ) -> FloatArray:
     """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
+    image = np.require(right, np.uint8, ("C", "W"))
     return _row_edges(
-        right, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
+        image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
     )
 
 

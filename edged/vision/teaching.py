@@ -26,6 +26,8 @@ FACE_TOLERANCE_MM = 0.15
 IN_FACE_MM = 0.05
 """Machined faces are flat to better than this, and holes measured singly are off by less."""
 MIN_SUPPORT = 0.75
+MAX_RMS_PX = 0.5
+"""As a job's own limit: edges that scatter more are those of two different things, one in each image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,13 +151,18 @@ def _reference(
         if plane is None:
             continue
         fit = _fit_on(plane, left, right, rectification, ellipse, fixed_normal=False)
-        if fit is not None and min(fit.support_left, fit.support_right) >= MIN_SUPPORT:
+        if fit is not None and _is_clear(fit):
             centre, normal = fit.circle.centre_mm, fit.circle.normal
             return Plane(normal, float(normal @ centre)), fit
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images?"
     )
+
+
+def _is_clear(fit: CircleFit) -> bool:
+    """Whether both images show this circle, whole and in one place."""
+    return min(fit.support_left, fit.support_right) >= MIN_SUPPORT and fit.rms_px <= MAX_RMS_PX
 
 
 def _others(
@@ -170,7 +177,7 @@ def _others(
     found: list[CircleFit] = []
     for ellipse in ellipses:
         fit = _fit_on(face, left, right, rectification, ellipse, fixed_normal=True)
-        if fit is None or min(fit.support_left, fit.support_right) < MIN_SUPPORT:
+        if fit is None or not _is_clear(fit):
             continue
         circle = fit.circle
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)

@@ -1,0 +1,155 @@
+"""Teaching: what is learned is the part that was there, and a region that shows none is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from cells import Flange, flange, pictures, pose, region_around, scene
+
+from edged.errors import ImageError, TeachError
+from edged.sim.scene import Box, Disc, Hole, Part, Surface
+from edged.vision.geometry import apply
+from edged.vision.job import Job
+from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.teaching import Region, teach
+
+
+@pytest.fixture(scope="module")
+def flat() -> Flange:
+    """The flange, square to the left camera."""
+    return flange()
+
+
+@pytest.fixture(scope="module")
+def rectification(flat: Flange) -> Rectification:
+    """Its rig, prepared."""
+    return make_rectification(flat.rig)
+
+
+@pytest.fixture(scope="module")
+def job(flat: Flange, rectification: Rectification) -> Job:
+    """What is taught from it."""
+    return teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
+
+
+def test_circles_are_named_by_falling_radius(job: Job) -> None:
+    """c0 is the outline and the reference; c1 the bore; equal ones in reading order; nothing is invented."""
+    assert [circle.name for circle in job.circles] == [f"c{k}" for k in range(len(job.circles))]
+    radii = [circle.radius_mm for circle in job.circles]
+    np.testing.assert_allclose(radii, [14.0, 4.0, 1.6, 1.6, 1.6, 1.6, 0.9], atol=0.01)
+    assert job.reference == "c0"
+    assert (job.name, job.number) == ("flange", 7)
+    assert [circle.polarity for circle in job.circles] == [-1, 1, 1, 1, 1, 1, 1]
+    rows = [circle.centre_mm[1] for circle in job.circles[2:6]]
+    assert rows == sorted(rows)
+
+
+def test_places_are_those_of_the_drawing(job: Job, flat: Flange) -> None:
+    """Every circle lies where the part has one, to 10 µm in the face; the pose is the true one."""
+    places = np.array([(disc.x_mm, disc.y_mm, disc.radius_mm) for _, disc in flat.part.circles])
+    for circle in job.circles:
+        in_rig = apply(job.rig_from_part, circle.centre_mm)
+        nearest = min(
+            places,
+            key=lambda p: float(
+                np.linalg.norm(in_rig[:2] - flat.rig_from_part[:2, 3] - p[:2]) + abs(circle.radius_mm - p[2])
+            ),
+        )
+        x, y, z = in_rig - flat.rig_from_part[:3, 3]
+        assert math.hypot(x - nearest[0], y - nearest[1]) < 0.01
+        assert abs(z) < 0.03
+    np.testing.assert_allclose(job.rig_from_part, flat.rig_from_part, atol=0.006)
+    np.testing.assert_allclose(job.rig_from_part[:3, :3], np.eye(3), atol=1e-3)
+
+
+def test_limits_follow_from_the_depth(job: Job) -> None:
+    """The part is inside its own depth limits, and the search may scale as much as these allow."""
+    nearest, farthest = job.limits.depth_mm
+    depth = job.rig_from_part[2, 3]
+    assert nearest < depth < farthest
+    assert job.search.scale_min == pytest.approx(depth / farthest)
+    assert job.search.scale_max == pytest.approx(depth / nearest)
+
+
+def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Rectification) -> None:
+    """Bit for bit: a job can be taught again from recorded images."""
+    again = teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
+    assert np.array_equal(again.rig_from_part, job.rig_from_part)
+    for key, array in job.shape.to_arrays().items():
+        assert np.array_equal(again.shape.to_arrays()[key], array)
+
+
+def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
+    """Tilted by 8°: z of the part frame is its normal away from the cameras, x as the rig's, projected."""
+    flat = flange()
+    where = pose(turn_deg=40.0, tilt_deg=8.0)
+    left, right = pictures(flat.rig, scene((flat.part, where)))
+    region = region_around(flat.rig, where[:3, 3], 14.0)
+    job = teach(left, right, make_rectification(flat.rig), region, "tilted")
+    rotation = job.rig_from_part[:3, :3]
+    assert rotation[:, 2] @ where[:3, 2] > math.cos(math.radians(0.1))
+    assert (
+        abs(rotation[1, 0] * rotation[2, 2] - rotation[2, 0] * rotation[1, 2]) < 1e-9
+    )  # x in the plane of x and z
+    assert np.linalg.norm(job.rig_from_part[:3, 3] - where[:3, 3]) < 0.01
+    assert np.abs(np.array([circle.centre_mm[2] for circle in job.circles])).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("region", "expected"),
+    [
+        (Region(1e5, 10, 50, 50), "outside"),
+        (Region(-500, -500, 400, 400), "outside"),
+        (Region(100, 100, 8, 200), "at least 16"),
+        (Region(100, 100, -50, 50), "at least 16"),
+        (Region(math.nan, 100, 50, 50), "X,Y,W,H"),
+        (Region(100, 100, math.inf, 50), "X,Y,W,H"),
+        (Region(5, 5, 60, 60), "no circle"),
+    ],
+)
+def test_a_region_without_a_part_is_refused(
+    flat: Flange, rectification: Rectification, region: Region, expected: str
+) -> None:
+    """Outside, tiny, inside out, no number, empty table: the message says what was expected."""
+    with pytest.raises(TeachError, match=expected):
+        teach(flat.left, flat.right, rectification, region, "x")
+
+
+def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectification: Rectification) -> None:
+    """Blank, the same image twice, left and right swapped: no job, and the message asks why."""
+    blank = np.full_like(flat.left, 60)
+    with pytest.raises(TeachError, match="no circle"):
+        teach(blank, flat.right, rectification, flat.region, "x")
+    for left, right in ((flat.left, blank), (flat.left, flat.left)):
+        with pytest.raises(TeachError, match="both cameras"):
+            teach(left, right, rectification, flat.region, "x")
+    with pytest.raises(TeachError):
+        teach(flat.right, flat.left, rectification, flat.region, "x")
+
+
+def test_a_part_without_circles_is_refused(rectification: Rectification, flat: Flange) -> None:
+    """A plate with square holes has no circle to measure."""
+    plate = Part("plate", Box(0, 0, 22, 16), Surface(0.6), (Hole("window", Box(2, 1, 6, 5)),))
+    left, right = pictures(flat.rig, scene((plate, pose())))
+    with pytest.raises(TeachError, match="no circle"):
+        teach(left, right, rectification, flat.region, "x")
+
+
+def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> None:
+    """A plate with one bore: the bore is the reference, the plate's outline the shape."""
+    plate = Part("plate", Box(0, 0, 24, 18), Surface(0.6, 0.05), (Hole("bore", Disc(3.0, -2.0, 5.0)),))
+    left, right = pictures(flat.rig, scene((plate, pose())))
+    job = teach(left, right, rectification, flat.region, "plate")
+    assert [circle.polarity for circle in job.circles] == [1]
+    np.testing.assert_allclose(job.rig_from_part[:2, 3], (11.0, -2.0), atol=0.01)
+    assert job.shape.radius_px > 12.0 * flat.rig.left.fx / 205.0
+
+
+def test_images_that_do_not_fit_the_rig_are_refused(flat: Flange, rectification: Rectification) -> None:
+    """Another size is an error that names the side and both sizes."""
+    with pytest.raises(ImageError, match=r"left image: 320x480.*640x480"):
+        teach(flat.left[:, :320], flat.right, rectification, flat.region, "x")
+    with pytest.raises(ImageError, match="right image"):
+        teach(flat.left, flat.right[:100], rectification, flat.region, "x")
