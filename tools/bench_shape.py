@@ -157,9 +157,9 @@ def sift_finder(template: sc.Grey, origin: sc.Float) -> Find:
 def hough_finder(template: sc.Grey, origin: sc.Float, around_rad: float) -> Find:
     """OpenCV's generalised Hough transform (Guil) over +-10 degrees around the true angle."""
     hough = cv2.createGeneralizedHoughGuil()
-    degrees = float(np.degrees(around_rad))
-    hough.setMinAngle(degrees - 10)
-    hough.setMaxAngle(degrees + 10)
+    start = min((float(np.degrees(around_rad)) - 10) % 360, 340.0)  # it knows 0 to 360 only
+    hough.setMinAngle(start)
+    hough.setMaxAngle(start + 20)
     hough.setAngleStep(1)
     hough.setMinScale(1)
     hough.setMaxScale(1.001)

@@ -179,8 +179,8 @@ def test_one_candidate_per_place_and_rotation() -> None:
         ]
     )
     kept = np.empty(6, np.int64)
-    assert kept[: scan.best_of_each_place(rows, 6, kept)].tolist() == [0, 2, 3, 4]
-    assert scan.best_of_each_place(rows, 2, kept) == 2
+    assert kept[: scan.best_of_each_place(rows, 6, 0.35, kept)].tolist() == [0, 2, 3, 4]
+    assert scan.best_of_each_place(rows, 2, 0.35, kept) == 2
 
 
 def _pose() -> np.ndarray:

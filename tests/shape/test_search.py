@@ -324,3 +324,23 @@ def test_foreign_arrays_are_refused_or_harmless(data: st.DataObject) -> None:
 
 
 _FUZZ = _teach(flange(odd=True))
+
+
+def test_thin_lines_keep_to_fine_levels() -> None:
+    """A drawing of thin lines is found at any angle: coarse levels, where lines vanish, are not searched."""
+    ring = ((disc(0, 0, 70), 20.0), (disc(0, 0, 68.4), 70.0))
+    bars = tuple(
+        (np.array([(-1, -a), (1, -a), (1, -a + 25), (-1, -a + 25)], float) @ _turned(turn), 20.0)
+        for a, turn in ((60, 0.0), (60, 0.9), (55, 2.3), (50, 4.4))
+    )
+    model = _teach((*ring, *bars))
+    thick = _teach(((disc(0, 0, 70), 200.0), (disc(20, 0, 30), 70.0)))
+    assert len(model.levels) < len(thick.levels)
+    for angle in np.linspace(-3, 3, 8):
+        match = _one(find_shapes(draw((*ring, *bars), (200, 160, angle, 1, 1)), model, RIGID))
+        assert _turn(match.angle_rad, angle) < math.radians(0.1)
+
+
+def _turned(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s], [-s, c]])

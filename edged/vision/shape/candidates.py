@@ -15,8 +15,6 @@ from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 from edged.vision.shape.workspace import Workspace
 
-STEP_PX = 2.0
-"""Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
 SCAN_SHARE = 0.55
 """Share of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
 POLISHED_SHARE = 0.62
@@ -77,7 +75,7 @@ def scan_top(
     )
     peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
     number = scan.collect_peaks(best, used_rows, used_columns, columns, threshold, peaks)
-    chosen = _choose(peaks[:number].copy(), pose, poses, columns)
+    chosen = _choose(peaks[:number].copy(), pose, poses, columns, 3.2 * steps[0])
     values = np.zeros(len(chosen))
     scan.polish(maps, points, directions, pad, steps, chosen, values)
     order = np.lexsort((np.arange(len(values)), -values))[: 24 + 2 * params.max_matches]
@@ -90,7 +88,7 @@ def scan_top(
 
 def pose_grid(radius: float, params: SearchParams) -> tuple[FloatArray, FloatArray]:
     """Poses (P, 3): angle, scale x, scale y, and the half steps (3,) between them (see `scan.polish`)."""
-    step = STEP_PX / max(radius, 1.0)
+    step = scan.STEP_PX / max(radius, 1.0)
     full = params.angle_extent_rad >= 2 * np.pi - 1e-9
     number = max(1, int(np.ceil(params.angle_extent_rad / step)) + (0 if full else 1))
     angles = params.angle_start_rad + np.linspace(0, params.angle_extent_rad, number, endpoint=not full)
@@ -114,7 +112,11 @@ def _scales(low: float, high: float, step: float) -> tuple[FloatArray, float]:
 
 
 def _choose(
-    peaks: npt.NDArray[np.int64], pose: npt.NDArray[np.int32], poses: FloatArray, columns: int
+    peaks: npt.NDArray[np.int64],
+    pose: npt.NDArray[np.int32],
+    poses: FloatArray,
+    columns: int,
+    apart_rad: float,
 ) -> FloatArray:
     """(N, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation, best first."""
     order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
@@ -122,7 +124,7 @@ def _choose(
     chosen = poses[pose[sign, sector, y * columns + x]]
     rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, chosen, 1.0 - 2.0 * sign]))
     kept = np.empty(MAX_POLISHED, np.int64)
-    number = scan.best_of_each_place(rows, MAX_POLISHED, kept)
+    number = scan.best_of_each_place(rows, MAX_POLISHED, apart_rad, kept)
     return np.ascontiguousarray(rows[kept[:number]])
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges import edges_along_normals
+from edged.vision.shape.levels import surviving_levels
 from edged.vision.shape.symmetry import find_symmetry
 
 MAX_POINTS = (600, 400, 240, 160, 160)
@@ -166,6 +167,7 @@ def create_model(image: Image, mask: Image, origin_px: FloatArray | None = None)
             f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
             "is the part inside the region, lit and in focus?"
         )
+    levels = levels[: surviving_levels(image, origin, levels)]
     radius = float(np.linalg.norm(levels[0].points, axis=1).max())
     symmetry = find_symmetry(image, origin, levels, contrast)
     return ShapeModel(

@@ -21,6 +21,8 @@ PEAK = 7  # response of full agreement: 16 points fit into a signed byte
 SECTORS = 8  # rivals of another 45° sector never hide a pose
 GROUP = 16  # points summed in bytes
 TOP_POINTS = 96  # a multiple of GROUP
+STEP_PX = 2.0
+"""Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
 BLOCK = 1024  # positions per block: sums of bytes and words stay in the first-level cache
 
 SPREAD = 3 * PEAK * 0.45
@@ -321,10 +323,11 @@ def polish(
         values[c] = best / (PEAK * points.shape[0])
 
 
-@kernel("i8(f8[:, ::1], i8, i8[::1])")
+@kernel("i8(f8[:, ::1], i8, f8, i8[::1])")
 def best_of_each_place(
     rows: Array,
     limit: int,
+    apart_rad: float,
     kept: Array,
 ) -> int:
     """Number of rows (x, y, angle, ., ., sign), best first, that no better one is near; `kept`: which."""
@@ -335,7 +338,7 @@ def best_of_each_place(
             j = kept[k]
             turn = abs((rows[i, 2] - rows[j, 2] + np.pi) % (2 * np.pi) - np.pi)
             near = abs(rows[i, 0] - rows[j, 0]) <= 4 and abs(rows[i, 1] - rows[j, 1]) <= 4
-            if near and turn < 0.35 and rows[i, 5] == rows[j, 5]:
+            if near and turn < apart_rad and rows[i, 5] == rows[j, 5]:
                 hidden = True
                 break
         if not hidden:
