@@ -51,16 +51,20 @@ class _Search(_Section):
     angle_start_deg: float = Field(-180.0, ge=-360, le=360)
     angle_extent_deg: float = Field(360.0, gt=0, le=360)
     scale: Annotated[list[float], Field(min_length=2, max_length=2)]
+    scale_y: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     min_score: float = Field(0.6, ge=0.1, le=1)
     max_matches: int = Field(8, ge=1, le=64)
     max_overlap: float = Field(0.5, ge=0, le=1)
-    polarity: Literal["same", "global"] = "global"
+    polarity: Literal["same", "global", "local", "ignore"] = "local"
     min_contrast: float = Field(2.0, gt=0, le=255)
+    sub_pixel: Literal["none", "rigid", "similarity", "stretch", "affine", "projective"] = "projective"
+    allow_partial: bool = True
 
     @model_validator(mode="after")
     def _ordered(self) -> _Search:
-        if not 0.2 <= self.scale[0] <= self.scale[1] <= 5:
-            raise ValueError(f"scale must be [smallest, largest] within 0.2 to 5, got {self.scale}")
+        for name, scale in (("scale", self.scale), ("scale_y", self.scale_y)):
+            if scale is not None and not 0.2 <= scale[0] <= scale[1] <= 5:
+                raise ValueError(f"{name} must be [smallest, largest] within 0.2 to 5, got {scale}")
         return self
 
 
@@ -113,6 +117,8 @@ def load_job(folder: Path) -> Job:
         raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(f"{path}: not TOML: {error}") from error
+    except RecursionError as error:
+        raise FileFormatError(f"{path}: not TOML of a job: nested too deeply") from error
     except ValidationError as error:
         details = "; ".join(
             f"{'.'.join(str(part) for part in detail['loc']) or '(file)'}: "
@@ -154,29 +160,52 @@ def load_job(folder: Path) -> Job:
             max_overlap=search.max_overlap,
             polarity=search.polarity,
             min_contrast=search.min_contrast,
+            allow_partial=search.allow_partial,
+            scale_y_min=None if search.scale_y is None else search.scale_y[0],
+            scale_y_max=None if search.scale_y is None else search.scale_y[1],
+            sub_pixel=search.sub_pixel,
         ),
     )
 
 
+def job_folders(folder: Path) -> list[Path]:
+    """The job folders inside a folder, by name; not the older jobs that `save_job` keeps beside them."""
+    return sorted(
+        entry
+        for entry in Path(folder).iterdir()
+        if (entry / "job.toml").is_file() and not entry.name.startswith(".") and entry.suffix != ".old"
+    )
+
+
 def save_job(folder: Path, job: Job) -> None:
-    """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old."""
-    folder = Path(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
+
+    Raises `FileFormatError` where something else is in the way, or the disc refuses.
+    """
+    folder = Path(folder).resolve()
     if folder.exists() and not (folder / "job.toml").is_file():
         raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
-    fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
-        fresh.chmod(0o755)
-        write_atomically(fresh / "job.toml", _to_toml(job).encode())
-        save_arrays(fresh / "shape.npz", SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays())
-        if folder.exists():
-            old = folder.with_name(folder.name + ".old")
-            shutil.rmtree(old, ignore_errors=True)
-            folder.replace(old)
-        fresh.replace(folder)
-    except BaseException:
-        shutil.rmtree(fresh, ignore_errors=True)
-        raise
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            _fill(fresh, job)
+            if folder.exists():
+                old = folder.with_name(folder.name + ".old")
+                shutil.rmtree(old, ignore_errors=True)
+                folder.replace(old)
+            fresh.replace(folder)
+        except BaseException:
+            shutil.rmtree(fresh, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error
+
+
+def _fill(folder: Path, job: Job) -> None:
+    folder.chmod(0o755)
+    write_atomically(folder / "job.toml", _to_toml(job).encode())
+    save_arrays(folder / "shape.npz", SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays())
 
 
 def _numbers(values: object) -> str:
@@ -188,6 +217,11 @@ def _to_toml(job: Job) -> str:
     tolerance = limits.radius_tolerance_mm
     tolerance_line = (
         f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
+    )
+    scale_y_line = (
+        f"scale_y = {_numbers((search.scale_y_min, search.scale_y_max))}"
+        if search.scale_y_min is not None and search.scale_y_max is not None
+        else "# scale_y = [0.9, 1.1]"
     )
     lines = [
         "# A taught job. Edit what you like below; unknown keys are errors. shape.npz is not for editing.",
@@ -213,11 +247,15 @@ def _to_toml(job: Job) -> str:
         f"angle_start_deg = {math.degrees(search.angle_start_rad):.6g}",
         f"angle_extent_deg = {math.degrees(search.angle_extent_rad):.6g}",
         f"scale = {_numbers((search.scale_min, search.scale_max))}   # apparent size against the teaching",
+        scale_y_line + "   # the same across, where it differs",
         f"min_score = {search.min_score!r}   # share of the shape that must be seen",
         f"max_matches = {search.max_matches}",
         f"max_overlap = {search.max_overlap!r}",
-        f'polarity = "{search.polarity}"   # "same" as taught, or "global": may be inverted as a whole',
+        '# contrast "same" as taught, "global": may be inverted as a whole, "local": each edge by itself',
+        f'polarity = "{search.polarity}"',
         f"min_contrast = {search.min_contrast!r}   # grey values per px",
+        f'sub_pixel = "{search.sub_pixel}"   # none, rigid, similarity, stretch, affine or projective',
+        f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
     ]
     for circle in job.circles:
         lines += [

@@ -1,0 +1,282 @@
+"""Job folders: what is saved comes back, every kind of damage is named, nothing is lost."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edged.errors import FileFormatError
+from edged.jobs import job_folders, load_job, save_job
+from edged.vision.job import CircleFeature, Job, Limits
+from edged.vision.shape.model import ShapeLevel, ShapeModel
+from edged.vision.shape.search import SearchParams
+
+EVERY_OPTION = SearchParams(
+    angle_start_rad=-0.5,
+    angle_extent_rad=1.0,
+    scale_min=0.8,
+    scale_max=1.3,
+    min_score=0.75,
+    max_matches=5,
+    max_overlap=0.25,
+    polarity="local",
+    min_contrast=3.5,
+    scale_y_min=0.7,
+    scale_y_max=1.1,
+    sub_pixel="stretch",
+    allow_partial=False,
+)
+
+
+def make_job(
+    name: str = "flange", number: int = 3, limits: Limits | None = None, search: SearchParams | None = None
+) -> Job:
+    """A job with awkward numbers, that no image was needed for."""
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-np.pi, np.pi, (2, 60))
+    levels = tuple(
+        ShapeLevel(rng.normal(0, 50 / 2**k, (60, 2)), np.column_stack([np.cos(angles[k]), np.sin(angles[k])]))
+        for k in range(2)
+    )
+    radius = float(np.linalg.norm(levels[0].points, axis=1).max())
+    rig_from_part = np.eye(4)
+    rig_from_part[:3, 3] = (1 / 3, -7e-13, 205.1)
+    return Job(
+        name,
+        number,
+        ShapeModel(levels, np.array([640.25, 1 / 7]), radius, 12.5),
+        (
+            CircleFeature("c0", np.zeros(3), 13.999787267214886, -1),
+            CircleFeature("c1", np.array([0.1, 1e-17, -1 / 3]), 4.0, 1),
+        ),
+        "c0",
+        rig_from_part,
+        limits or Limits((180.5, 230.0), radius_tolerance_mm=0.05),
+        search or SearchParams(scale_min=1 / 1.12, scale_max=1 / 0.88, polarity="same"),
+    )
+
+
+def assert_same(one: Job, two: Job) -> None:
+    """Every field of both jobs is equal, arrays bit by bit."""
+    assert (one.name, one.number, one.reference, one.limits) == (
+        two.name,
+        two.number,
+        two.reference,
+        two.limits,
+    )
+    assert np.array_equal(one.rig_from_part, two.rig_from_part)
+    for a, b in zip(one.circles, two.circles, strict=True):
+        assert (a.name, a.radius_mm, a.polarity) == (b.name, b.radius_mm, b.polarity)
+        assert np.array_equal(a.centre_mm, b.centre_mm)
+    arrays = two.shape.to_arrays()
+    assert one.shape.to_arrays().keys() == arrays.keys()
+    for key, array in one.shape.to_arrays().items():
+        assert np.array_equal(array, arrays[key])
+    for field in fields(SearchParams):
+        value, other = getattr(one.search, field.name), getattr(two.search, field.name)
+        assert value == (pytest.approx(other, rel=1e-5) if isinstance(other, float) else other)
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A job as it was saved."""
+    folder = tmp_path_factory.mktemp("jobs") / "flange"
+    save_job(folder, make_job())
+    return folder
+
+
+@pytest.fixture
+def folder(pristine: Path, tmp_path: Path) -> Path:
+    """A copy that a test may spoil."""
+    return Path(shutil.copytree(pristine, tmp_path / "flange"))
+
+
+def edit(folder: Path, pattern: str, replacement: str) -> None:
+    """Change job.toml as a person might; the pattern must be there."""
+    path = folder / "job.toml"
+    text, count = re.subn(pattern, replacement, path.read_text(), count=1, flags=re.MULTILINE)
+    assert count == 1
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(("limits", "search"), [(None, None), (Limits((150.0, 151.0)), EVERY_OPTION)])
+def test_a_job_comes_back(tmp_path: Path, limits: Limits | None, search: SearchParams | None) -> None:
+    """Saved and loaded, every number is the same; saved again, so is every byte of job.toml."""
+    job = make_job(limits=limits, search=search)
+    save_job(tmp_path / "jobs" / "one", job)
+    loaded = load_job(tmp_path / "jobs" / "one")
+    assert_same(job, loaded)
+    save_job(tmp_path / "two", loaded)
+    assert (tmp_path / "two" / "job.toml").read_bytes() == (
+        tmp_path / "jobs" / "one" / "job.toml"
+    ).read_bytes()
+
+
+def test_people_may_edit_limits(folder: Path) -> None:
+    """What job.toml says is what is used, comments and left-out defaults included."""
+    edit(folder, r"^max_sigma_mm = .*$", "max_sigma_mm = 0.01  # tight")
+    edit(folder, r"^max_rms_px = .*$", "")
+    edit(folder, r"^angle_extent_deg = .*$", "angle_extent_deg = 90")
+    job = load_job(folder)
+    assert job.limits.max_sigma_mm == 0.01
+    assert job.limits.max_rms_px == 0.5
+    assert job.search.angle_extent_rad == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "expected"),
+    [
+        (r"^format = .*$", 'format = "edged-rig"', "format"),
+        (r"^version = .*$", "version = 2", "version"),
+        (r"^name = .*$", 'name = "../evil"', "name"),
+        (r"^number = .*$", "number = 0", "number"),
+        (r"^number = .*$", "number = 70000", "number"),
+        (r"^number = .*$", "", "number"),
+        (r"^reference = .*$", 'reference = "c9"', "c9"),
+        (r"^min_score = .*$", "min_score = 1.5", r"search\.min_score"),
+        (r"^min_score = .*$", "min_score = nan", r"search\.min_score"),
+        (r"^min_scores? = .*$", "min_skore = 0.5", r"search\.min_skore"),
+        (r"^scale = .*$", "scale = [1.2, 0.8]", r"search.*scale"),
+        (r"^scale = .*$", "scale = [1.2]", r"search\.scale"),
+        (r"^# scale_y = .*$", "scale_y = [1.2, 1.0]", r"search.*scale_y"),
+        (r"^sub_pixel = .*$", 'sub_pixel = "exact"', r"search\.sub_pixel"),
+        (r"^polarity = \"same\".*$", 'polarity = "any"', r"search\.polarity"),
+        (r"^depth_mm = .*$", "depth_mm = [230, 180]", r"limits.*depth_mm"),
+        (r"^depth_mm = .*$", "depth_mm = [0, inf]", r"limits\.depth_mm"),
+        (r"^max_rms_px = .*$", "max_rms_px = -1", r"limits\.max_rms_px"),
+        (r"^max_rms_px = .*$", 'max_rms_px = "wide"', r"limits\.max_rms_px"),
+        (r"^radius_mm = .*$", "radius_mm = 0", r"circle\.0\.radius_mm"),
+        (r"^name = \"c1\"$", 'name = "c0"', "two circles"),
+        (r"^polarity = -1$", "polarity = 0", r"circle\.0\.polarity"),
+        (r"^centre_mm = .*$", "centre_mm = [1, 2]", r"circle\.0\.centre_mm"),
+        (r"^    \[1\.0, 0\.0, 0\.0,", "    [1.1, 0.0, 0.0,", "rig_from_part"),
+        (r"^    \[1\.0, 0\.0, 0\.0,", "    [1.0, 0.0,", "rig_from_part"),
+        (r"^\[search\].*$", "[search", "TOML"),
+        (r"^reference = .*$", "reference = " + "[" * 20_000, "TOML"),
+    ],
+)
+def test_a_mistake_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
+    """The message holds the file, the dotted field, and what was wrong."""
+    edit(folder, pattern, replacement)
+    with pytest.raises(FileFormatError, match=expected) as caught:
+        load_job(folder)
+    assert str(folder / "job.toml") in str(caught.value)
+
+
+def test_several_mistakes_are_named_at_once(folder: Path) -> None:
+    """Whoever edits a job learns of all mistakes in one go."""
+    edit(folder, r"^min_score = .*$", "min_score = 7")
+    edit(folder, r"^max_sigma_mm = .*$", "max_sigma_mm = 0")
+    with pytest.raises(FileFormatError, match=r"(?s)limits\.max_sigma_mm.*search\.min_score"):
+        load_job(folder)
+
+
+def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> None:
+    """No folder, a file in its place, no job.toml, no shape, not text: which one, and what was expected."""
+    with pytest.raises(FileFormatError, match="nowhere: no such job folder"):
+        load_job(tmp_path / "nowhere")
+    with pytest.raises(FileFormatError, match="no such job folder"):
+        load_job(folder / "job.toml")
+    (folder / "shape.npz").rename(folder / "elsewhere.npz")
+    with pytest.raises(FileFormatError, match=r"shape\.npz"):
+        load_job(folder)
+    (folder / "job.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match=r"job\.toml: not UTF-8"):
+        load_job(folder)
+    (folder / "job.toml").unlink()
+    with pytest.raises(FileFormatError, match=r"job\.toml: cannot read"):
+        load_job(folder)
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_a_damaged_shape_is_an_error_or_the_same_shape(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Bytes changed, cut off or inserted anywhere: an error with the file's name, or no harm done."""
+    base = tmp_path_factory.getbasetemp() / "fuzzed"
+    if not base.exists():
+        save_job(base, make_job())
+        shutil.copy(base / "shape.npz", base / "good.npz")
+    good = (base / "good.npz").read_bytes()
+    place = data.draw(st.integers(0, len(good) - 1))
+    how = data.draw(st.sampled_from(["change", "cut", "insert", "drop"]))
+    junk = data.draw(st.binary(min_size=1, max_size=40))
+    bad = {
+        "change": good[:place] + junk + good[place + len(junk) :],
+        "cut": good[:place],
+        "insert": good[:place] + junk + good[place:],
+        "drop": good[:place] + good[place + len(junk) :],
+    }[how]
+    (base / "shape.npz").write_bytes(bad)
+    try:
+        job = load_job(base)
+    except FileFormatError as error:
+        assert str(base / "shape.npz") in str(error)
+    else:
+        assert_same(job, make_job())
+
+
+@settings(max_examples=80, deadline=None)
+@given(text=st.text(max_size=200), place=st.integers(0, 1500))
+def test_a_damaged_job_file_is_an_error_or_a_job(
+    text: str, place: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Any text anywhere in job.toml: `FileFormatError`, or still a valid job (in a comment)."""
+    base = tmp_path_factory.getbasetemp() / "scribbled"
+    if not base.exists():
+        save_job(base, make_job())
+        shutil.copy(base / "job.toml", base / "good.toml")
+    good = (base / "good.toml").read_text()
+    (base / "job.toml").write_bytes((good[:place] + text + good[place:]).encode("utf-8", "surrogatepass"))
+    try:
+        assert isinstance(load_job(base), Job)
+    except FileFormatError as error:
+        assert "job.toml" in str(error)
+
+
+def test_an_older_job_is_kept(tmp_path: Path) -> None:
+    """Saving over a job leaves the last one beside it, and nothing else."""
+    for number in (1, 2, 3):
+        save_job(tmp_path / "flange", make_job(number=number))
+    assert load_job(tmp_path / "flange").number == 3
+    assert load_job(tmp_path / "flange.old").number == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["flange", "flange.old"]
+    assert job_folders(tmp_path) == [tmp_path / "flange"]
+
+
+def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:
+    """A folder with other things in it, or a file, stays as it was."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.png").write_bytes(b"meow")
+    (tmp_path / "file").write_text("text")
+    for name in ("photos", "file"):
+        with pytest.raises(FileFormatError, match=f"{name}: exists and is not a job folder"):
+            save_job(tmp_path / name, make_job())
+    with pytest.raises(FileFormatError, match="cannot write"):
+        save_job(tmp_path / "file" / "flange", make_job())
+    assert (tmp_path / "photos" / "cat.png").read_bytes() == b"meow"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "photos"]
+
+
+def test_a_save_that_fails_leaves_the_old_job(folder: Path) -> None:
+    """Where the shape cannot be written, the job that was there is untouched and nothing lies around."""
+    broken = replace(make_job(number=9), shape=None)  # type: ignore[arg-type]
+    with pytest.raises(AttributeError):
+        save_job(folder, broken)
+    assert load_job(folder).number == 3
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+def test_the_folder_may_be_the_working_directory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`-o .` inside a job's folder replaces that job."""
+    monkeypatch.chdir(folder)
+    save_job(Path(), make_job(number=5))
+    assert load_job(folder).number == 5
