@@ -21,14 +21,14 @@ def draw_pair(left: Image, right: Image, measured: Sequence[Measured]) -> npt.ND
         side: np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         for side, image in (("left", left), ("right", right))
     }
-    for one in measured:
+    for number, one in enumerate(measured):
         for fit in one.fits:
             for side, points, weights in (
                 ("left", fit.points_left, fit.weights_left),
                 ("right", fit.points_right, fit.weights_right),
             ):
                 _draw_points(canvases[side], points, weights)
-        _draw_label(canvases["left"], one)
+        _draw_label(canvases["left"], one, number)
     return np.hstack([canvases["left"], canvases["right"]])
 
 
@@ -40,7 +40,8 @@ def _draw_points(canvas: npt.NDArray[np.uint8], points: FloatArray, weights: Flo
         cv2.circle(canvas, place, 20, colour, -1, cv2.LINE_AA, FRACTION_BITS)
 
 
-def _draw_label(canvas: npt.NDArray[np.uint8], one: Measured) -> None:
+def _draw_label(canvas: npt.NDArray[np.uint8], one: Measured, number: int) -> None:
+    """A cross on the part, and its figures in the upper left corner, below those of the parts before."""
     target = one.target
     x, y = round(target.match.x_px), round(target.match.y_px)
     colour = YELLOW if target.reject == Reject.NONE else RED
@@ -54,7 +55,10 @@ def _draw_label(canvas: npt.NDArray[np.uint8], one: Measured) -> None:
         lines.append(f"r {target.circles[0].radius_mm:.4f} +- {target.circles[0].sigma_radius_mm:.4f} mm")
     if target.reject:
         lines.append(f"not good: {target.reject.name}")
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.6
+    width = max(cv2.getTextSize(line, font, scale, 1)[0][0] for line in lines)
+    left, top = 16, 16 + number * 130
+    cv2.rectangle(canvas, (left - 6, top - 4), (left + width + 6, top + 24 * len(lines) + 2), (0, 0, 0), -1)
     for row, line in enumerate(lines):
-        for thickness, ink in ((4, (0, 0, 0)), (1, WHITE)):  # a dark rim keeps it readable on metal
-            place = (x + 20, y + 30 + 24 * row)
-            cv2.putText(canvas, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
+        cv2.putText(canvas, line, (left, top + 18 + 24 * row), font, scale, WHITE, 1, cv2.LINE_AA)
+    cv2.line(canvas, (left + width + 6, top + 10), (x, y), colour, 1, cv2.LINE_AA)
