@@ -48,6 +48,8 @@ than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, c
 MIN_BIAS_PX = 0.005
 MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
 MIN_SPOKES, MAX_SPOKES = 48, 720
+AGREE_PX = 0.5
+"""An edge that scatters more is another one, whatever the others do."""
 STILL_PX = 0.01  # edges measured anew at curves that moved by less come out the same
 START_WIDTH = 2  # index into WIDTHS_PX of the operator that finds the edge; the last step chooses for itself
 DEFAULT_PARAMS = CircleFitParams()
@@ -64,13 +66,17 @@ def fit_circle(
     params: CircleFitParams = DEFAULT_PARAMS,
     *,
     fixed_normal: bool = False,
+    fixed_radius: bool = False,
 ) -> CircleFit | None:
     """Measure one circle near a first guess; None when the images do not show one.
 
     left, right : raw images (H, W) uint8.
     fixed_normal : the plane's direction is known better from elsewhere (a small hole in a large face).
+    fixed_radius : the guess's radius is kept; rivals beside the rim then do not fit.
     """
-    face = fit_face(rig, left, right, [guess], normal, params, fixed_normal=fixed_normal)
+    face = fit_face(
+        rig, left, right, [guess], normal, params, fixed_normal=fixed_normal, fixed_radius=fixed_radius
+    )
     return None if face is None else face.fits[0]
 
 
@@ -83,12 +89,13 @@ def fit_face(
     params: CircleFitParams = DEFAULT_PARAMS,
     *,
     fixed_normal: bool = False,
+    fixed_radius: bool = False,
 ) -> FaceFit | None:
     """Measure circles of one plane together; None when the images do not show them.
 
     The guesses' centres may lie off the plane through the first one: that distance is kept.
     """
-    face = _Face.start(rig, guesses, normal, params)
+    face = _Face.start(rig, guesses, normal, params, fixed_normal, fixed_radius)
     if face is None:
         return None
     images = (left, right)
@@ -98,7 +105,7 @@ def fit_face(
         final = number >= len(params.reach_px)
         if number == 1:  # far away there is one dominant edge; from here on each circle keeps its sign
             face = face.with_polarity(images, reach, params)
-        step = face.step(images, reach, params, free_tilt=not fixed_normal, final=final)
+        step = face.step(images, reach, params, final=final)
         moved = None if step is None else face.moved(step.delta)
         if step is None or moved is None:
             return None
@@ -141,7 +148,7 @@ class _Face:
 
     origin (3,) centre of the first circle; places (K, 3): centres along u, v and the normal from there.
     index, phase (N,) : circle and angle of each sample; starts (K + 1,): where each circle's begin.
-    polarity (K,).
+    polarity (K,).  fixed_normal, fixed_radius : what is not to be changed.
     """
 
     rig: StereoRig
@@ -154,10 +161,17 @@ class _Face:
     index: npt.NDArray[np.int64]
     phase: FloatArray
     starts: npt.NDArray[np.int64]
+    fixed_normal: bool
+    fixed_radius: bool
 
     @staticmethod
     def start(
-        rig: StereoRig, guesses: Sequence[CircleGuess], normal: FloatArray, params: CircleFitParams
+        rig: StereoRig,
+        guesses: Sequence[CircleGuess],
+        normal: FloatArray,
+        params: CircleFitParams,
+        fixed_normal: bool,
+        fixed_radius: bool,
     ) -> _Face | None:
         normal = np.array(normal, np.float64)
         u, v = circle_axes(normal)
@@ -181,6 +195,8 @@ class _Face:
             np.repeat(np.arange(len(guesses)), counts),
             np.concatenate([np.arange(count) * (2 * np.pi / count) for count in counts]),
             np.concatenate([[0], np.cumsum(counts)]),
+            fixed_normal,
+            fixed_radius,
         )
 
     @property
@@ -210,13 +226,15 @@ class _Face:
         tilt_v = curve.jacobian[:, 4] + by_n * x - by_u * z
         return np.column_stack([by_centre, tilt_u, tilt_v, by_u, by_v, curve.jacobian[:, 5]])
 
-    def columns(self, free_tilt: bool) -> npt.NDArray[np.int64]:
+    def columns(self) -> npt.NDArray[np.int64]:
         """(K, 8): which unknown each column of `design` is, -1 for those that are held."""
         columns = np.tile(np.array([0, 1, 2, 3, 4, -1, -1, 5]), (len(self.names), 1))
         for k in range(1, len(self.names)):
             columns[k, 5:] = _FIRST + 3 * (k - 1) + np.arange(3)
-        if not free_tilt:
+        if self.fixed_normal:
             columns[:, 3:5] = -1
+        if self.fixed_radius:
+            columns[:, 7] = -1
         return columns
 
     def with_polarity(self, images: tuple[Image, Image], reach: float, params: CircleFitParams) -> _Face:
@@ -238,7 +256,6 @@ class _Face:
         reach: float,
         params: CircleFitParams,
         *,
-        free_tilt: bool,
         final: bool,
     ) -> _Step | None:
         """Measure the edges at the present curves and solve for the step that fits them best.
@@ -257,7 +274,7 @@ class _Face:
                 for k in range(len(self.names))
             ]
         offsets = np.concatenate([curve.offset_px for curve in measured])
-        groups, priors = self._groups(curves, measured, free_tilt, final)
+        groups, priors = self._groups(curves, measured, final)
         if np.count_nonzero(groups.base) < 2 * MIN_SAMPLES:
             return None
         # unknowns that are held leave no gap: the solver would find them undetermined
@@ -276,7 +293,7 @@ class _Face:
             gain = propagate(dense, solution, _calibration_causes(self.rig, self._points(), curves))[:free]
             inverse = inverse + gain @ self.rig.covariance @ gain.T
         covariance[np.ix_(used[:free], used[:free])] = inverse
-        by_group = np.append(delta, 0.0)[np.tile(self.columns(free_tilt), (2, 1))]  # -1: the zero at the end
+        by_group = np.append(delta, 0.0)[np.tile(self.columns(), (2, 1))]  # -1: the zero at the end
         moved = np.sum(groups.design[:, :8] * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
         found = [
             curve.pixels + curve.normals * offset[:, None]
@@ -292,14 +309,14 @@ class _Face:
         )
 
     def _groups(
-        self, curves: tuple[ProjectedCircle, ...], measured: list[_Curve], free_tilt: bool, final: bool
+        self, curves: tuple[ProjectedCircle, ...], measured: list[_Curve], final: bool
     ) -> tuple[Groups, int]:
         """The samples of both images as groups, and the number of unknowns for shared displacements."""
         starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
         waves = np.concatenate([_slow_waves(curve.normals) for curve in curves])
         bias = np.array([curve.bias_px for curve in measured]) * np.sqrt(0.5)
         design = np.concatenate([self.design(curve) for curve in curves])
-        columns = np.tile(self.columns(free_tilt), (2, 1))
+        columns = np.tile(self.columns(), (2, 1))
         priors = 0
         if final:
             kinds = [(side, int(sign)) for side in range(2) for sign in self.polarity]
@@ -356,6 +373,7 @@ class _Face:
         total = float(weights.sum())
         if total < MIN_SAMPLES:
             return None
+        agree = (weights > 0) & (np.abs(residuals) < AGREE_PX)
         covariance = self._to_circle(k) @ step.covariance @ self._to_circle(k).T
         u, v, n = self.frame()
         circle = Circle3D(
@@ -369,8 +387,8 @@ class _Face:
             circle,
             covariance,
             np.stack([u, v]),
-            float((weights[0] > 0).mean()),
-            float((weights[1] > 0).mean()),
+            float(agree[0].mean()),
+            float(agree[1].mean()),
             float(np.sqrt(np.sum(weights * residuals**2) / total)),
             step.points[0, rows],
             step.points[1, rows],

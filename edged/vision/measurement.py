@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
-from edged.vision.geometry import apply
+from edged.vision.geometry import apply, rotation_matrix, transform
 from edged.vision.job import CircleFeature, Job
 from edged.vision.rectification import Rectification, row_difference_px
 from edged.vision.shape.search import ShapeMatch
@@ -18,13 +22,22 @@ from edged.vision.startplane import Plane, find_plane
 DEPTH_MARGIN = 0.05
 """The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
 OUTLINE_POINTS = 240
+OUTLINE_REACH_PX = 4.0
+EACH_EDGE_ITSELF = ("local", "ignore")
+"""Polarity modes of the search in which an edge may have either sign."""
 PLACE_TOLERANCE = 0.02
 """A feature farther from its place than this share of the part's size is another edge."""
 PLACE_MARGIN_MM = 0.1
+MAX_RIVALS = 12
 MIN_SUPPORT = 0.15
 """Share of the reference circle that each camera must show to be measured at all; the job asks for more."""
 MIN_OTHER_SUPPORT = 0.4
-OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0))
+ENOUGH_SUPPORT = 0.8
+"""Of a start that both cameras agree with this much there is no better one."""
+PNP_POINTS = 16
+LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), spacing_px=4.0, repeats=0)
+WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), spacing_px=4.0, repeats=0)
+OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0), repeats=0)
 TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
 
 
@@ -56,14 +69,9 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
     if main is None:
         return None
     start = _start_rotation(rectification, job, match, main)
-    others = [
-        fit
-        for circle in job.circles
-        if circle.name != job.reference
-        and (fit := _other(images, rectification, job, match, main, start, circle)) is not None
-    ]
+    turn, others, ambiguous = _decided(images, rectification, job, match, main, start)
     main, others = _together(images, rectification, main, others)
-    start = _start_rotation(rectification, job, match, main)
+    start = _start_rotation(rectification, job, match, main) @ about_z(turn)
     rotation, sigma_turn, used = _rotation(job, main, others, start)
     rig_from_part = np.eye(4)
     rig_from_part[:3, :3] = rotation
@@ -81,32 +89,167 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
         covariance=covariance,
         circles=tuple(_in_order(job, fits)),
         epipolar_rms_px=epipolar,
-        reject=_judge(job, match, main, rig_from_part, epipolar, covariance),
+        reject=_judge(job, ambiguous, main, rig_from_part, epipolar, covariance),
     )
     return Measured(target, fits)
 
 
 def _reference(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> CircleFit | None:
-    """The reference circle, measured on its own; its contrast may be the opposite of the taught one."""
+    """The reference circle, measured on its own, from the start that both cameras agree with best.
+
+    The foot of a thick disc's wall, a shadow or a chamfer beside the rim is an edge, too, and in one view it
+    may be the stronger one over a third of the circle. From a poor start a tilted circle through both
+    would be found; so each start locks on with the taught radius first.
+    """
+    best: CircleFit | None = None
+    for start in _starts(images, rectification, job, match):
+        locked = fit_circle(
+            rectification.rig,
+            images.left,
+            images.right,
+            start.guess,
+            start.normal,
+            start.params,
+            fixed_radius=True,
+        )
+        if locked is None or not _plausible(locked, start):
+            continue
+        if best is None or _agreement(locked) > _agreement(best):
+            best = locked
+        if min(best.support_left, best.support_right) > ENOUGH_SUPPORT:
+            break
+    if best is None:
+        return None
+    reference = job.reference_circle
+    guess = CircleGuess(reference.name, best.circle.centre_mm, reference.radius_mm, best.polarity)
+    fit = fit_circle(rectification.rig, images.left, images.right, guess, best.circle.normal, TOGETHER_PARAMS)
+    if fit is None or min(fit.support_left, fit.support_right) < MIN_SUPPORT:
+        return None
+    return fit if abs(fit.circle.radius_mm - reference.radius_mm) < 0.1 * reference.radius_mm else None
+
+
+def _agreement(fit: CircleFit) -> float:
+    return fit.support_left + fit.support_right
+
+
+def _plausible(fit: CircleFit, start: _Start) -> bool:
+    moved = float(np.linalg.norm(fit.circle.centre_mm - start.guess.centre_mm))
+    return moved < 0.2 * start.guess.radius_mm and min(fit.support_left, fit.support_right) >= MIN_SUPPORT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Where the reference circle may be, and how far to look around."""
+
+    guess: CircleGuess
+    normal: FloatArray
+    params: CircleFitParams
+
+
+def _starts(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Iterator[_Start]:
+    """Likely places of the reference circle, best first.
+
+    The match is a perspective view of a known plane: it has two poses in space (T. Collins and A. Bartoli,
+    "Infinitesimal Plane-Based Pose Estimation", IJCV 2014), good to a few hundredths of a mm in depth and
+    some tenths of a degree. Where they fail, the right image tells by itself where the outline's plane is.
+    """
     reference = job.reference_circle
     expected = _polarity(reference, match)
-    for polarity in (expected,) if job.search.polarity == "same" else (expected, -expected):
+    if job.search.polarity in EACH_EDGE_ITSELF:
+        expected = _seen_polarity(images, rectification, job, match)
+    polarities = (expected,) if job.search.polarity == "same" else (expected, -expected)
+    for pose in _plane_poses(rectification, job, match):
+        centre = apply(pose, reference.centre_mm)
+        guess = CircleGuess(reference.name, centre, reference.radius_mm, expected)
+        yield _Start(guess, -pose[:3, 2], LOCK_PARAMS)
+    rays = _rays(rectification, _predicted(rectification, job, match, reference.centre_mm[None]))
+    for polarity in polarities:
         face = _face(images, rectification, job, match, polarity)
-        if face is None:
+        if face is not None and np.isfinite(rays).all():
+            guess = CircleGuess(reference.name, face.meet(rays)[0], reference.radius_mm, polarity)
+            yield _Start(guess, face.normal, WIDE_LOCK_PARAMS)
+
+
+def _plane_poses(rectification: Rectification, job: Job, match: ShapeMatch) -> list[FloatArray]:
+    """The rig_from_part (4, 4) under which the part's face looks like the match; better one first."""
+    flat = _outline(job.reference_circle, PNP_POINTS)
+    flat[:, 2] = 0.0
+    rays = _rays(rectification, _predicted(rectification, job, match, flat))
+    if not np.isfinite(rays).all():
+        return []
+    count, turns, places, _ = cv2.solvePnPGeneric(
+        flat, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    poses = []
+    for vectors in zip(turns[:count], places[:count], strict=True):
+        turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
+        pose = transform(rotation_matrix(turn), place)
+        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # a face turned away is none
+            poses.append(pose)
+    return poses
+
+
+def _others(
+    images: Images,
+    rectification: Rectification,
+    job: Job,
+    match: ShapeMatch,
+    main: CircleFit,
+    rotation: FloatArray,
+) -> list[CircleFit]:
+    """The other circles of the face that are where this rotation of the part puts them."""
+    return [
+        fit
+        for circle in job.circles
+        if circle.name != job.reference
+        and (fit := _other(images, rectification, job, match, main, rotation, circle)) is not None
+    ]
+
+
+def _decided(
+    images: Images,
+    rectification: Rectification,
+    job: Job,
+    match: ShapeMatch,
+    main: CircleFit,
+    start: FloatArray,
+) -> tuple[float, list[CircleFit], bool]:
+    """The turn about the normal against the match, the other circles there, and whether it is in doubt.
+
+    Where the search could not tell nearly equal rotations apart, the circles can: at a wrong rotation one of
+    them has another size, or none is there.
+    """
+    others = _others(images, rectification, job, match, main, start)
+    if not match.ambiguous:
+        return 0.0, others, False
+    best, best_turn, rival_count = others, 0.0, 0
+    for turn in _rival_turns(job):
+        rivals = _others(images, rectification, job, match, main, start @ about_z(turn))
+        if len(rivals) > len(best):
+            best, best_turn, rival_count = rivals, turn, len(best)
+        else:
+            rival_count = max(rival_count, len(rivals))
+    return best_turn, best, len(best) == rival_count or not _rival_turns(job)
+
+
+def _rival_turns(job: Job) -> list[float]:
+    """Turns about the reference circle's axis that lay one circle of the part on another one's place."""
+    arms = np.array([c.centre_mm[:2] - job.reference_circle.centre_mm[:2] for c in job.circles])
+    lengths = np.linalg.norm(arms, axis=1)
+    tolerance = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    turns: list[float] = []
+    for i, j in itertools.permutations(range(len(arms)), 2):
+        if min(lengths[i], lengths[j]) < 2 * tolerance or abs(lengths[i] - lengths[j]) > tolerance:
             continue
-        rays = _rays(rectification, _predicted(rectification, job, match, reference.centre_mm[None]))
-        if not np.isfinite(rays).all():
-            return None
-        centre = face.meet(rays)[0]
-        guess = CircleGuess(reference.name, centre, reference.radius_mm, polarity)
-        fit = fit_circle(rectification.rig, images.left, images.right, guess, face.normal)
-        if fit is None:
-            continue
-        near = np.linalg.norm(fit.circle.centre_mm - centre) < 0.2 * reference.radius_mm
-        sized = abs(fit.circle.radius_mm - reference.radius_mm) < 0.1 * reference.radius_mm
-        if near and sized and min(fit.support_left, fit.support_right) >= MIN_SUPPORT:
-            return fit
-    return None
+        turn = float(np.arctan2(arms[j, 1], arms[j, 0]) - np.arctan2(arms[i, 1], arms[i, 0])) % (2 * np.pi)
+        if all(abs((turn - other + np.pi) % (2 * np.pi) - np.pi) * lengths[i] > tolerance for other in turns):
+            turns.append(turn)
+    return sorted(turns)[:MAX_RIVALS]
+
+
+def about_z(angle_rad: float) -> FloatArray:
+    """The rotation (3, 3) about z."""
+    return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
 
 
 def _other(
@@ -122,24 +265,23 @@ def _other(
     arm = circle.centre_mm - job.reference_circle.centre_mm
     centre = main.circle.centre_mm + rotation @ arm
     limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
-    expected = _polarity(circle, match)
-    for polarity in (expected,) if job.search.polarity == "same" else (expected, -expected):
-        fit = fit_circle(
-            rectification.rig,
-            images.left,
-            images.right,
-            CircleGuess(circle.name, centre, circle.radius_mm, polarity),
-            main.circle.normal,
-            OTHER_PARAMS,
-            fixed_normal=True,
-        )
-        if fit is None:
-            continue
-        near = np.linalg.norm(fit.circle.centre_mm - centre) < limit
-        sized = abs(fit.circle.radius_mm - circle.radius_mm) < limit
-        if near and sized and min(fit.support_left, fit.support_right) >= MIN_OTHER_SUPPORT:
-            return fit
-    return None
+    # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
+    polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
+    fit = fit_circle(
+        rectification.rig,
+        images.left,
+        images.right,
+        CircleGuess(circle.name, centre, circle.radius_mm, polarity),
+        main.circle.normal,
+        OTHER_PARAMS,
+        fixed_normal=True,
+    )
+    if fit is None:
+        return None
+    near = np.linalg.norm(fit.circle.centre_mm - centre) < limit
+    sized = abs(fit.circle.radius_mm - circle.radius_mm) < limit
+    supported = min(fit.support_left, fit.support_right) >= MIN_OTHER_SUPPORT
+    return fit if near and sized and supported else None
 
 
 def _together(
@@ -179,12 +321,7 @@ def _face(
     images: Images, rectification: Rectification, job: Job, match: ShapeMatch, polarity: int
 ) -> Plane | None:
     """The plane of the part's face, from the reference circle's outline in both rectified images."""
-    points = _predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
-    centre = points.mean(axis=0)
-    tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    normals *= np.where(np.sum(normals * (points - centre), axis=1) < 0, -1.0, 1.0)[:, None]
+    points, normals = _predicted_outline(rectification, job, match)
     taught_depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
     depth = taught_depth / np.sqrt(match.scale_x * match.scale_y)
     return find_plane(
@@ -196,6 +333,26 @@ def _face(
         polarity,
         (depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)),
     )
+
+
+def _predicted_outline(
+    rectification: Rectification, job: Job, match: ShapeMatch
+) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 2) and outward normals of the reference circle in the rectified left image, by the match."""
+    points = _predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
+    tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    outward = np.sum(normals * (points - points.mean(axis=0)), axis=1)
+    return points, normals * np.where(outward < 0, -1.0, 1.0)[:, None]
+
+
+def _seen_polarity(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> int:
+    """+1 when most of the reference circle's contrast in the left image is brighter outside, else -1."""
+    points, normals = _predicted_outline(rectification, job, match)
+    _, slopes = edges_along_normals(images.rectified_left, points, normals, OUTLINE_REACH_PX, 0)
+    strong = np.nan_to_num(slopes)[np.abs(np.nan_to_num(slopes)) >= job.search.min_contrast]
+    return 1 if strong.sum() > 0 else -1
 
 
 def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
@@ -261,10 +418,8 @@ def _rotation(
     turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
     chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
     sigma = float(np.sqrt(max(chi2, 1.0) / np.sum(weights[good])))
-    cosine, sine = np.cos(turn), np.sin(turn)
-    about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     agreeing = [index for index, use in zip(indices, good, strict=True) if use]
-    return start @ about_z, sigma, sorted(concentric + agreeing)
+    return start @ about_z(turn), sigma, sorted(concentric + agreeing)
 
 
 def _pose_covariance(main: CircleFit, sigma_turn: float) -> FloatArray:
@@ -306,7 +461,7 @@ def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
 
 def _judge(
     job: Job,
-    match: ShapeMatch,
+    ambiguous: bool,
     main: CircleFit,
     rig_from_part: FloatArray,
     epipolar_px: float,
@@ -327,6 +482,6 @@ def _judge(
     tolerance = limits.radius_tolerance_mm
     if tolerance is not None and abs(main.circle.radius_mm - job.reference_circle.radius_mm) > tolerance:
         reject |= Reject.TOLERANCE
-    if match.ambiguous:
+    if ambiguous:
         reject |= Reject.AMBIGUOUS_ROTATION
     return reject

@@ -98,7 +98,13 @@ def teach(
         reference=features[0].name,
         rig_from_part=rig_from_part,
         limits=limits,
-        search=SearchParams(scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8),
+        search=SearchParams(
+            scale_min=1 / (1 + DEPTH_SHARE),
+            scale_max=1 / (1 - DEPTH_SHARE),
+            max_matches=8,
+            # a dark part on a bright table inverts its outline, but not the shadow in its holes
+            polarity="local",
+        ),
     )
 
 
