@@ -10,7 +10,8 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import FloatArray, Frame, FramePair, Outcome, Status
+from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status
+from edged.errors import FileFormatError
 from edged.jobs import load_job
 from edged.payload import outcome_to_json
 from edged.pipeline import inspect, judge, prepare
@@ -45,9 +46,7 @@ def locate(
     measured = inspect(pair, taught, prepared, lap)
     outcome = judge(measured)
     if overlay is not None:
-        done, png = cv2.imencode(".png", draw_pair(pair.left.image, pair.right.image, measured))
-        if done:
-            write_atomically(overlay, png.tobytes())
+        _write_picture(overlay, draw_pair(pair.left.image, pair.right.image, measured))
     if as_json:
         print(
             json.dumps(
@@ -63,6 +62,14 @@ def locate(
     else:
         _print(outcome, console)
     return 0 if outcome.status is Status.OK else 1
+
+
+def _write_picture(path: Path, picture: Image) -> None:
+    _, png = cv2.imencode(".png", picture)
+    try:
+        write_atomically(path, png.tobytes())
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot write the picture: {error.strerror or error}") from error
 
 
 def _print(outcome: Outcome, console: Console) -> None:

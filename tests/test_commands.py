@@ -1,0 +1,317 @@
+"""`teach`, `locate` and `check` as a person calls them: exit codes, messages, and nothing overwritten."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cells import flange, frame_pair, small_rig
+
+from edged.__main__ import main
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain import Image, Status
+from edged.jobs import load_job
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.sim.cell import VirtualCell, demo_part, stereo_views
+from edged.vision.job import Job
+
+Edged = Callable[..., tuple[int, str, str]]
+POSES = 5
+
+
+@pytest.fixture
+def edged(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Edged:
+    """Call `edged ARGUMENTS`; returns exit code, stdout and stderr, unwrapped."""
+    monkeypatch.setenv("COLUMNS", "400")
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["edged", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            main()
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        return int(exit_.value.code or 0), out, err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def cell() -> VirtualCell:
+    """The demo's cell at half its resolution."""
+    return VirtualCell(small_rig(), demo_part(), seed=11)
+
+
+@pytest.fixture(scope="module")
+def pristine(cell: VirtualCell, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cell's folder with configuration, rig, job and a few pictures."""
+    folder = tmp_path_factory.mktemp("cell")
+    prepare_cell(folder, cell, DemoOptions(), gige=False)
+    part = flange()
+    for side, image in (("left", part.left), ("right", part.right)):
+        cv2.imwrite(str(folder / f"{side}.png"), image)
+    cv2.imwrite(str(folder / "blank.png"), np.full_like(part.left, 50))
+    cv2.imwrite(str(folder / "small.png"), np.ascontiguousarray(part.left[:240, :320]))
+    colour = cv2.applyColorMap(part.left.copy(), cv2.COLORMAP_JET)
+    cv2.imwrite(str(folder / "colour.png"), colour)
+    cv2.imwrite(str(folder / "deep.png"), part.left.astype(np.uint16) * 256)
+    (folder / "text.png").write_text("no image")
+    (folder / "empty.png").touch()
+    return folder
+
+
+@pytest.fixture
+def folder(pristine: Path, tmp_path: Path) -> Path:
+    """A copy that a test may spoil."""
+    return Path(shutil.copytree(pristine, tmp_path / "cell"))
+
+
+def pair_of(cell: VirtualCell, number: int) -> tuple[Image, Image]:
+    """The pictures of one random pose."""
+    views, world = stereo_views(cell.rig), cell.scene(cell._pose(number))
+    left, right = (views[s].render(world, np.random.default_rng((number, len(s)))) for s in ("left", "right"))
+    return left, right
+
+
+# --- the pipeline ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def taught(pristine: Path, cell: VirtualCell) -> tuple[PreparedRig, Job]:
+    """The rig and the job as the daemon has them."""
+    return prepare(cell.rig), load_job(pristine / "jobs" / "flange")
+
+
+@pytest.mark.parametrize("number", range(POSES))
+def test_the_part_is_located_anywhere(
+    cell: VirtualCell, taught: tuple[PreparedRig, Job], number: int
+) -> None:
+    """At random poses: position to 0.02 mm, within 5 sigma, the right rotation, and the same bits again."""
+    rig, job = taught
+    where, pair = cell._pose(number), frame_pair(*pair_of(cell, number))
+    outcome = locate(pair, job, rig)
+    assert outcome.status is Status.OK
+    target = outcome.targets[0]
+    error = target.position_mm - where[:3, 3]
+    assert np.abs(error).max() < 0.02
+    assert (np.abs(error) < 5 * target.sigma_mm).all()
+    assert np.trace(target.rig_from_part[:3, :3].T @ where[:3, :3]) > 1 + 2 * np.cos(np.radians(0.1))
+    again = locate(pair, job, rig)
+    assert np.array_equal(again.targets[0].rig_from_part, target.rig_from_part)
+    assert np.array_equal(again.targets[0].covariance, target.covariance)
+    assert again.targets[0].match == target.match
+
+
+def test_images_that_cannot_be_one_pair_are_no_result(
+    cell: VirtualCell, taught: tuple[PreparedRig, Job]
+) -> None:
+    """The same image twice, left and right swapped, one of them blank or black: never OK."""
+    rig, job = taught
+    for number in range(2):
+        left, right = pair_of(cell, number)
+        blank, black = np.full_like(left, 60), np.zeros_like(left)
+        for pair in ((left, left), (right, right), (right, left), (left, blank), (black, right)):
+            assert locate(frame_pair(*pair), job, rig).status is not Status.OK
+
+
+# --- locate ---------------------------------------------------------------------------------------
+
+
+def test_locate_prints_one_json_object(edged: Edged, pristine: Path) -> None:
+    """Exit code 0, one object on stdout, with the fields of the manual and the place that was taught."""
+    arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
+    code, out, err = edged("locate", *arguments, "--json", pristine / "left.png", pristine / "right.png")
+    document = json.loads(out)
+    assert (code, err, document["status"]) == (0, "", "OK")
+    target = document["targets"][0]
+    np.testing.assert_allclose(target["position_mm"], flange().rig_from_part[:3, 3], atol=0.02)
+    assert len(target["circles"]) == 7
+    assert set(document["timing_ms"]) == {"rectify", "find", "measure"}
+
+
+def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -> None:
+    """For people: a table with every circle, and a picture of both images side by side."""
+    picture = folder / "overlay.png"
+    arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange", "--overlay", picture)
+    code, out, _ = edged("locate", *arguments, folder / "left.png", folder / "right.png")
+    assert code == 0
+    assert "status OK" in out
+    assert all(f"c{k}" in out for k in range(7))
+    assert cv2.imread(str(picture)).shape == (480, 1280, 3)
+
+
+def test_locate_says_no(edged: Edged, pristine: Path) -> None:
+    """No part in the picture is an answer: exit code 1, NO_TARGET."""
+    arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange", "--json")
+    code, out, _ = edged("locate", *arguments, pristine / "blank.png", pristine / "blank.png")
+    assert (code, json.loads(out)["status"], json.loads(out)["targets"]) == (1, "NO_TARGET", [])
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"left": "small.png"}, "left image: 320x240, the rig was calibrated for 640x480"),
+        ({"right": "small.png"}, "right image: 320x240"),
+        ({"left": "colour.png"}, r"colour\.png: a colour image"),
+        ({"right": "deep.png"}, r"deep\.png: uint16"),
+        ({"left": "text.png"}, r"text\.png: not an image"),
+        ({"right": "empty.png"}, r"empty\.png: not an image"),
+        ({"left": "nowhere.png"}, r"nowhere\.png: no such file"),
+        ({"left": "jobs"}, "jobs: no such file"),
+        ({"job": "jobs/nowhere"}, "nowhere: no such job folder"),
+        ({"job": "left.png"}, "no such job folder"),
+        ({"job": "jobs"}, r"job\.toml: cannot read"),
+        ({"rig": "nowhere.json"}, r"nowhere\.json: cannot read"),
+        ({"rig": "left.png"}, r"left\.png"),
+        ({"rig": "jobs/flange/job.toml"}, r"job\.toml"),
+        ({"overlay": "nowhere/picture.png"}, r"nowhere/picture\.png: cannot write"),
+    ],
+)
+def test_locate_refuses_what_it_cannot_use(
+    edged: Edged, folder: Path, changed: dict[str, str], expected: str
+) -> None:
+    """Exit code 2, nothing on stdout, and one line on stderr that names the file and what was expected."""
+    names = {"rig": "rig.json", "job": "jobs/flange", "left": "left.png", "right": "right.png"} | changed
+    path = {key: folder / name for key, name in names.items()}
+    extra = ("--overlay", path["overlay"]) if "overlay" in path else ()
+    code, out, err = edged(
+        "locate", "--rig", path["rig"], "--job", path["job"], "--json", *extra, path["left"], path["right"]
+    )
+    assert (code, out) == (2, "")
+    assert re.search(expected, err)
+    assert err.startswith("edged: ")
+
+
+def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:
+    """Exit code 2, as for every other wrong input."""
+    assert edged("locate")[0] == 2
+    assert edged("teach", "--rig", "x")[0] == 2
+    assert edged("nonsense")[0] == 2
+
+
+# --- teach ----------------------------------------------------------------------------------------
+
+
+def teach_arguments(folder: Path, **changed: object) -> list[object]:
+    """Arguments of a teaching that works, with some of them changed."""
+    r = flange().region
+    values: dict[str, object] = {
+        "rig": folder / "rig.json",
+        "left": folder / "left.png",
+        "right": folder / "right.png",
+        "roi": f"{r.x},{r.y},{r.width},{r.height}",
+        "name": "flange",
+        "output": folder / "jobs" / "flange",
+    } | changed
+    return ["teach", *(item for key, value in values.items() for item in (f"--{key}", value))]
+
+
+def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) -> None:
+    """Exit code 0, every circle listed, the job loads; the older one is kept."""
+    before = (folder / "jobs" / "flange" / "job.toml").read_bytes()
+    code, out, err = edged(*teach_arguments(folder, number=4))
+    assert (code, out) == (0, "")
+    for number, (kind, radius_mm) in enumerate((("disc", 14.0), ("hole", 4.0), ("hole", 1.6))):
+        found = re.search(rf"c{number}: {kind} of radius ([0-9.]+) mm", err)
+        assert found is not None
+        assert abs(float(found[1]) - radius_mm) < 0.01
+    assert load_job(folder / "jobs" / "flange").number == 4
+    assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"roi": "1,2,3"}, "--roi '1,2,3': expected X,Y,W,H"),
+        ({"roi": "a,b,c,d"}, "expected X,Y,W,H"),
+        ({"roi": "nan,0,100,100"}, "expected X,Y,W,H"),
+        ({"roi": "5000,0,100,100"}, "outside the 640x480 image"),
+        ({"roi": "100,100,4,4"}, "at least 16 px"),
+        ({"roi": "5,5,60,60"}, "no circle"),
+        ({"name": "../evil"}, "--name"),
+        ({"name": ""}, "--name"),
+        ({"name": "ü"}, "--name"),
+        ({"number": 0}, "--number"),
+        ({"left": "small.png"}, "left image: 320x240"),
+        ({"right": "blank.png"}, "none of them in the right one"),
+        ({"left": "nowhere.png"}, "no such file"),
+        ({"rig": "nowhere.json"}, r"nowhere\.json: cannot read"),
+    ],
+)
+def test_a_teaching_that_fails_changes_nothing(
+    edged: Edged, folder: Path, changed: dict[str, object], expected: str
+) -> None:
+    """Exit code 2, the option or file named, and the job that was there is as it was."""
+    files = {
+        key: folder / str(value) if key in ("left", "right", "rig") else value
+        for key, value in changed.items()
+    }
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    code, out, err = edged(*teach_arguments(folder, **files))
+    assert (code, out) == (2, "")
+    assert re.search(expected, err)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_teach_does_not_write_over_something_else(edged: Edged, folder: Path) -> None:
+    """A folder of pictures given as output stays what it is; so does a file."""
+    (folder / "photos").mkdir()
+    (folder / "photos" / "cat.png").write_bytes(b"meow")
+    for output in (folder / "photos", folder / "left.png", folder / "left.png" / "job"):
+        before = (folder / "left.png").read_bytes()
+        code, _, err = edged(*teach_arguments(folder, output=output))
+        assert code == 2
+        assert str(output) in err
+        assert (folder / "left.png").read_bytes() == before
+    assert [path.name for path in (folder / "photos").iterdir()] == ["cat.png"]
+
+
+# --- check ----------------------------------------------------------------------------------------
+
+
+def test_check_says_good(edged: Edged, pristine: Path) -> None:
+    """Exit code 0 with rig, jobs and cameras named; the same as JSON."""
+    code, out, _ = edged("check", pristine / "cell.toml")
+    assert code == 0
+    assert "good" in out
+    assert "1 flange" in out
+    code, out, err = edged("check", pristine / "cell.toml", "--json")
+    document = json.loads(out)
+    assert (code, err, document["ok"], document["problems"]) == (0, "", True, [])
+    assert document["jobs"] == [{"number": 1, "name": "flange"}]
+
+
+def test_check_names_every_mistake_at_once(edged: Edged, folder: Path) -> None:
+    """Rig gone, job damaged, active job unknown: exit code 2, all three with their dotted path."""
+    text = (folder / "cell.toml").read_text()
+    text = text.replace('"rig.json"', '"nowhere.json"').replace('job = "flange"', 'job = "bracket"')
+    (folder / "cell.toml").write_text(text)
+    job = folder / "jobs" / "flange" / "job.toml"
+    job.write_text(re.sub(r"(?m)^min_score = .*$", "min_score = 9", job.read_text()))
+    code, out, err = edged("check", folder / "cell.toml")
+    assert (code, out) == (2, "")
+    for expected in ("cell.rig", r"nowhere\.json", "cell.job", "bracket", r"search\.min_score"):
+        assert re.search(expected, err)
+    code, out, err = edged("check", folder / "cell.toml", "--json")
+    assert (code, err) == (2, "")
+    assert len(json.loads(out)["problems"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [("[cell", "TOML"), ("", "cell"), ("[cell]\nnmae = 'x'\n", "nmae"), (None, "cannot")],
+)
+def test_check_of_an_unusable_file(edged: Edged, folder: Path, content: str | None, expected: str) -> None:
+    """Not TOML, empty, an unknown key, missing: exit code 2 and the file's name."""
+    path = folder / "other.toml"
+    if content is not None:
+        path.write_text(content)
+    code, _, err = edged("check", path)
+    assert code == 2
+    assert "other.toml" in err
+    assert expected in err
