@@ -431,8 +431,12 @@ def _choose_width(seen: EdgeSamples, rows: slice, waves: FloatArray, min_slope: 
     """
     waves = np.ascontiguousarray(waves[rows])
     offsets, slopes = seen.offset_px[:, rows], seen.slope[:, rows]
-    known = np.isfinite(offsets) & (np.abs(np.nan_to_num(slopes)) >= min_slope)
+    contrast = np.abs(np.nan_to_num(slopes))
+    known = np.isfinite(offsets) & (contrast >= min_slope)
     base = np.where(known, np.where(seen.clipped[rows], CLIPPED_WEIGHT, 1.0), 0.0)
+    for w in range(len(base)):
+        if known[w].any():  # noise and texture move an edge by as much as it is weak
+            base[w] *= np.minimum(1.0, contrast[w] / np.median(contrast[w, known[w]])) ** 2
     if len(offsets) == 1:
         return _Curve(np.where(known[0], offsets[0], np.nan), base[0], 0.0)
     values = np.where(known, offsets, 0.0)
