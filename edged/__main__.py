@@ -9,7 +9,7 @@ import sys
 # busy core). Must be set before numpy is imported; an operator's own setting wins.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from edged.errors import EdgedError  # noqa: E402
+from edged.errors import EdgedError
 
 
 def main() -> None:

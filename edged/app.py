@@ -167,7 +167,7 @@ class Daemon:
     """Cameras, loop and publishers of one configuration file.
 
     observers : more publishers, for example the demo's view; they outlive a reload.
-    world : the virtual cell that a configuration with virtual cameras needs; started and stopped by its owner.
+    world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
     """
 
     def __init__(

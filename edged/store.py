@@ -238,7 +238,7 @@ def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[An
         found = (header["kind"], header["version"], header["sha256"])
     except FileFormatError:
         raise
-    except Exception as error:  # noqa: BLE001  (zip, zlib, npy and JSON each raise their own on damage)
+    except Exception as error:
         raise FileFormatError(f"{path}: not a {kind} file, or damaged: {error}") from error
     if found[0] != kind:
         raise FileFormatError(f"{path}: a {found[0]!r} file, expected {kind!r}")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Calibrate, teach and locate on a rendered data set with exact truth, by edged's own commands.
 
-    tools/table3.py DATASET [--true-rig] [--scenes] [--teach DATASET_WITH_TEACHING_PAIRS] [--overlays DIR] [--json]
+    tools/table3.py DATASET [--true-rig] [--scenes] [--teach DATASET] [--overlays DIR] [--json]
 
 DATASET holds rig.json (truth), calib_chess/ (pairs), teach/ (pairs with truth) and table3/ (pairs with
 truth). Prints measured minus true for each part, beside the errors of the paper's Table 3.
@@ -193,7 +193,8 @@ def compare(
 def report(rows: list[dict[str, Any]]) -> None:
     """A Markdown table."""
     print(
-        "| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof | paper \\|ΔZ\\| | paper \\|ΔR\\| |"
+        "| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof "
+        "| paper \\|ΔZ\\| | paper \\|ΔR\\| |"
     )
     print("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for row in rows:

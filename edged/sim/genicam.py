@@ -72,19 +72,49 @@ def features(width: int, height: int) -> tuple[Feature, ...]:
         Feature("WidthMax", image, WIDTH_MAX, "integer", width, 16, width, read_only=True),
         Feature("HeightMax", image, HEIGHT_MAX, "integer", height, 16, height, read_only=True),
         Feature("PixelFormat", image, PIXEL_FORMAT, "enumeration", MONO8, choices={"Mono8": MONO8}),
-        Feature("PayloadSize", "TransportLayerControl", PAYLOAD_SIZE, "integer", width * height, 0, 2**31 - 1, read_only=True),
-        Feature("AcquisitionMode", acquisition, ACQUISITION_MODE, "enumeration", 0, choices={"Continuous": 0}),
+        Feature(
+            "PayloadSize",
+            "TransportLayerControl",
+            PAYLOAD_SIZE,
+            "integer",
+            width * height,
+            0,
+            2**31 - 1,
+            read_only=True,
+        ),
+        Feature(
+            "AcquisitionMode", acquisition, ACQUISITION_MODE, "enumeration", 0, choices={"Continuous": 0}
+        ),
         Feature("AcquisitionStart", acquisition, ACQUISITION_START, "command"),
         Feature("AcquisitionStop", acquisition, ACQUISITION_STOP, "command"),
         Feature("AcquisitionFrameRate", acquisition, FRAME_RATE, "float", 10.0, 0.1, 100.0, "Hz"),
-        Feature("TriggerSelector", acquisition, TRIGGER_SELECTOR, "enumeration", 0, choices={"FrameStart": 0}),
+        Feature(
+            "TriggerSelector", acquisition, TRIGGER_SELECTOR, "enumeration", 0, choices={"FrameStart": 0}
+        ),
         Feature("TriggerMode", acquisition, TRIGGER_MODE, "enumeration", 0, choices={"Off": 0, "On": 1}),
-        Feature("TriggerSource", acquisition, TRIGGER_SOURCE, "enumeration", 0, choices={"Software": 0, "Line1": 1}),
+        Feature(
+            "TriggerSource",
+            acquisition,
+            TRIGGER_SOURCE,
+            "enumeration",
+            0,
+            choices={"Software": 0, "Line1": 1},
+        ),
         Feature("TriggerSoftware", acquisition, TRIGGER_SOFTWARE, "command"),
         Feature("ExposureTime", acquisition, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
         Feature("Gain", analog, GAIN, "float", 0.0, 0.0, 24.0, "dB"),
-        Feature("DeviceTemperature", "DeviceControl", TEMPERATURE, "float", 41.5, -40.0, 120.0, "C", read_only=True),
-    )  # fmt: skip
+        Feature(
+            "DeviceTemperature",
+            "DeviceControl",
+            TEMPERATURE,
+            "float",
+            41.5,
+            -40.0,
+            120.0,
+            "C",
+            read_only=True,
+        ),
+    )
 
 
 def description(table: tuple[Feature, ...], model: str) -> bytes:
@@ -94,10 +124,13 @@ def description(table: tuple[Feature, ...], model: str) -> bytes:
         categories.setdefault(feature.category, []).append(feature.name)
     parts = [
         '<?xml version="1.0" encoding="utf-8"?>',
-        '<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1" ModelName="' + model + '" '
-        'VendorName="edged" ToolTip="virtual camera" StandardNameSpace="GEV" SchemaMajorVersion="1" '
-        'SchemaMinorVersion="1" SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
-        'ProductGuid="6d1ed9ed-0000-4000-8000-000000000001" VersionGuid="6d1ed9ed-0000-4000-8000-000000000002">',
+        '<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1" '
+        'ModelName="' + model + '" VendorName="edged" ToolTip="virtual camera" '
+        'StandardNameSpace="GEV" SchemaMajorVersion="1" '
+        'SchemaMinorVersion="1" SchemaSubMinorVersion="0" '
+        'MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
+        'ProductGuid="6d1ed9ed-0000-4000-8000-000000000001"  '
+        'VersionGuid="6d1ed9ed-0000-4000-8000-000000000002">',
         '<Category Name="Root" NameSpace="Standard">'
         + "".join(f"<pFeature>{name}</pFeature>" for name in categories)
         + "</Category>",

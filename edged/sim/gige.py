@@ -178,7 +178,7 @@ class GigeCamera:
 
     def _bootstrap(self, model: str) -> dict[int, int]:
         """Registers {address: 32-bit word} after power-on."""
-        memory = {address: 0 for address in range(0, 0x1000, 4)}
+        memory = dict.fromkeys(range(0, 0x1000, 4), 0)
 
         def text(address: int, value: str, size: int) -> None:
             padded = value.encode()[: size - 1].ljust(size, b"\0")
@@ -502,7 +502,7 @@ def _encode(feature: g.Feature, value: float) -> int:
 def test_pattern(request: ExposureRequest) -> Image:
     """A diagonal ramp that moves by one grey value from frame to frame."""
     y, x = np.mgrid[: request.height, : request.width]
-    return ((x + y + request.frame_id) % 256).astype(np.uint8)
+    return np.asarray((x + y + request.frame_id) % 256, dtype=np.uint8)
 
 
 def _main() -> None:

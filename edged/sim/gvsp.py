@@ -56,7 +56,7 @@ def trailer(block: Block) -> bytes:
 
 
 class Pacing:
-    """Keeps a sender from overrunning receivers: pauses after each burst, and the packet delay it was told."""
+    """Keeps a sender from overrunning receivers: pauses after bursts, and the packet delay it was told."""
 
     def __init__(self, burst_bytes: int = BURST_BYTES, pause_s: float = BURST_PAUSE_S) -> None:
         self._burst_bytes, self._pause_s = burst_bytes, pause_s

@@ -38,4 +38,4 @@ def kernel(*signatures: str, inline: bool = False) -> Callable[[F], F]:
 def _cache_is_usable() -> bool:
     """numba raises at import where its cache directory cannot be written; run uncached there."""
     directory = os.environ.get("NUMBA_CACHE_DIR")
-    return directory is None or os.access(directory, os.W_OK) or not os.path.exists(directory)  # noqa: PTH110, PTH118
+    return directory is None or os.access(directory, os.W_OK) or not os.path.exists(directory)  # noqa: PTH110
