@@ -223,7 +223,7 @@ def matching_jacobian(value: FloatArray, slope: FloatArray, gain: float) -> Floa
 
 
 def cubic_value(image: Image, x: float, y: float) -> float:
-    """Keys' cubic convolution (a = -1/2) at one place: the sum of all pixels under its bell."""
+    """Keys' cubic convolution (a = -1/2) at one place inside: the sum of the pixels under its bell."""
 
     def bell(distance: float) -> float:
         d = abs(distance)
@@ -232,8 +232,8 @@ def cubic_value(image: Image, x: float, y: float) -> float:
         return -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2 if d < 2 else 0.0
 
     total = 0.0
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
+    for row in range(math.floor(y) - 1, math.floor(y) + 3):
+        for column in range(math.floor(x) - 1, math.floor(x) + 3):
             total += bell(x - column) * bell(y - row) * float(image[row, column])
     return total
 
