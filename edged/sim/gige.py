@@ -499,7 +499,7 @@ def _encode(feature: g.Feature, value: float) -> int:
     return int(value)
 
 
-def test_pattern(request: ExposureRequest) -> Image:
+def moving_ramp(request: ExposureRequest) -> Image:
     """A diagonal ramp that moves by one grey value from frame to frame."""
     y, x = np.mgrid[: request.height, : request.width]
     return np.asarray((x + y + request.frame_id) % 256, dtype=np.uint8)
@@ -517,7 +517,7 @@ def _main() -> None:
     parser.add_argument("--height", type=int, default=960)
     options = parser.parse_args()
     with GigeCamera(
-        options.address, options.serial, test_pattern, width=options.width, height=options.height
+        options.address, options.serial, moving_ramp, width=options.width, height=options.height
     ):
         print(f"virtual camera {options.serial} on {options.address}", flush=True)
         threading.Event().wait()

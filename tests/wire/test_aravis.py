@@ -32,6 +32,7 @@ from edged.errors import (
     FrameTimeout,
 )
 from edged.sim.exposure import ExposureRequest
+from edged.sim.gige import GigeCamera
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 
@@ -59,10 +60,11 @@ class Sensor:
         return next(number for number, shown in self.shown.items() if np.array_equal(shown, image))
 
 
-def gige_camera(address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT) -> Any:
+def gige_camera(
+    address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT
+) -> GigeCamera:
     """A simulated GigE Vision camera, to be entered."""
-    simulator = pytest.importorskip("edged.sim.gige")
-    return simulator.GigeCamera(address, serial, sensor, width=width, height=height)
+    return GigeCamera(address, serial, sensor, width=width, height=height)
 
 
 class Cell:
@@ -521,7 +523,6 @@ class Process:
 @pytest.fixture
 def process() -> Iterator[Process]:
     """A camera process at LEFT."""
-    pytest.importorskip("edged.sim.gige")
     process = Process(LEFT, "EDGED-T1")
     process.start()
     yield process

@@ -51,7 +51,7 @@ IDENTITY = {
 """Objects of 43/14: vendor, product code, revision (basic); product name, model (regular)."""
 
 
-class RequestRefused(Exception):  # noqa: N818  (a Modbus exception response, not an error of ours)
+class RequestRefused(Exception):
     """The request ends in an exception response with this code."""
 
     def __init__(self, code: int) -> None:
