@@ -516,9 +516,7 @@ def _main() -> None:
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--height", type=int, default=960)
     options = parser.parse_args()
-    with GigeCamera(
-        options.address, options.serial, moving_ramp, width=options.width, height=options.height
-    ):
+    with GigeCamera(options.address, options.serial, moving_ramp, width=options.width, height=options.height):
         print(f"virtual camera {options.serial} on {options.address}", flush=True)
         threading.Event().wait()
 
