@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,10 +87,12 @@ class FaceFit:
 
 def circle_axes(normal: FloatArray) -> FloatArray:
     """Two unit vectors (2, 3) that span the plane with this normal; the first lies across rig x."""
-    helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    u = np.cross(normal, helper)
-    u /= np.linalg.norm(u)
-    return np.stack([u, np.cross(normal, u)])
+    x, y, z = (float(value) for value in normal)
+    # normal x (1, 0, 0), or normal x (0, 1, 0) where that is short
+    across = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
+    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    u, v, w = across[0] / length, across[1] / length, across[2] / length
+    return np.array([[u, v, w], [y * w - z * v, z * u - x * w, x * v - y * u]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

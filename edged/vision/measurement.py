@@ -70,7 +70,12 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
         return None
     start = _start_rotation(rectification, job, match, main)
     turn, others, ambiguous = _decided(images, rectification, job, match, main, start)
-    main, others = _together(images, rectification, main, others)
+    together = _together(images, rectification, main, others)
+    if together is None:
+        return None
+    main, others = together[0], list(together[1:])
+    if abs(main.circle.radius_mm - job.reference_circle.radius_mm) > 0.1 * job.reference_circle.radius_mm:
+        return None
     start = _start_rotation(rectification, job, match, main) @ about_z(turn)
     rotation, sigma_turn, used = _rotation(job, main, others, start)
     rig_from_part = np.eye(4)
@@ -118,14 +123,7 @@ def _reference(images: Images, rectification: Rectification, job: Job, match: Sh
             best = locked
         if min(best.support_left, best.support_right) > ENOUGH_SUPPORT:
             break
-    if best is None:
-        return None
-    reference = job.reference_circle
-    guess = CircleGuess(reference.name, best.circle.centre_mm, reference.radius_mm, best.polarity)
-    fit = fit_circle(rectification.rig, images.left, images.right, guess, best.circle.normal, TOGETHER_PARAMS)
-    if fit is None or min(fit.support_left, fit.support_right) < MIN_SUPPORT:
-        return None
-    return fit if abs(fit.circle.radius_mm - reference.radius_mm) < 0.1 * reference.radius_mm else None
+    return best
 
 
 def _agreement(fit: CircleFit) -> float:
@@ -286,18 +284,19 @@ def _other(
 
 def _together(
     images: Images, rectification: Rectification, main: CircleFit, others: list[CircleFit]
-) -> tuple[CircleFit, list[CircleFit]]:
-    """Measure all circles again in one common plane; circles that stand off it keep their distance."""
-    if not others:
-        return main, others
+) -> tuple[CircleFit, ...] | None:
+    """Measure all circles in one common plane, now with free radii."""
     normal = main.circle.normal
     guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
     for fit in others:
         off = float(normal @ (fit.circle.centre_mm - main.circle.centre_mm))
         in_plane = fit.circle.centre_mm - off * normal
         guesses.append(CircleGuess(fit.circle.name, in_plane, fit.circle.radius_mm, fit.polarity))
-    face = fit_face(rectification.rig, images.left, images.right, guesses, normal, TOGETHER_PARAMS)
-    return (main, others) if face is None else (face.fits[0], list(face.fits[1:]))
+    rig, left, right = rectification.rig, images.left, images.right
+    face = fit_face(rig, left, right, guesses, normal, TOGETHER_PARAMS)
+    if face is None and others:  # one of the others may be at fault
+        face = fit_face(rig, left, right, guesses[:1], normal, TOGETHER_PARAMS)
+    return None if face is None else face.fits
 
 
 def _predicted(

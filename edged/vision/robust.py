@@ -34,7 +34,7 @@ MAX_ROUNDS = 20
 MAX_LAG = 24
 MIN_SAMPLES = 12.0
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
-_SETTLED = 1e-7
+_SETTLED = 1e-5  # of a step in mm or rad: far below any sigma
 _TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
 
 
