@@ -28,7 +28,7 @@ from edged.config import CameraSection, CamerasSection, Config, ModbusSection, Z
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.errors import ConfigError, EdgedError, UserError
-from edged.jobs import load_job
+from edged.jobs import job_folders, load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.ports import Camera, Publisher
 from edged.robots import Convention
@@ -65,9 +65,9 @@ def load_cell(path: Path) -> LoadedCell:
     if rig is None or problems:
         raise ConfigError(str(path), problems)
     files = {"rig": config.cell.rig.read_bytes()}
-    for file in sorted(config.cell.jobs.glob("*/*")):
-        if file.is_file():
-            files[str(file.relative_to(config.cell.jobs))] = file.read_bytes()
+    for folder in job_folders(config.cell.jobs):
+        for name in ("job.toml", "shape.npz"):
+            files[f"{folder.name}/{name}"] = (folder / name).read_bytes()
     setup = Setup(
         jobs={job.number: LoadedJob(job.name, job.number, _bind(job, rig)) for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),
@@ -86,9 +86,7 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
     jobs: list[Job] = []
-    for entry in sorted(folder.iterdir()):
-        if not (entry / "job.toml").is_file():
-            continue
+    for entry in job_folders(folder):
         try:
             job = load_job(entry)
         except UserError as error:

@@ -1,0 +1,70 @@
+"""A configuration with its rig and jobs: what the daemon starts with, or every reason why it does not."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from edged.app import load_cell
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.errors import ConfigError
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a virtual cell, taught twice."""
+    folder = tmp_path_factory.mktemp("cell")
+    cell = VirtualCell(demo_rig(), demo_part())
+    for _ in range(2):
+        prepare_cell(folder, cell, DemoOptions(), gige=False)
+    return folder
+
+
+@pytest.fixture
+def folder(taught: Path, tmp_path: Path) -> Path:
+    """A copy of it to spoil."""
+    return Path(shutil.copytree(taught, tmp_path / "cell"))
+
+
+def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
+    """The older one that is kept beside it is no second job, and does not change the fingerprint."""
+    assert (folder / "jobs" / "flange.old").is_dir()
+    loaded = load_cell(folder / "cell.toml")
+    shutil.rmtree(folder / "jobs" / "flange.old")
+
+    assert [job.name for job in loaded.jobs] == ["flange"]
+    assert load_cell(folder / "cell.toml").setup.fingerprint == loaded.setup.fingerprint
+
+
+def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
+    """A damaged rig, a damaged shape and a missing job: one report."""
+    (folder / "rig.json").write_text("{")
+    (folder / "jobs" / "flange" / "shape.npz").write_bytes(b"no zip")
+
+    with pytest.raises(ConfigError) as caught:
+        load_cell(folder / "cell.toml")
+
+    text = "\n".join(caught.value.problems)
+    assert {"rig.json", "shape.npz", "no usable job 'flange'"} <= {
+        part for part in ("rig.json", "shape.npz", "no usable job 'flange'") if part in text
+    }
+
+
+def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
+    """The PLC could not tell them apart."""
+    shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "twin")
+
+    with pytest.raises(ConfigError, match="both have the number 1"):
+        load_cell(folder / "cell.toml")
+
+
+def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
+    """Whoever edits a limit or calibrates again gets another fingerprint in every result."""
+    before = load_cell(folder / "cell.toml").setup.fingerprint
+    job = folder / "jobs" / "flange" / "job.toml"
+    job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1"))
+
+    assert load_cell(folder / "cell.toml").setup.fingerprint != before
