@@ -24,7 +24,7 @@ class CircleFitParams:
     """
 
     reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
-    spacing_px: float = 2.0
+    spacing_px: float = 1.0
     min_slope: float = 1.5
     repeats: int = 4
 

@@ -15,6 +15,7 @@ independent witnesses.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -45,9 +46,10 @@ BIAS_SHARE = 1.3
 than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
 0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
 1.2 and 0.6, for each kind of edge."""
-MIN_BIAS_PX = 0.005
+MIN_BIAS_PX = 0.002
+SIGNIFICANT = 2.2  # chi² of 5 over 5 that noise exceeds in 5 % of the cases
 MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
-MIN_SPOKES, MAX_SPOKES = 48, 720
+MIN_SPOKES, MAX_SPOKES = 48, 2000
 AGREE_PX = 0.5
 """An edge that scatters more is another one, whatever the others do."""
 STILL_PX = 0.01  # edges measured anew at curves that moved by less come out the same
@@ -119,12 +121,14 @@ def fit_face(
 class _Curve:
     """What one circle shows in one image: offset_px (N,), NaN where is no edge, and prior weights base (N,).
 
-    bias_px : one sigma of each of the slow displacements along the curve.
+    bias_px : one sigma of each of the slow displacements along the curve.  blur2_px2 : variance of the
+    image's own blur across the edge.
     """
 
     offset_px: FloatArray
     base: FloatArray
     bias_px: float
+    blur2_px2: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,10 +273,13 @@ class _Face:
         for image, curve in zip(images, curves, strict=True):
             seen = edges_at_widths(image, curve.pixels, curve.normals, reach, signs, widths)
             waves = _slow_waves(curve.normals)
-            measured += [
-                _choose_width(seen, slice(*self.starts[k : k + 2]), waves, params.min_slope)
-                for k in range(len(self.names))
-            ]
+            for k in range(len(self.names)):
+                rows = slice(*self.starts[k : k + 2])
+                shown = _choose_width(seen, rows, waves, params.min_slope)
+                if final:
+                    shift = 0.5 * shown.blur2_px2 * _curvature(curve.pixels[rows], curve.normals[rows])
+                    shown = replace(shown, offset_px=shown.offset_px + shift)
+                measured.append(shown)
         offsets = np.concatenate([curve.offset_px for curve in measured])
         groups, priors = self._groups(curves, measured, final)
         if np.count_nonzero(groups.base) < 2 * MIN_SAMPLES:
@@ -303,7 +310,7 @@ class _Face:
             delta,
             covariance,
             float(np.abs(moved).max()),
-            np.stack(found),
+            np.stack([np.asarray(points) for points in found]),
             solution.weights.reshape(2, -1),
             solution.residuals.reshape(2, -1),
         )
@@ -419,7 +426,9 @@ def _slow_waves(normals: FloatArray) -> FloatArray:
     What a wrong circle looks like, and a bias: light and view have one direction in the image.
     """
     angle = np.arctan2(normals[:, 1], normals[:, 0])
-    return np.column_stack([np.ones(len(angle)), *(f(m * angle) for m in (1, 2) for f in (np.cos, np.sin))])
+    root2 = math.sqrt(2.0)  # so that each wave has a mean square of 1
+    rest = [root2 * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
+    return np.column_stack([np.ones(len(angle)), *rest])
 
 
 def _choose_width(seen: EdgeSamples, rows: slice, waves: FloatArray, min_slope: float) -> _Curve:
@@ -436,20 +445,49 @@ def _choose_width(seen: EdgeSamples, rows: slice, waves: FloatArray, min_slope: 
     base = np.where(known, np.where(seen.clipped[rows], CLIPPED_WEIGHT, 1.0), 0.0)
     for w in range(len(base)):
         if known[w].any():  # noise and texture move an edge by as much as it is weak
-            base[w] *= np.minimum(1.0, contrast[w] / np.median(contrast[w, known[w]])) ** 2
+            around = _around(np.where(known[w], contrast[w], 0.0)) / np.maximum(_around(known[w] * 1.0), 1e-9)
+            base[w] *= np.minimum(1.0, around / np.median(around[known[w]])) ** 2
     if len(offsets) == 1:
-        return _Curve(np.where(known[0], offsets[0], np.nan), base[0], 0.0)
+        return _Curve(np.where(known[0], offsets[0], np.nan), base[0], 0.0, 0.0)
     values = np.where(known, offsets, 0.0)
     merits, squares = [], []
     for w in range(len(values)):
         variance, _ = variance_of_mean(values[w], base[w], waves)
         doubt, slow = variance_of_mean(values[w] - values[0], np.minimum(base[w], base[0]), waves)
-        squares.append(max(slow - waves.shape[1] * doubt, 0.0) if np.isfinite(doubt) else 0.0)
+        chance = waves.shape[1] * doubt  # what noise alone would make of the waves
+        squares.append(slow - chance if slow > SIGNIFICANT * chance else 0.0)
         merits.append(variance + squares[-1])
     best = int(np.argmin(merits))
-    # the mean square of waves of equal amplitude: 1 for the constant, a half for each of the others
-    bias = BIAS_SHARE * np.sqrt(squares[START_WIDTH] / (0.5 + 0.5 * waves.shape[1]))
-    return _Curve(np.where(known[best], offsets[best], np.nan), base[best], max(float(bias), MIN_BIAS_PX))
+    bias = BIAS_SHARE * np.sqrt(squares[START_WIDTH] / waves.shape[1])
+    found = np.where(known[best], offsets[best], np.nan)
+    return _Curve(found, base[best], max(float(bias), MIN_BIAS_PX), _blur2(contrast, known))
+
+
+def _around(values: FloatArray) -> FloatArray:
+    """Mean of each sample (N,) of a closed curve and its four neighbours on both sides."""
+    return np.asarray(np.mean([np.roll(values, shift) for shift in range(-4, 5)], axis=0))
+
+
+def _blur2(slope: FloatArray, known: npt.NDArray[np.bool_]) -> float:
+    """Variance of the blur in px², from the slopes (W, N) at two widths: slope² ~ 1 / (blur² + width²)."""
+    both = known[0] & known[START_WIDTH]
+    if not both.any():
+        return 0.0
+    narrow, wide = WIDTHS_PX[0] ** 2, WIDTHS_PX[START_WIDTH] ** 2
+    ratio = float(np.median(slope[0, both] / slope[START_WIDTH, both])) ** 2
+    return float(np.clip((wide - ratio * narrow) / (ratio - 1), 0.0, wide)) if ratio > 1 else wide
+
+
+def _curvature(pixels: FloatArray, normals: FloatArray) -> FloatArray:
+    """(N,) of a closed curve, 1 / px, positive where its outward normals spread.
+
+    Blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to the centre of
+    the bend by blur² x curvature / 2.
+    """
+    before, after = np.roll(normals, 1, axis=0), np.roll(normals, -1, axis=0)
+    turn = np.arcsin(np.clip(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], -1, 1))
+    way = np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
+    return np.asarray(np.abs(turn) / np.maximum(way, 1e-9))
 
 
 def _calibration_causes(

@@ -37,7 +37,7 @@ ENOUGH_SUPPORT = 0.8
 PNP_POINTS = 16
 LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), spacing_px=4.0, repeats=0)
 WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), spacing_px=4.0, repeats=0)
-OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0), repeats=0)
+OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0), spacing_px=2.0, repeats=0)
 TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
 
 
