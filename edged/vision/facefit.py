@@ -46,8 +46,8 @@ BIAS_SHARE = 1.3
 than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
 0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
 1.2 and 0.6, for each kind of edge."""
-MIN_BIAS_PX = 0.002
-SIGNIFICANT = 2.2  # chi² of 5 over 5 that noise exceeds in 5 % of the cases
+MIN_BIAS_PX = 0.005
+SIGNIFICANT = 1.6  # chi² of 5 over 5 that noise alone exceeds in one case of six
 MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
 MIN_SPOKES, MAX_SPOKES = 48, 2000
 AGREE_PX = 0.5
