@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.sim import scene
@@ -414,3 +415,102 @@ def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: fl
         ratio = residuals / (4.685 * max(1.4826 * float(np.median(np.abs(residuals))), floor))
         weights = np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0)
     return solution
+
+
+# --- edged.vision.robust ------------------------------------------------------------------------
+
+
+def median_scale(residuals: FloatArray, base: FloatArray) -> float:
+    """Sigma of normal errors from the median of the samples that count."""
+    kept = np.abs(residuals[base > 0])
+    return 1.4826 * float(np.median(kept)) if len(kept) else 0.0
+
+
+def tukey_weights(ratio: FloatArray) -> FloatArray:
+    """Tukey's biweight, c = 4.685."""
+    return np.where(np.abs(ratio) < 4.685, (1 - (ratio / 4.685) ** 2) ** 2, 0.0)
+
+
+def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
+    """1 + 2 x the autocorrelation of the samples of a closed curve, up to the first lag without one."""
+    good = weights > 0.05
+    if not good.any() or not np.sum(residuals[good] ** 2) > 0:
+        return 1.0
+    power, total = float(np.mean(residuals[good] ** 2)), 1.0
+    for lag in range(1, max(2, min(24, len(residuals) // 8))):
+        both = good & np.roll(good, lag)
+        if both.sum() < 8:
+            break
+        correlation = float(np.mean((residuals * np.roll(residuals, lag))[both])) / power
+        if correlation <= 2 / math.sqrt(both.sum()):
+            break
+        total += 2 * correlation
+    return total
+
+
+def variance_of_mean(values: FloatArray, base: FloatArray, waves: FloatArray) -> tuple[float, float]:
+    """Variance of the mean around the waves, and the mean square of the waves."""
+    if (base > 0).sum() < 12:
+        return math.inf, 0.0
+    weights = base
+    slow = np.zeros_like(values)
+    for _ in range(4):
+        root = np.sqrt(weights)
+        slow = waves @ np.linalg.lstsq(waves * root[:, None], values * root, rcond=None)[0]
+        weights = base * tukey_weights((values - slow) / max(median_scale(values - slow, base), 1e-3))
+    total = float(weights.sum())
+    variance = max(float(np.sum(weights * (values - slow) ** 2)) / total, 0.02**2)
+    spread = correlation_length(values - slow, weights)
+    return variance * spread / total, float(np.sum(weights * slow**2)) / total
+
+
+def solve_groups(
+    design: FloatArray,
+    columns: npt.NDArray[np.int64],
+    starts: npt.NDArray[np.int64],
+    values: FloatArray,
+    base: FloatArray,
+    waves: FloatArray,
+    bias: FloatArray,
+    unknowns: int,
+    priors: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(delta, covariance, weights): every slow displacement is an unknown of its own with a prior."""
+    groups, many = len(bias), waves.shape[1]
+    size = unknowns + groups * many
+    dense = np.zeros((len(values), size))
+    prior = np.zeros(size)
+    prior[unknowns - priors : unknowns] = 1.0
+    for g in range(groups):
+        rows = slice(starts[g], starts[g + 1])
+        for c, column in enumerate(columns[g]):
+            if column >= 0:
+                dense[rows, column] += design[rows, c]
+        own = slice(unknowns + g * many, unknowns + (g + 1) * many)
+        prior[own] = 1.0
+        dense[rows, own] = waves[rows] * bias[g]
+    weights, scale, spread = base.copy(), np.ones(groups), np.ones(groups)
+    delta, covariance = np.zeros(size), np.eye(size)
+    for round_ in range(20):
+        group_of = np.repeat(np.arange(groups), np.diff(starts))
+        precision = weights / (scale**2 * spread)[group_of]
+        covariance = np.linalg.inv((dense * precision[:, None]).T @ dense + np.diag(prior))
+        previous, delta = delta, covariance @ (dense.T @ (precision * values))
+        residuals = values - dense @ delta
+        for g in range(groups):
+            rows = slice(starts[g], starts[g + 1])
+            scale[g] = max(median_scale(residuals[rows], base[rows]), 0.02)
+            ratio = residuals[rows] / scale[g]
+            if round_ < 3:
+                weights[rows] = base[rows] / np.maximum(1.0, np.abs(ratio))
+                continue
+            weights[rows] = base[rows] * tukey_weights(ratio)
+            total = float(weights[rows].sum())
+            if total > 0:
+                mean_square = float(np.sum(weights[rows] * residuals[rows] ** 2)) / total
+                scale[g] = max(math.sqrt(mean_square) * 1.06, 0.02)
+            if round_ in (4, 6):
+                spread[g] = correlation_length(residuals[rows], weights[rows])
+        if round_ > 6 and np.abs(delta - previous)[:unknowns].max() < 1e-5:
+            break
+    return delta[:unknowns], covariance[:unknowns, :unknowns], weights

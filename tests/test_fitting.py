@@ -86,7 +86,7 @@ def test_weights_are_those_of_their_names() -> None:
 
 
 def test_tukey_forgets_a_fifth_of_wrong_points() -> None:
-    """With a fifth of the edge 5 px off, Tukey finds the circle to 0.02 px, least squares misses it by 0.8."""
+    """With a fifth of the edge 5 px off, Tukey finds the circle to 0.02 px; least squares is 0.8 px off."""
     points = ellipse_points(100.0, 80.0, 60.0, 60.0, 0.0, count=200)
     points[:40] += (points[:40] - (100.0, 80.0)) * (5.0 / 60.0)
     points += np.random.default_rng(0).normal(0, 0.05, points.shape)
