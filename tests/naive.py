@@ -467,6 +467,7 @@ def variance_of_mean(values: FloatArray, base: FloatArray, waves: FloatArray) ->
 def solve_groups(
     design: FloatArray,
     columns: npt.NDArray[np.int64],
+    shared: npt.NDArray[np.int64],
     starts: npt.NDArray[np.int64],
     values: FloatArray,
     base: FloatArray,
@@ -480,15 +481,16 @@ def solve_groups(
     size = unknowns + groups * many
     dense = np.zeros((len(values), size))
     prior = np.zeros(size)
-    prior[unknowns - priors : unknowns] = 1.0
+    prior[unknowns - priors :] = 1.0
     for g in range(groups):
         rows = slice(starts[g], starts[g + 1])
         for c, column in enumerate(columns[g]):
             if column >= 0:
                 dense[rows, column] += design[rows, c]
-        own = slice(unknowns + g * many, unknowns + (g + 1) * many)
-        prior[own] = 1.0
-        dense[rows, own] = waves[rows] * bias[g]
+        own = unknowns + g * many
+        for first in (own, shared[g]):
+            if first >= 0:
+                dense[rows, first : first + many] = waves[rows] * bias[g]
     weights, scale, spread = base.copy(), np.ones(groups), np.ones(groups)
     delta, covariance = np.zeros(size), np.eye(size)
     for round_ in range(20):
@@ -511,6 +513,53 @@ def solve_groups(
                 scale[g] = max(math.sqrt(mean_square) * 1.06, 0.02)
             if round_ in (4, 6):
                 spread[g] = correlation_length(residuals[rows], weights[rows])
-        if round_ > 6 and np.abs(delta - previous)[:unknowns].max() < 1e-5:
+        if round_ > 6 and np.abs(delta - previous)[: unknowns - priors].max() < 1e-5:
             break
     return delta[:unknowns], covariance[:unknowns, :unknowns], weights
+
+
+# --- edged.vision.widths ------------------------------------------------------------------------
+
+
+def edge_weights(
+    offset: FloatArray, slope: FloatArray, clipped: npt.NDArray[np.bool_], min_slope: float
+) -> FloatArray:
+    """Prior weights of one curve's edges: none, clipped, or by the contrast around them."""
+    known = np.isfinite(offset) & (np.abs(np.nan_to_num(slope)) >= min_slope)
+    base = np.where(known, np.where(clipped, 0.02, 1.0), 0.0)
+    around = np.zeros(len(offset))
+    for n in np.nonzero(known)[0]:
+        beside = [(n + shift) % len(offset) for shift in range(-4, 5)]
+        around[n] = np.mean([abs(slope[other]) for other in beside if known[other]])
+    if known.any():
+        base *= np.minimum(1.0, around / np.median(around[known])) ** 2
+    return base
+
+
+def choose_width(
+    offset: FloatArray,
+    slope: FloatArray,
+    clipped: npt.NDArray[np.bool_],
+    waves: FloatArray,
+    min_slope: float,
+    widths: tuple[float, ...],
+) -> tuple[int, FloatArray, float, float]:
+    """(index of the best width, its weights, bias, blur²) of one curve; offset and slope (W, N)."""
+    bases = [edge_weights(o, s, clipped, min_slope) for o, s in zip(offset, slope, strict=True)]
+    values = [np.where(base > 0, o, 0.0) for o, base in zip(offset, bases, strict=True)]
+    merits, squares = [], []
+    for value, base in zip(values, bases, strict=True):
+        variance, _ = variance_of_mean(value, base, waves)
+        doubt, slow = variance_of_mean(value - values[0], np.minimum(base, bases[0]), waves)
+        chance = waves.shape[1] * doubt
+        squares.append(slow - chance if slow > 1.6 * chance else 0.0)
+        merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))
+    best = int(np.argmin(merits))
+    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.005)
+    both = (bases[0] > 0) & (bases[2] > 0)
+    if not both.any():
+        return best, bases[best], bias, 0.0
+    ratio = float(np.median(slope[0, both] / slope[2, both])) ** 2
+    narrow, wide = widths[0] ** 2, widths[2] ** 2
+    blur2 = float(np.clip((wide - ratio * narrow) / (ratio - 1), 0, wide)) if ratio > 1 else wide
+    return best, bases[best], bias, blur2

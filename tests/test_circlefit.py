@@ -178,7 +178,8 @@ def test_circles_of_one_face_share_their_normal() -> None:
     alone = fit_circle(SMALL, left, right, guesses[1], -TILTED[:3, 2])
     assert face is not None
     assert alone is not None
-    first, second = face.fits
+    first, (second,) = face.first, face.others
+    assert second is not None
     assert np.array_equal(first.circle.normal, second.circle.normal)
     assert second.circle.name == "hole"
     assert np.linalg.norm(second.circle.centre_mm - in_rig) < 0.01

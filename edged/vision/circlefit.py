@@ -74,14 +74,15 @@ class CircleFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceFit:
-    """Circles measured together in one plane.
+    """Circles measured together in one plane; their normals are equal.
 
-    fits : in the order asked for; their normals are equal.  covariance (P, P) of the joint unknowns:
-    centre of the first circle (3), tilt about axes u, v (2), radius of the first; then for each further
-    circle its centre along u and v from the first, and its radius.
+    first : the first one.  others : the rest in the order asked for, None where the images show too little.
+    covariance (P, P) of the joint unknowns: centre of the first circle (3), tilt about axes u, v (2), radius
+    of the first; then for each further circle its centre along u and v from the first, and its radius.
     """
 
-    fits: tuple[CircleFit, ...]
+    first: CircleFit
+    others: tuple[CircleFit | None, ...]
     covariance: FloatArray
 
 

@@ -66,8 +66,8 @@ def edges_along_normals(
     An extremum counts less the farther it is from the point (Gaussian of width reach), so that of
     two equal edges the nearer one is taken.
     """
-    step = 1.0 if sigma_px >= 1.0 else FINE_STEP_PX
-    samples = _measured(image, points_px, normals, reach_px, polarity, [sigma_px], step)
+    step_px = 1.0 if sigma_px >= 1.0 else FINE_STEP_PX
+    samples = _measured(image, points_px, normals, reach_px, polarity, [sigma_px], step_px)
     return samples.offset_px[0], samples.slope[0]
 
 
@@ -78,12 +78,14 @@ def edges_at_widths(
     reach_px: float,
     polarity: int | npt.NDArray[np.int64],
     widths_px: Sequence[float] = WIDTHS_PX,
+    step_px: float = FINE_STEP_PX,
 ) -> EdgeSamples:
-    """`edges_along_normals` for several operators at once, finely sampled, with saturation noted.
+    """`edges_along_normals` for several operators at once, with saturation noted.
 
-    polarity : as there, or one for each point (N,).
+    polarity : as there, or one for each point (N,).  step_px : of the samples across the edge; with 1 px
+    an edge is found to 0.02 px in half of the time.
     """
-    return _measured(image, points_px, normals, reach_px, polarity, widths_px, FINE_STEP_PX)
+    return _measured(image, points_px, normals, reach_px, polarity, widths_px, step_px)
 
 
 def edge_profiles(
@@ -123,27 +125,18 @@ def _pixels(image: Image) -> Image:
     return np.require(image, np.uint8, ("C", "W"))
 
 
-@kernel("void(f8, f8[::1])")
-def _cubic_weights(fraction: float, weights: FloatArray) -> None:
-    """Catmull-Rom weights of the four neighbours (R. Keys, 1981, a = -0.5)."""
-    f = fraction
-    weights[0] = ((-0.5 * f + 1.0) * f - 0.5) * f
-    weights[1] = (1.5 * f - 2.5) * f * f + 1.0
-    weights[2] = ((-1.5 * f + 2.0) * f + 0.5) * f
-    weights[3] = (0.5 * f - 0.5) * f * f
+@kernel("f8(f8, f8, f8, f8, f8)")
+def _cubic(before: float, left: float, right: float, after: float, f: float) -> float:
+    """Catmull-Rom between left and right (R. Keys, 1981, a = -0.5)."""
+    bend = 3.0 * (left - right) + after - before
+    return left + 0.5 * f * (
+        right - before + f * (2.0 * before - 5.0 * left + 4.0 * right - after + f * bend)
+    )
 
 
-@kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1], f8[::1], f8[::1])")
+@kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1])")
 def _sample_profile(
-    image: Image,
-    x: float,
-    y: float,
-    sx: float,
-    sy: float,
-    half: int,
-    wx: FloatArray,
-    wy: FloatArray,
-    profile: FloatArray,
+    image: Image, x: float, y: float, sx: float, sy: float, half: int, profile: FloatArray
 ) -> bool:
     """Fill profile with 2 half + 1 bicubic samples, (sx, sy) apart; False when it leaves the image."""
     height, width = image.shape
@@ -154,16 +147,19 @@ def _sample_profile(
     for s in range(2 * half + 1):
         px = x + (s - half) * sx
         py = y + (s - half) * sy
-        ix, iy = int(np.floor(px)), int(np.floor(py))
-        _cubic_weights(px - ix, wx)
-        _cubic_weights(py - iy, wy)
-        value = 0.0
-        for j in range(4):
-            row = 0.0
-            for i in range(4):
-                row += wx[i] * image[iy - 1 + j, ix - 1 + i]
-            value += wy[j] * row
-        profile[s] = value
+        # inside the image, see above: as unsigned numbers they need no check for negative indices
+        ix, iy = np.uint64(px), np.uint64(py)
+        fx, fy = px - ix, py - iy
+        a, b, c, d = ix - np.uint64(1), ix, ix + np.uint64(1), ix + np.uint64(2)
+        above, here = image[iy - np.uint64(1)], image[iy]
+        below, last = image[iy + np.uint64(1)], image[iy + np.uint64(2)]
+        profile[s] = _cubic(
+            _cubic(above[a], above[b], above[c], above[d], fx),
+            _cubic(here[a], here[b], here[c], here[d], fx),
+            _cubic(below[a], below[b], below[c], below[d], fx),
+            _cubic(last[a], last[b], last[c], last[d], fx),
+            fy,
+        )
     return True
 
 
@@ -171,11 +167,10 @@ def _sample_profile(
 def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, step: float) -> FloatArray:
     count = points.shape[0]
     found = np.full((count, 2 * half + 1), np.nan)
-    wx, wy = np.empty(4), np.empty(4)
     profile = np.empty(2 * half + 1)
     for n in range(count):
         x, y = points[n, 0], points[n, 1]
-        if _sample_profile(image, x, y, normals[n, 0] * step, normals[n, 1] * step, half, wx, wy, profile):
+        if _sample_profile(image, x, y, normals[n, 0] * step, normals[n, 1] * step, half, profile):
             found[n] = profile
     return found
 
@@ -250,13 +245,13 @@ def _edge_offsets(
             gain += i * step * value
         derivatives[w] /= gain
     profile, slopes = np.empty(2 * half + 1), np.empty(2 * inner + 1)
-    wx, wy, best = np.empty(4), np.empty(4), np.empty(2)
+    best = np.empty(2)
     for n in range(count):
         x, y = points[n, 0], points[n, 1]
         if not (np.isfinite(x) and np.isfinite(y)):
             continue
         sx, sy = normals[n, 0] * step, normals[n, 1] * step
-        if not _sample_profile(image, x, y, sx, sy, half, wx, wy, profile):
+        if not _sample_profile(image, x, y, sx, sy, half, profile):
             continue
         found[2 * many, n] = 0.0
         for w in range(many):

@@ -34,26 +34,17 @@ from edged.vision.circlefit import (
     circle_axes,
     project_circle,
 )
-from edged.vision.edges import WIDTHS_PX, EdgeSamples, edges_at_widths
+from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import project_with_jacobians
-from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups, variance_of_mean
+from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups
+from edged.vision.widths import START_WIDTH, choose_widths
 
-CLIPPED_WEIGHT = 0.02
-"""A saturated plateau hides half of its step and moves the edge by 0.1-0.2 px, where a good edge is known
-to 0.02: such points only help where there are no others."""
-BIAS_SHARE = 1.3
-"""Texture beside an edge, shading and second edges displace it along whole arcs, more at a wide operator
-than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
-0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
-1.2 and 0.6, for each kind of edge."""
-MIN_BIAS_PX = 0.005
-SIGNIFICANT = 1.6  # chi² of 5 over 5 that noise alone exceeds in one case of six
-MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
-MIN_SPOKES, MAX_SPOKES = 48, 2000
 AGREE_PX = 0.5
 """An edge that scatters more is another one, whatever the others do."""
-STILL_PX = 0.01  # edges measured anew at curves that moved by less come out the same
-START_WIDTH = 2  # index into WIDTHS_PX of the operator that finds the edge; the last step chooses for itself
+MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 1e5
+MIN_SPOKES, MAX_SPOKES = 48, 2000
+COARSE_SPACING_PX = 3.0  # while the circles still move
+STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
 DEFAULT_PARAMS = CircleFitParams()
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 _FIRST = 6  # unknowns of the first circle: centre (3), tilt about u, tilt about v, radius
@@ -79,7 +70,7 @@ def fit_circle(
     face = fit_face(
         rig, left, right, [guess], normal, params, fixed_normal=fixed_normal, fixed_radius=fixed_radius
     )
-    return None if face is None else face.fits[0]
+    return None if face is None else face.first
 
 
 def fit_face(
@@ -95,40 +86,51 @@ def fit_face(
 ) -> FaceFit | None:
     """Measure circles of one plane together; None when the images do not show them.
 
-    The guesses' centres may lie off the plane through the first one: that distance is kept.
+    The guesses' centres may lie off the plane through the first one: that distance is kept. A circle but the
+    first of which too few edges are seen has no fit.
     """
-    face = _Face.start(rig, guesses, normal, params, fixed_normal, fixed_radius)
+    face = _Face.start(rig, guesses, normal, fixed_normal, fixed_radius)
     if face is None:
         return None
     images = (left, right)
-    reaches = [*params.reach_px, *[params.reach_px[-1]] * params.repeats]
+    face = face.sampled(max(params.spacing_px, COARSE_SPACING_PX))
     step: _Step | None = None
-    for number, reach in enumerate(reaches):
-        final = number >= len(params.reach_px)
+    for number, reach in enumerate(params.reach_px[:-1] if params.repeats else params.reach_px):
         if number == 1:  # far away there is one dominant edge; from here on each circle keeps its sign
             face = face.with_polarity(images, reach, params)
-        step = face.step(images, reach, params, final=final)
+        step = face.step(images, reach, params, final=False)
         moved = None if step is None else face.moved(step.delta)
         if step is None or moved is None:
             return None
         face = moved
-        if final and step.moved_px < STILL_PX:
+        if number > 0 and step.moved_px < STILL_PX:
+            break
+    if params.repeats:
+        face = face.with_polarity(images, params.reach_px[-1], params).sampled(params.spacing_px)
+    for _ in range(params.repeats):
+        step = face.step(images, params.reach_px[-1], params, final=True)
+        moved = None if step is None else face.moved(step.delta)
+        if step is None or moved is None:
+            return None
+        face = moved
+        if step.moved_px < STILL_PX:
             break
     return None if step is None else face.result(step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Curve:
-    """What one circle shows in one image: offset_px (N,), NaN where is no edge, and prior weights base (N,).
+class _Edges:
+    """What the circles show in both images.
 
-    bias_px : one sigma of each of the slow displacements along the curve.  blur2_px2 : variance of the
-    image's own blur across the edge.
+    offset_px (2, N), NaN where is no edge; base (2, N) prior weights; waves (2, N, 5) slow displacements
+    and bias_px (2, K) one sigma of each; seen (K,) : whether both images show enough.
     """
 
     offset_px: FloatArray
     base: FloatArray
-    bias_px: float
-    blur2_px2: float
+    waves: FloatArray
+    bias_px: FloatArray
+    seen: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,34 +175,46 @@ class _Face:
         rig: StereoRig,
         guesses: Sequence[CircleGuess],
         normal: FloatArray,
-        params: CircleFitParams,
         fixed_normal: bool,
         fixed_radius: bool,
     ) -> _Face | None:
+        """The guessed state, not yet sampled; None where the left camera cannot see such circles."""
         normal = np.array(normal, np.float64)
-        u, v = circle_axes(normal)
         centres = np.array([guess.centre_mm for guess in guesses], dtype=np.float64)
-        radii = np.array([guess.radius_mm for guess in guesses], dtype=np.float64)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            rims = rig.left.project(centres + radii[:, None] * u) - rig.left.project(centres)
-        sizes = np.linalg.norm(rims, axis=1)
-        usable = (sizes >= MIN_RADIUS_PX) & (sizes <= MAX_RADIUS_PX) & (centres[:, 2] > 0)  # False for NaN
-        if not usable.all():
-            return None
-        counts = np.clip(2 * np.pi * sizes / params.spacing_px, MIN_SPOKES, MAX_SPOKES).astype(np.int64)
-        return _Face(
+        nothing = np.zeros(0, np.int64)
+        face = _Face(
             rig,
             tuple(guess.name for guess in guesses),
             centres[0],
             normal,
-            (centres - centres[0]) @ np.stack([u, v, normal]).T,
-            radii,
+            (centres - centres[0]) @ np.vstack([circle_axes(normal), normal]).T,
+            np.array([guess.radius_mm for guess in guesses], dtype=np.float64),
             np.array([guess.polarity for guess in guesses], dtype=np.int64),
-            np.repeat(np.arange(len(guesses)), counts),
-            np.concatenate([np.arange(count) * (2 * np.pi / count) for count in counts]),
-            np.concatenate([[0], np.cumsum(counts)]),
+            nothing,
+            np.zeros(0),
+            nothing,
             fixed_normal,
             fixed_radius,
+        )
+        sizes = face.sizes_px()
+        usable = (sizes >= MIN_RADIUS_PX) & (sizes <= MAX_RADIUS_PX) & (centres[:, 2] > 0)  # False for NaN
+        return face if usable.all() else None
+
+    def sizes_px(self) -> FloatArray:
+        """(K,) radii in the left image, along u."""
+        centres = self.origin + self.places @ self.frame()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rims = self.rig.left.project(centres + self.radii[:, None] * self.frame()[0])
+            return np.asarray(np.linalg.norm(rims - self.rig.left.project(centres), axis=1))
+
+    def sampled(self, spacing_px: float) -> _Face:
+        """The same state, sampled at this spacing along the edges."""
+        counts = np.clip(2 * np.pi * self.sizes_px() / spacing_px, MIN_SPOKES, MAX_SPOKES).astype(np.int64)
+        return replace(
+            self,
+            index=np.repeat(np.arange(len(counts)), counts),
+            phase=np.concatenate([np.arange(count) * (2 * np.pi / count) for count in counts]),
+            starts=np.concatenate([[0], np.cumsum(counts)]),
         )
 
     @property
@@ -230,8 +244,11 @@ class _Face:
         tilt_v = curve.jacobian[:, 4] + by_n * x - by_u * z
         return np.column_stack([by_centre, tilt_u, tilt_v, by_u, by_v, curve.jacobian[:, 5]])
 
-    def columns(self) -> npt.NDArray[np.int64]:
-        """(K, 8): which unknown each column of `design` is, -1 for those that are held."""
+    def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """(K, 8): which unknown each column of `design` is, -1 for those that are held.
+
+        seen (K,) : of the others nothing is known.
+        """
         columns = np.tile(np.array([0, 1, 2, 3, 4, -1, -1, 5]), (len(self.names), 1))
         for k in range(1, len(self.names)):
             columns[k, 5:] = _FIRST + 3 * (k - 1) + np.arange(3)
@@ -239,6 +256,7 @@ class _Face:
             columns[:, 3:5] = -1
         if self.fixed_radius:
             columns[:, 7] = -1
+        columns[~seen] = -1
         return columns
 
     def with_polarity(self, images: tuple[Image, Image], reach: float, params: CircleFitParams) -> _Face:
@@ -267,44 +285,34 @@ class _Face:
         final : each curve chooses its width, and slow displacements are reckoned with.
         """
         curves = tuple(self.project(side) for side in SIDES)
-        widths = WIDTHS_PX if final else START_WIDTHS_PX
-        signs = self.polarity[self.index]
-        measured: list[_Curve] = []
-        for image, curve in zip(images, curves, strict=True):
-            seen = edges_at_widths(image, curve.pixels, curve.normals, reach, signs, widths)
-            waves = _slow_waves(curve.normals)
-            for k in range(len(self.names)):
-                rows = slice(*self.starts[k : k + 2])
-                shown = _choose_width(seen, rows, waves, params.min_slope)
-                if final:
-                    shift = 0.5 * shown.blur2_px2 * _curvature(curve.pixels[rows], curve.normals[rows])
-                    shown = replace(shown, offset_px=shown.offset_px + shift)
-                measured.append(shown)
-        offsets = np.concatenate([curve.offset_px for curve in measured])
-        groups, priors = self._groups(curves, measured, final)
-        if np.count_nonzero(groups.base) < 2 * MIN_SAMPLES:
+        measured = self._measure(images, curves, reach, params, final)
+        columns = np.tile(self.columns(measured.seen), (2, 1))
+        groups, priors = self._groups(curves, measured, columns, final)
+        if not measured.seen[0]:
             return None
         # unknowns that are held leave no gap: the solver would find them undetermined
-        used = np.unique(groups.columns[groups.columns >= 0])
+        used = np.unique(columns[columns >= 0])
+        free = len(used)
         dense = replace(
-            groups, columns=np.where(groups.columns < 0, -1, np.searchsorted(used, groups.columns))
+            groups,
+            columns=np.where(columns < 0, -1, np.searchsorted(used, columns)),
+            shared=np.where(groups.shared < 0, -1, groups.shared - self.unknowns + free),
         )
-        solution = solve_groups(dense, len(used), priors)
+        solution = solve_groups(dense, free + priors, priors)
         if solution is None:
             return None
-        free = len(used) - priors
         delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
-        delta[used[:free]] = solution.delta[:free]
+        delta[used] = solution.delta[:free]
         inverse = solution.covariance[:free, :free]
         if final and self.rig.covariance is not None:
             gain = propagate(dense, solution, _calibration_causes(self.rig, self._points(), curves))[:free]
             inverse = inverse + gain @ self.rig.covariance @ gain.T
-        covariance[np.ix_(used[:free], used[:free])] = inverse
-        by_group = np.append(delta, 0.0)[np.tile(self.columns(), (2, 1))]  # -1: the zero at the end
-        moved = np.sum(groups.design[:, :8] * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
+        covariance[np.ix_(used, used)] = inverse
+        by_group = np.append(delta, 0.0)[columns]  # -1: the zero at the end
+        moved = np.sum(groups.design * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
         found = [
             curve.pixels + curve.normals * offset[:, None]
-            for curve, offset in zip(curves, np.split(offsets, 2), strict=True)
+            for curve, offset in zip(curves, measured.offset_px, strict=True)
         ]
         return _Step(
             delta,
@@ -315,26 +323,72 @@ class _Face:
             solution.residuals.reshape(2, -1),
         )
 
+    def _measure(
+        self,
+        images: tuple[Image, Image],
+        curves: tuple[ProjectedCircle, ...],
+        reach: float,
+        params: CircleFitParams,
+        final: bool,
+    ) -> _Edges:
+        """The edges across the present curves of both images."""
+        widths = WIDTHS_PX if final else START_WIDTHS_PX
+        signs = self.polarity[self.index]
+        offsets, bases, waves, biases = [], [], [], []
+        for image, curve in zip(images, curves, strict=True):
+            seen = edges_at_widths(
+                image, curve.pixels, curve.normals, reach, signs, widths, FINE_STEP_PX if final else 1.0
+            )
+            slow = _slow_waves(curve.normals)
+            chosen = choose_widths(seen, self.starts, slow, params.min_slope)
+            if final:
+                blur2 = np.repeat(chosen.blur2_px2, np.diff(self.starts))
+                chosen.offset_px[:] += 0.5 * blur2 * self._curvature(curve)
+            offsets.append(chosen.offset_px)
+            bases.append(chosen.base)
+            waves.append(slow)
+            biases.append(chosen.bias_px)
+        base = np.stack(bases)
+        counts = np.add.reduceat(base > 0, self.starts[:-1], axis=1)
+        enough: npt.NDArray[np.bool_] = np.all(counts >= MIN_SAMPLES, axis=0)
+        return _Edges(np.stack(offsets), base, np.stack(waves), np.stack(biases), enough)
+
+    def _curvature(self, curve: ProjectedCircle) -> FloatArray:
+        """(N,) of the projected curves, 1 / px.
+
+        Blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to the centre
+        of the bend by blur² x curvature / 2.
+        """
+        count = np.arange(len(self.index))
+        first, last = self.starts[:-1][self.index], self.starts[1:][self.index] - 1
+        before = np.where(count == first, last, count - 1)
+        after = np.where(count == last, first, count + 1)
+        n, m = curve.normals[before], curve.normals[after]
+        turn = np.arcsin(np.clip(n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0], -1, 1))
+        way = np.linalg.norm(curve.pixels[after] - curve.pixels[before], axis=1)
+        return np.asarray(np.abs(turn) / np.maximum(way, 1e-9))
+
     def _groups(
-        self, curves: tuple[ProjectedCircle, ...], measured: list[_Curve], final: bool
+        self,
+        curves: tuple[ProjectedCircle, ...],
+        edges: _Edges,
+        columns: npt.NDArray[np.int64],
+        final: bool,
     ) -> tuple[Groups, int]:
         """The samples of both images as groups, and the number of unknowns for shared displacements."""
         starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
-        waves = np.concatenate([_slow_waves(curve.normals) for curve in curves])
-        bias = np.array([curve.bias_px for curve in measured]) * np.sqrt(0.5)
+        waves = np.concatenate(list(edges.waves))
+        many = waves.shape[1]
+        bias = edges.bias_px.ravel() * np.sqrt(0.5)
         design = np.concatenate([self.design(curve) for curve in curves])
-        columns = np.tile(self.columns(), (2, 1))
-        priors = 0
-        if final:
-            kinds = [(side, int(sign)) for side in range(2) for sign in self.polarity]
-            shared = sorted(set(kinds))
-            priors = waves.shape[1] * len(shared)
-            first = np.array([self.unknowns + waves.shape[1] * shared.index(kind) for kind in kinds])
-            columns = np.hstack([columns, first[:, None] + np.arange(waves.shape[1])])
-            design = np.hstack([design, waves * np.repeat(bias, np.diff(starts))[:, None]])
-        values = np.nan_to_num(np.concatenate([curve.offset_px for curve in measured]))
-        base = np.concatenate([curve.base for curve in measured])
-        return Groups(design, columns, starts, values, base, waves, bias), priors
+        seen = np.tile(edges.seen, 2)
+        kinds = [(side, int(sign)) for side in range(2) for sign in self.polarity]
+        common = sorted({kind for kind, known in zip(kinds, seen, strict=True) if known}) if final else []
+        shared = np.array([self.unknowns + many * common.index(k) if k in common else -1 for k in kinds])
+        shared[~seen] = -1
+        values = np.nan_to_num(edges.offset_px.ravel())
+        base = edges.base.ravel() * np.repeat(seen, np.diff(starts))
+        return Groups(design, columns, shared, starts, values, base, waves, bias), many * len(common)
 
     def _points(self) -> FloatArray:
         """(N, 3): the samples in space."""
@@ -353,6 +407,8 @@ class _Face:
         places, radii = self.places.copy(), self.radii.copy()
         radii[0] += delta[5]
         further = delta[_FIRST:].reshape(-1, 3)
+        # a small circle that runs away must not take the others with it
+        further = np.where(np.abs(further).max(axis=1, keepdims=True) < 0.5 * radii[1:, None], further, 0.0)
         places[1:, :2] += further[:, :2]
         radii[1:] += further[:, 2]
         origin = self.origin + delta[:3]
@@ -366,13 +422,8 @@ class _Face:
         return replace(self, origin=origin, normal=turned, places=places, radii=radii)
 
     def result(self, step: _Step) -> FaceFit | None:
-        fits = []
-        for k in range(len(self.names)):
-            fit = self._circle(k, step)
-            if fit is None:
-                return None
-            fits.append(fit)
-        return FaceFit(tuple(fits), step.covariance)
+        fits = tuple(self._circle(k, step) for k in range(len(self.names)))
+        return None if fits[0] is None else FaceFit(fits[0], fits[1:], step.covariance)
 
     def _circle(self, k: int, step: _Step) -> CircleFit | None:
         rows = slice(*self.starts[k : k + 2])
@@ -429,65 +480,6 @@ def _slow_waves(normals: FloatArray) -> FloatArray:
     root2 = math.sqrt(2.0)  # so that each wave has a mean square of 1
     rest = [root2 * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
     return np.column_stack([np.ones(len(angle)), *rest])
-
-
-def _choose_width(seen: EdgeSamples, rows: slice, waves: FloatArray, min_slope: float) -> _Curve:
-    """Of the widths that were measured, the one whose edges place the curve best.
-
-    Best is the smallest variance plus squared bias. A second edge close by (a chamfer, the wall of a
-    disc) pulls a wide operator more than a narrow one, and along a whole arc: what a width says
-    otherwise than the narrowest one, slowly changing around the circle, is its bias.
-    """
-    waves = np.ascontiguousarray(waves[rows])
-    offsets, slopes = seen.offset_px[:, rows], seen.slope[:, rows]
-    contrast = np.abs(np.nan_to_num(slopes))
-    known = np.isfinite(offsets) & (contrast >= min_slope)
-    base = np.where(known, np.where(seen.clipped[rows], CLIPPED_WEIGHT, 1.0), 0.0)
-    for w in range(len(base)):
-        if known[w].any():  # noise and texture move an edge by as much as it is weak
-            around = _around(np.where(known[w], contrast[w], 0.0)) / np.maximum(_around(known[w] * 1.0), 1e-9)
-            base[w] *= np.minimum(1.0, around / np.median(around[known[w]])) ** 2
-    if len(offsets) == 1:
-        return _Curve(np.where(known[0], offsets[0], np.nan), base[0], 0.0, 0.0)
-    values = np.where(known, offsets, 0.0)
-    merits, squares = [], []
-    for w in range(len(values)):
-        variance, _ = variance_of_mean(values[w], base[w], waves)
-        doubt, slow = variance_of_mean(values[w] - values[0], np.minimum(base[w], base[0]), waves)
-        chance = waves.shape[1] * doubt  # what noise alone would make of the waves
-        squares.append(slow - chance if slow > SIGNIFICANT * chance else 0.0)
-        merits.append(variance + squares[-1])
-    best = int(np.argmin(merits))
-    bias = BIAS_SHARE * np.sqrt(squares[START_WIDTH] / waves.shape[1])
-    found = np.where(known[best], offsets[best], np.nan)
-    return _Curve(found, base[best], max(float(bias), MIN_BIAS_PX), _blur2(contrast, known))
-
-
-def _around(values: FloatArray) -> FloatArray:
-    """Mean of each sample (N,) of a closed curve and its four neighbours on both sides."""
-    return np.asarray(np.mean([np.roll(values, shift) for shift in range(-4, 5)], axis=0))
-
-
-def _blur2(slope: FloatArray, known: npt.NDArray[np.bool_]) -> float:
-    """Variance of the blur in px², from the slopes (W, N) at two widths: slope² ~ 1 / (blur² + width²)."""
-    both = known[0] & known[START_WIDTH]
-    if not both.any():
-        return 0.0
-    narrow, wide = WIDTHS_PX[0] ** 2, WIDTHS_PX[START_WIDTH] ** 2
-    ratio = float(np.median(slope[0, both] / slope[START_WIDTH, both])) ** 2
-    return float(np.clip((wide - ratio * narrow) / (ratio - 1), 0.0, wide)) if ratio > 1 else wide
-
-
-def _curvature(pixels: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N,) of a closed curve, 1 / px, positive where its outward normals spread.
-
-    Blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to the centre of
-    the bend by blur² x curvature / 2.
-    """
-    before, after = np.roll(normals, 1, axis=0), np.roll(normals, -1, axis=0)
-    turn = np.arcsin(np.clip(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], -1, 1))
-    way = np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
-    return np.asarray(np.abs(turn) / np.maximum(way, 1e-9))
 
 
 def _calibration_causes(

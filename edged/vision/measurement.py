@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, FaceFit
 from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, rotation_matrix, transform
@@ -35,9 +35,9 @@ MIN_OTHER_SUPPORT = 0.4
 ENOUGH_SUPPORT = 0.8
 """Of a start that both cameras agree with this much there is no better one."""
 PNP_POINTS = 16
-LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), spacing_px=4.0, repeats=0)
-WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), spacing_px=4.0, repeats=0)
-OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0), spacing_px=2.0, repeats=0)
+LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0)
+WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
+OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.0), repeats=0)
 TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
 
 
@@ -70,10 +70,10 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
         return None
     start = _start_rotation(rectification, job, match, main)
     turn, others, ambiguous = _decided(images, rectification, job, match, main, start)
-    together = _together(images, rectification, main, others)
+    together = _together(images, rectification, job, main, others)
     if together is None:
         return None
-    main, others = together[0], list(together[1:])
+    main, others = together.first, [fit for fit in together.others if fit is not None]
     if abs(main.circle.radius_mm - job.reference_circle.radius_mm) > 0.1 * job.reference_circle.radius_mm:
         return None
     start = _start_rotation(rectification, job, match, main) @ about_z(turn)
@@ -196,12 +196,36 @@ def _others(
     rotation: FloatArray,
 ) -> list[CircleFit]:
     """The other circles of the face that are where this rotation of the part puts them."""
-    return [
-        fit
-        for circle in job.circles
-        if circle.name != job.reference
-        and (fit := _other(images, rectification, job, match, main, rotation, circle)) is not None
-    ]
+    wanted = [circle for circle in job.circles if circle.name != job.reference]
+    if not wanted:
+        return []
+    origin = main.circle.centre_mm - rotation @ job.reference_circle.centre_mm
+    places = {circle.name: origin + rotation @ circle.centre_mm for circle in wanted}
+    guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
+    for circle in wanted:
+        # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
+        polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
+        guesses.append(CircleGuess(circle.name, places[circle.name], circle.radius_mm, polarity))
+    face = fit_face(
+        rectification.rig,
+        images.left,
+        images.right,
+        guesses,
+        main.circle.normal,
+        OTHER_PARAMS,
+        fixed_normal=True,
+    )
+    if face is None:
+        return []
+    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    found = []
+    for circle, fit in zip(wanted, face.others, strict=True):
+        if fit is None or min(fit.support_left, fit.support_right) < MIN_OTHER_SUPPORT:
+            continue
+        near = np.linalg.norm(fit.circle.centre_mm - places[circle.name]) < limit
+        if near and abs(fit.circle.radius_mm - circle.radius_mm) < limit:
+            found.append(fit)
+    return found
 
 
 def _decided(
@@ -250,53 +274,26 @@ def about_z(angle_rad: float) -> FloatArray:
     return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
 
 
-def _other(
-    images: Images,
-    rectification: Rectification,
-    job: Job,
-    match: ShapeMatch,
-    main: CircleFit,
-    rotation: FloatArray,
-    circle: CircleFeature,
-) -> CircleFit | None:
-    """Another circle of the face, near the place where the pose puts it."""
-    arm = circle.centre_mm - job.reference_circle.centre_mm
-    centre = main.circle.centre_mm + rotation @ arm
-    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
-    # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
-    polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
-    fit = fit_circle(
-        rectification.rig,
-        images.left,
-        images.right,
-        CircleGuess(circle.name, centre, circle.radius_mm, polarity),
-        main.circle.normal,
-        OTHER_PARAMS,
-        fixed_normal=True,
-    )
-    if fit is None:
-        return None
-    near = np.linalg.norm(fit.circle.centre_mm - centre) < limit
-    sized = abs(fit.circle.radius_mm - circle.radius_mm) < limit
-    supported = min(fit.support_left, fit.support_right) >= MIN_OTHER_SUPPORT
-    return fit if near and sized and supported else None
-
-
 def _together(
-    images: Images, rectification: Rectification, main: CircleFit, others: list[CircleFit]
-) -> tuple[CircleFit, ...] | None:
-    """Measure all circles in one common plane, now with free radii."""
+    images: Images, rectification: Rectification, job: Job, main: CircleFit, others: list[CircleFit]
+) -> FaceFit | None:
+    """Measure all circles in one common plane, now with free radii.
+
+    A circle that was taught off the face keeps that distance.
+    """
     normal = main.circle.normal
+    heights = {circle.name: float(circle.centre_mm[2]) for circle in job.circles}
     guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
     for fit in others:
         off = float(normal @ (fit.circle.centre_mm - main.circle.centre_mm))
-        in_plane = fit.circle.centre_mm - off * normal
-        guesses.append(CircleGuess(fit.circle.name, in_plane, fit.circle.radius_mm, fit.polarity))
+        wanted = heights[main.circle.name] - heights[fit.circle.name]  # part z points away from the cameras
+        centre = fit.circle.centre_mm + (wanted - off) * normal
+        guesses.append(CircleGuess(fit.circle.name, centre, fit.circle.radius_mm, fit.polarity))
     rig, left, right = rectification.rig, images.left, images.right
     face = fit_face(rig, left, right, guesses, normal, TOGETHER_PARAMS)
     if face is None and others:  # one of the others may be at fault
         face = fit_face(rig, left, right, guesses[:1], normal, TOGETHER_PARAMS)
-    return None if face is None else face.fits
+    return face
 
 
 def _predicted(

@@ -186,116 +186,139 @@ def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
     return variance * correlation_length(residuals, weights) / total, square / total
 
 
-@kernel("b1(f8[:, ::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8, f8, f8[:, ::1], f8[::1])")
-def _add_group(
-    design: F64,
-    columns: I64,
-    values: F64,
-    weights: F64,
-    waves: F64,
-    precision: float,
-    bias: float,
-    matrix: F64,
-    right_side: F64,
-) -> bool:
-    """Add one group to the normal equations, its slow displacement eliminated; False if that is singular."""
+@kernel("void(f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8, f8[:, ::1], f8[::1])")
+def _moments(
+    design: F64, values: F64, weights: F64, waves: F64, precision: float, moments: F64, right_side: F64
+) -> None:
+    """Fill the weighted products of (design, waves) with themselves and with the values."""
     count, wide = design.shape
     many = waves.shape[1]
-    own, own_right = np.zeros((wide, wide)), np.zeros(wide)
-    mixed, inner, by_wave = np.zeros((wide, many)), np.zeros((many, many)), np.zeros(many)
+    size = wide + many
+    row = np.empty(size)
+    moments[:], right_side[:] = 0.0, 0.0
     for n in range(count):
         weight = weights[n] * precision
         if weight <= 0:
             continue
         for i in range(wide):
-            scaled = weight * design[n, i]
-            own_right[i] += scaled * values[n]
+            row[i] = design[n, i]
+        for i in range(many):
+            row[wide + i] = waves[n, i]
+        for i in range(size):
+            scaled = weight * row[i]
+            right_side[i] += scaled * values[n]
             for j in range(i + 1):
-                own[i, j] += scaled * design[n, j]
-            if bias > 0:
-                for m in range(many):
-                    mixed[i, m] += scaled * waves[n, m]
-        if bias > 0:
-            for m in range(many):
-                by_wave[m] += weight * waves[n, m] * values[n]
-                for k in range(many):
-                    inner[m, k] += weight * waves[n, m] * waves[n, k]
+                moments[i, j] += scaled * row[j]
+    for i in range(size):
+        for j in range(i):
+            moments[j, i] = moments[i, j]
+
+
+@kernel("b1(f8[:, ::1], f8[::1], i8[::1], i8, f8, f8[:, ::1], f8[::1])")
+def _add_group(
+    moments: F64, own_right: F64, columns: I64, shared: int, bias: float, matrix: F64, right_side: F64
+) -> bool:
+    """Add one group to the normal equations, its own slow displacement eliminated; False if it is singular.
+
+    shared : first unknown of the displacement it shares with others, -1 for none.
+    """
+    wide = len(columns)
+    size = len(own_right)
+    many = size - wide
+    place = np.full(size, -1)  # where the group's rows go: its unknowns, then the shared displacement
+    factor = np.ones(size)
+    for i in range(wide):
+        place[i] = columns[i]
+    for m in range(many):
+        place[wide + m] = shared + m if shared >= 0 else -1
+        factor[wide + m] = bias
+    inner, inverse = np.empty((many, many)), np.empty((many, many))
     if bias > 0:
-        inverse = np.empty((many, many))
         for m in range(many):
+            for k in range(many):
+                inner[m, k] = moments[wide + m, wide + k]
             inner[m, m] += 1.0 / (bias * bias)
         if not invert_spd(inner, inverse):
             return False
-        for i in range(wide):
-            for m in range(many):
-                gain = 0.0
-                for k in range(many):
-                    gain += mixed[i, k] * inverse[k, m]
-                own_right[i] -= gain * by_wave[m]
-                for j in range(i + 1):
-                    own[i, j] -= gain * mixed[j, m]
-    for i in range(wide):
-        if columns[i] < 0:
+    gain = np.empty(many)
+    for i in range(size):
+        if place[i] < 0:
             continue
-        right_side[columns[i]] += own_right[i]
-        for j in range(i + 1):
-            if columns[j] >= 0:
-                matrix[columns[i], columns[j]] += own[i, j]
-                if i != j:
-                    matrix[columns[j], columns[i]] += own[i, j]
+        right = own_right[i]
+        if bias > 0:
+            for m in range(many):
+                gain[m] = 0.0
+                for k in range(many):
+                    gain[m] += moments[i, wide + k] * inverse[k, m]
+                right -= gain[m] * own_right[wide + m]
+        right_side[place[i]] += factor[i] * right
+        for j in range(size):
+            if place[j] >= 0:
+                value = moments[i, j]
+                if bias > 0:
+                    for m in range(many):
+                        value -= gain[m] * moments[wide + m, j]
+                matrix[place[i], place[j]] += factor[i] * factor[j] * value
     return True
 
 
-@kernel("b1(f8[:, ::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8, f8, f8[::1], f8[::1])")
+@kernel("b1(f8[:, ::1], i8[::1], i8, f8[::1], f8[:, ::1], f8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _residuals(
     design: F64,
     columns: I64,
+    shared: int,
     values: F64,
-    weights: F64,
     waves: F64,
-    precision: float,
     bias: float,
+    moments: F64,
+    own_right: F64,
     delta: F64,
     residuals: F64,
 ) -> bool:
     """Fill residuals for a step, the group's most likely slow displacement taken out."""
     count, wide = design.shape
     many = waves.shape[1]
+    step, displaced = np.zeros(wide), np.zeros(many)
+    for i in range(wide):
+        if columns[i] >= 0:
+            step[i] = delta[columns[i]]
+    if bias > 0:
+        inner, inverse, left = np.empty((many, many)), np.empty((many, many)), np.empty(many)
+        for m in range(many):
+            if shared >= 0:
+                displaced[m] = bias * delta[shared + m]
+            for k in range(many):
+                inner[m, k] = moments[wide + m, wide + k]
+            inner[m, m] += 1.0 / (bias * bias)
+        if not invert_spd(inner, inverse):
+            return False
+        for m in range(many):
+            left[m] = own_right[wide + m]
+            for i in range(wide):
+                left[m] -= moments[wide + m, i] * step[i]
+            for k in range(many):
+                left[m] -= moments[wide + m, wide + k] * displaced[k]
+        for m in range(many):
+            for k in range(many):
+                displaced[m] += inverse[m, k] * left[k]
     for n in range(count):
         predicted = 0.0
         for i in range(wide):
-            if columns[i] >= 0:
-                predicted += design[n, i] * delta[columns[i]]
-        residuals[n] = values[n] - predicted
-    if bias <= 0:
-        return True
-    inner, inverse, by_wave = np.zeros((many, many)), np.empty((many, many)), np.zeros(many)
-    for n in range(count):
-        weight = weights[n] * precision
+            predicted += design[n, i] * step[i]
         for m in range(many):
-            by_wave[m] += weight * waves[n, m] * residuals[n]
-            for k in range(many):
-                inner[m, k] += weight * waves[n, m] * waves[n, k]
-    for m in range(many):
-        inner[m, m] += 1.0 / (bias * bias)
-    if not invert_spd(inner, inverse):
-        return False
-    for m in range(many):
-        amplitude = 0.0
-        for k in range(many):
-            amplitude += inverse[m, k] * by_wave[k]
-        for n in range(count):
-            residuals[n] -= amplitude * waves[n, m]
+            predicted += waves[n, m] * displaced[m]
+        residuals[n] = values[n] - predicted
     return True
 
 
 @kernel(
-    "i8(f8[:, ::1], i8[:, ::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[::1], i8,"
+    "i8(f8[:, ::1], i8[:, ::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[::1], i8,"
     " f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1])"
 )
 def _solve(
     design: F64,
     columns: I64,
+    shared: I64,
     starts: I64,
     values: F64,
     base: F64,
@@ -310,8 +333,10 @@ def _solve(
 ) -> int:
     """The rounds; fills the last five arguments. Returns the number of rounds, 0 where it is singular."""
     groups, size = len(bias), len(delta)
+    each = design.shape[1] + waves.shape[1]
     scale, spread = np.ones(groups), np.ones(groups)
     matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
+    moments, own_right = np.empty((groups, each, each)), np.empty((groups, each))
     weights[:] = base
     rounds = 0
     for round_ in range(MAX_ROUNDS):
@@ -322,17 +347,10 @@ def _solve(
         for g in range(groups):
             a, b = starts[g], starts[g + 1]
             precision[g] = 1.0 / (scale[g] ** 2 * spread[g])
-            if not _add_group(
-                design[a:b],
-                columns[g],
-                values[a:b],
-                weights[a:b],
-                waves[a:b],
-                precision[g],
-                bias[g],
-                matrix,
-                right_side,
-            ):
+            _moments(
+                design[a:b], values[a:b], weights[a:b], waves[a:b], precision[g], moments[g], own_right[g]
+            )
+            if not _add_group(moments[g], own_right[g], columns[g], shared[g], bias[g], matrix, right_side):
                 return 0
         if not invert_spd(matrix, covariance):
             return 0
@@ -342,17 +360,19 @@ def _solve(
             delta[i] = 0.0
             for j in range(size):
                 delta[i] += covariance[i, j] * right_side[j]
-            moved = max(moved, abs(delta[i] - previous[i]))
+            if i < size - priors:
+                moved = max(moved, abs(delta[i] - previous[i]))
         for g in range(groups):
             a, b = starts[g], starts[g + 1]
             if not _residuals(
                 design[a:b],
                 columns[g],
+                shared[g],
                 values[a:b],
-                weights[a:b],
                 waves[a:b],
-                precision[g],
                 bias[g],
+                moments[g],
+                own_right[g],
                 delta,
                 residuals[a:b],
             ):
@@ -396,13 +416,15 @@ class Groups:
     """Samples in groups, for `solve_groups`.
 
     design (N, C) : derivatives of each sample by the unknowns its group depends on; columns (G, C) :
-    which those are, -1 for none.  starts (G + 1,) : where each group begins.
+    which those are, -1 for none.  starts (G + 1,) : where each group begins.  shared (G,) : the first of
+    the M unknowns for the displacement that it has in common with others, in units of its bias; -1 for none.
     values, base (N,) : samples and prior weights (0: no sample).  waves (N, M), bias (G,) : slow
     displacements and their sigma, 0 for none.
     """
 
     design: FloatArray
     columns: npt.NDArray[np.int64]
+    shared: npt.NDArray[np.int64]
     starts: npt.NDArray[np.int64]
     values: FloatArray
     base: FloatArray
@@ -421,6 +443,7 @@ def solve_groups(groups: Groups, unknowns: int, priors: int) -> Solution | None:
     rounds = _solve(
         np.ascontiguousarray(groups.design),
         np.ascontiguousarray(groups.columns),
+        np.ascontiguousarray(groups.shared),
         groups.starts,
         groups.values,
         groups.base,
@@ -446,13 +469,17 @@ def propagate(groups: Groups, solution: Solution, causes: FloatArray) -> FloatAr
     total = np.zeros((len(solution.delta), causes.shape[1]))
     for g in range(len(groups.bias)):
         rows = slice(groups.starts[g], groups.starts[g + 1])
-        weighted = causes[rows] * (solution.weights[rows] * solution.precision[g])[:, None]
-        wanted = groups.design[rows].T @ weighted
+        design, columns, waves = groups.design[rows], groups.columns[g], groups.waves[rows]
+        if groups.shared[g] >= 0:
+            design = np.hstack([design, waves * groups.bias[g]])
+            columns = np.concatenate([columns, groups.shared[g] + np.arange(waves.shape[1])])
+        weights = (solution.weights[rows] * solution.precision[g])[:, None]
+        wanted = design.T @ (causes[rows] * weights)
         if groups.bias[g] > 0:
-            waves = groups.waves[rows]
-            heavy = waves * (solution.weights[rows] * solution.precision[g])[:, None]
-            inner = waves.T @ heavy + np.eye(waves.shape[1]) / groups.bias[g] ** 2
-            wanted -= groups.design[rows].T @ heavy @ np.linalg.solve(inner, waves.T @ weighted)
-        used = groups.columns[g] >= 0
-        np.add.at(total, groups.columns[g][used], wanted[used])
+            inner = waves.T @ (waves * weights) + np.eye(waves.shape[1]) / groups.bias[g] ** 2
+            wanted -= (
+                design.T @ (waves * weights) @ np.linalg.solve(inner, waves.T @ (causes[rows] * weights))
+            )
+        used = columns >= 0
+        np.add.at(total, columns[used], wanted[used])
     return np.asarray(solution.covariance @ total)

@@ -74,7 +74,7 @@ def teach(
         CircleFitParams(reach_px=(2.0,)),
     )
     if together is not None:
-        fits = list(together.fits)
+        fits = [together.first, *(fit for fit in together.others if fit is not None)]
     rig_from_part = _part_frame(fits[0])
     depth = float(rig_from_part[2, 3])
     features = tuple(
