@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
@@ -20,11 +20,21 @@ import numpy as np
 from edged import __version__
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
+from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.adapters.replay import replay_cameras
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.capture import StereoHead
-from edged.config import CameraSection, CamerasSection, Config, ModbusSection, ZenohSection, fingerprint, load
+from edged.config import (
+    CameraSection,
+    CamerasSection,
+    Config,
+    ModbusSection,
+    RecorderSection,
+    ZenohSection,
+    fingerprint,
+    load,
+)
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.errors import ConfigError, EdgedError, UserError
@@ -44,12 +54,16 @@ STOP_GRACE_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedCell:
-    """A configuration with the rig and the jobs it names."""
+    """A configuration with the rig and the jobs it names.
+
+    files : content of every file that a result stands on, by its name in a recording.
+    """
 
     config: Config
     rig: PreparedRig
     setup: Setup
     jobs: tuple[Job, ...]
+    files: Mapping[str, bytes]
 
 
 def load_cell(path: Path) -> LoadedCell:
@@ -64,10 +78,10 @@ def load_cell(path: Path) -> LoadedCell:
     jobs = _load_jobs(config, problems)
     if rig is None or problems:
         raise ConfigError(str(path), problems)
-    files = {"rig": config.cell.rig.read_bytes()}
+    files = {"rig.json": config.cell.rig.read_bytes()}
     for folder in job_folders(config.cell.jobs):
         for name in ("job.toml", "shape.npz"):
-            files[f"{folder.name}/{name}"] = (folder / name).read_bytes()
+            files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
     setup = Setup(
         jobs={job.number: LoadedJob(job.name, job.number, _bind(job, rig)) for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),
@@ -77,7 +91,7 @@ def load_cell(path: Path) -> LoadedCell:
         simulated=config.cameras.source.startswith("virtual"),
         robot_from_rig=rig.rig.robot_from_rig,
     )
-    return LoadedCell(config, rig, setup, tuple(jobs))
+    return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
 
 
 def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
@@ -194,6 +208,8 @@ class Daemon:
                 await self._start("modbus", self._modbus(config.modbus))
             if config.zenoh.enabled:
                 await self._start("zenoh", self._zenoh(config.cell.name, config.zenoh))
+            if config.recorder is not None:
+                await self._start("recorder", self._recorder(config.recorder))
             for observer in self._observers:
                 started.append(observer)
                 await observer.start()
@@ -256,6 +272,12 @@ class Daemon:
                 self._zenoh(new.cell.name, new.zenoh) if new.zenoh.enabled else None,
                 self._zenoh(old.cell.name, old.zenoh) if old.zenoh.enabled else None,
             )
+        if new.recorder != old.recorder:
+            await self._exchange_server(
+                "recorder",
+                self._recorder(new.recorder) if new.recorder is not None else None,
+                self._recorder(old.recorder) if old.recorder is not None else None,
+            )
 
     async def _exchange_server(self, name: str, new: Publisher | None, old: Publisher | None) -> None:
         """Close the running server and start the new one; when that fails, start the old one again."""
@@ -302,6 +324,12 @@ class Daemon:
             ros2_domain_id=section.ros2_domain_id,
         )
         return ZenohPublisher(settings, self._cycle, jobs=self._job_list, config=self._config_summary)
+
+    def _recorder(self, section: RecorderSection) -> Recorder:
+        return Recorder(
+            RecorderSettings(**section.model_dump()),
+            lambda: (self._loaded.setup.fingerprint, self._loaded.files),
+        )
 
     def _job_list(self) -> list[tuple[int, str]]:
         return [(job.number, job.name) for job in self._loaded.setup.jobs.values()]

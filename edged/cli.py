@@ -142,6 +142,22 @@ def locate(
 
 
 @app.command()
+def replay(
+    path: Annotated[Path, typer.Argument(help="a recording, or a recorder's folder")],
+    as_json: JsonOption = False,
+    export: Annotated[
+        Path | None, typer.Option(help="folder to write the recordings, their setups and a report to")
+    ] = None,
+) -> None:
+    """Measure recorded cycles again; says if any result differs in a single bit."""
+    from rich.console import Console
+
+    from edged.commands.replay import replay as command
+
+    raise typer.Exit(command(path, as_json, Console(), export))
+
+
+@app.command()
 def registers(
     format: Annotated[str, typer.Option("--format", help="md, csv or json")] = "md",
 ) -> None:

@@ -164,6 +164,17 @@ class ZenohSection(_Section):
     )
 
 
+class RecorderSection(_Section):
+    """What is kept on disk of the cycles, for `edged replay`."""
+
+    folder: FilePath = Field(description="where recordings go")
+    keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
+    keep_bad: int = Field(500, ge=0, le=1_000_000, description="others: no target, low quality, faults")
+    max_mib: int = Field(2000, ge=1, le=100_000_000, description="of all recordings")
+    max_age_days: float = Field(30.0, gt=0, le=36_500)
+    min_free_mib: int = Field(1000, ge=0, le=100_000_000, description="of the disk")
+
+
 class Config(_Section):
     """The whole file."""
 
@@ -172,6 +183,7 @@ class Config(_Section):
     cameras: CamerasSection
     modbus: ModbusSection = ModbusSection()
     zenoh: ZenohSection = ZenohSection()
+    recorder: RecorderSection | None = None
 
 
 def load(path: Path) -> Config:

@@ -44,7 +44,7 @@ MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
 MIN_FIRST = 200
 """Points of the first step on the finest level."""
-DECIDED_SHARE = 0.35
+DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
 Deadline = Callable[[], bool]

@@ -1,0 +1,198 @@
+"""Keeps the last cycles, and every bad one, on disk (`edged.recording`): evidence for afterwards.
+
+Everything that touches the disk happens in one thread of its own with a short queue. When the disk is
+slower than the cell, good cycles are left out before bad ones; when it is full or broken the cell goes on
+measuring, and the log says so once. A fault that repeats itself is recorded once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from edged import recording
+from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
+from edged.errors import ImageError
+
+log = logging.getLogger(__name__)
+
+QUEUE_GOOD = 2
+"""So many waiting writes, and a good cycle is left out: it would only delay the bad one that follows."""
+QUEUE_BAD = 8
+MIB = 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderSettings:
+    """How much is kept; whatever is exceeded first removes the oldest good cycle, then the oldest bad one.
+
+    keep_good, keep_bad : cycles.  min_free_mib : of the disk, which is never filled further.
+    """
+
+    folder: Path
+    keep_good: int = 200
+    keep_bad: int = 500
+    max_mib: int = 2000
+    max_age_days: float = 30.0
+    min_free_mib: int = 1000
+
+
+@dataclass(slots=True)
+class RecorderFigures:
+    """What happened since the start; `problem` is "" while all is well."""
+
+    written: int = 0
+    left_out: int = 0
+    failed: int = 0
+    kept: int = 0
+    kept_bytes: int = 0
+    problem: str = ""
+
+
+class Recorder:
+    """Writes recordings (`edged.ports.Publisher`).
+
+    setup : fingerprint and files (relative name to content) of the configuration that runs.
+    """
+
+    def __init__(
+        self,
+        settings: RecorderSettings,
+        setup: Callable[[], tuple[str, Mapping[str, bytes]]],
+        utc_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.figures = RecorderFigures()
+        self._settings = settings
+        self._setup = setup
+        self._utc_ns = utc_ns
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="recorder")
+        self._waiting = 0
+        self._exposed: tuple[int, FramePair] | None = None
+        self._last_fault = ""
+        # of the writer's thread alone
+        self._kept: dict[bool, deque[tuple[recording.Entry, int]]] = {True: deque(), False: deque()}
+        self._next = 0
+
+    async def start(self) -> None:
+        """Repair and count what is there; a folder that cannot be used is reported, the cell starts."""
+        await asyncio.get_running_loop().run_in_executor(self._writer, self._guarded, self._take_stock)
+
+    def announce(self, event: Event) -> None:
+        """Keep the pair of an exposure until its result comes; hand both to the writer."""
+        if isinstance(event, ExposureDone) and event.pair is not None:
+            self._exposed = (event.cycle, event.pair)
+        if not isinstance(event, Snapshot):
+            return
+        pair = None
+        if self._exposed is not None and self._exposed[0] == event.cycle:
+            pair = self._exposed[1]
+        self._exposed = None
+        fault, self._last_fault = self._last_fault, event.error
+        if event.error and event.error == fault:
+            return
+        if self._waiting >= (QUEUE_GOOD if event.status is Status.OK else QUEUE_BAD):
+            self.figures.left_out += 1
+            return
+        self._waiting += 1
+        fingerprint, files = self._setup()
+        kept_files = files if fingerprint == event.fingerprint else {}
+        loop = asyncio.get_running_loop()
+        future = loop.run_in_executor(self._writer, self._guarded, self._write, event, pair, kept_files)
+        future.add_done_callback(self._written)
+
+    async def close(self) -> None:
+        """Finish the write under way; those that wait are given up."""
+        await asyncio.to_thread(self._writer.shutdown, wait=True, cancel_futures=True)
+
+    def _written(self, future: asyncio.Future[None]) -> None:
+        self._waiting -= 1
+        if not future.cancelled():
+            future.result()  # a bug in the writer is a bug of the daemon
+
+    # --- in the writer's thread ----------------------------------------------------------------
+
+    def _guarded(self, action: Callable[..., None], *arguments: object) -> None:
+        """The disk may fail at any time; the cell measures on."""
+        problem = ""
+        try:
+            action(*arguments)
+        except (OSError, ImageError) as error:
+            self.figures.failed += 1
+            problem = f"{self._settings.folder}: {getattr(error, 'strerror', None) or error}"
+        self._report(problem)
+
+    def _report(self, problem: str) -> None:
+        if problem and not self.figures.problem:
+            log.error("no recordings: %s", problem)
+        elif self.figures.problem and not problem:
+            log.info("recording again")
+        self.figures.problem = problem
+
+    def _take_stock(self) -> None:
+        folder = self._settings.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        if removed := recording.sweep(folder):
+            log.warning("%s: removed %d unfinished file(s) of an earlier run", folder, removed)
+        for entry in recording.entries(folder):
+            self._kept[entry.status == Status.OK].append((entry, entry.path.stat().st_size))
+            self._next = max(self._next, entry.index + 1)
+        self._make_room(0)
+
+    def _write(self, snapshot: Snapshot, pair: FramePair | None, files: Mapping[str, bytes]) -> None:
+        settings = self._settings
+        size = 0 if pair is None else pair.left.image.nbytes + pair.right.image.nbytes
+        if not self._make_room(size):
+            raise OSError(0, f"less than {settings.min_free_mib} MiB are free, and nothing is left to remove")
+        if files:
+            recording.save_setup(settings.folder, snapshot.fingerprint, files)
+        now = datetime.fromtimestamp(self._utc_ns() / 1e9, UTC)
+        entry = recording.save(settings.folder, self._next, now, snapshot, pair)
+        self._next += 1
+        self._kept[snapshot.status is Status.OK].append((entry, entry.path.stat().st_size))
+        self.figures.written += 1
+        self._make_room(0)
+
+    def _make_room(self, size: int) -> bool:
+        """Remove what exceeds the limits; False when the disk is too full even so."""
+        settings = self._settings
+        oldest = datetime.fromtimestamp(self._utc_ns() / 1e9 - settings.max_age_days * 86400, UTC)
+        good, bad = self._kept[True], self._kept[False]
+        removed = set()
+        for ring, limit in ((good, settings.keep_good), (bad, settings.keep_bad)):
+            while ring and (len(ring) > limit or ring[0][0].recorded < oldest):
+                removed.add(self._remove_oldest(ring))
+        while (good or bad) and self._too_much(size):
+            removed.add(self._remove_oldest(good or bad))
+        self._forget_setups(removed)
+        everything = [*good, *bad]
+        self.figures.kept = len(everything)
+        self.figures.kept_bytes = sum(bytes_ for _, bytes_ in everything)
+        return self._free_mib(size) >= settings.min_free_mib
+
+    def _too_much(self, size: int) -> bool:
+        kept = sum(bytes_ for ring in self._kept.values() for _, bytes_ in ring)
+        return (
+            kept + size > self._settings.max_mib * MIB or self._free_mib(size) < self._settings.min_free_mib
+        )
+
+    def _free_mib(self, size: int) -> float:
+        return (shutil.disk_usage(self._settings.folder).free - size) / MIB
+
+    def _remove_oldest(self, ring: deque[tuple[recording.Entry, int]]) -> str:
+        entry, _ = ring.popleft()
+        entry.path.unlink(missing_ok=True)
+        return entry.fingerprint
+
+    def _forget_setups(self, fingerprints: set[str]) -> None:
+        """A setup goes with the last recording that stands on it."""
+        used = {entry.fingerprint for ring in self._kept.values() for entry, _ in ring}
+        for fingerprint in fingerprints - used - {self._setup()[0]}:
+            shutil.rmtree(recording.setup_folder(self._settings.folder, fingerprint), ignore_errors=True)

@@ -1,0 +1,204 @@
+"""`edged replay`: measure recorded exposures again, and say what comes out differently."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from edged import recording
+from edged.domain import Outcome, Snapshot
+from edged.errors import FileFormatError, UserError
+from edged.jobs import job_folders, load_job
+from edged.payload import Json, snapshot_to_json
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.store import load_rig, write_atomically
+from edged.vision.job import Job
+
+COMPARED = ("status", "targets", "rejected")
+"""The pure result; times and identities of a cycle are of their own moment."""
+SHOWN = 12
+
+
+@dataclass(slots=True)
+class Report:
+    """What a replay says, as written by --json."""
+
+    versions: dict[str, str]
+    same: int = 0
+    different: list[Json] = field(default_factory=list)
+    skipped: list[Json] = field(default_factory=list)
+
+    def to_json(self) -> Json:
+        """One object."""
+        return {
+            "versions": self.versions,
+            "same": self.same,
+            "different": self.different,
+            "skipped": self.skipped,
+        }
+
+
+def replay(path: Path, as_json: bool, console: Console, export: Path | None = None) -> int:
+    """Replay a recording, or all of a folder. 0: every result is the same to the last bit; 1: not so.
+
+    export : folder to write the recordings with their setups and the report to, for a bug report.
+    """
+    files = _files(path)
+    report, setups = Report(recording.versions()), _Setups()
+    for file in files:
+        try:
+            taken = recording.load(file)
+            if taken.pair is None:
+                report.skipped.append({"file": file.name, "reason": "no images: " + _text(taken.snapshot)})
+                continue
+            again = _measure(taken, setups.of(file, taken))
+        except UserError as error:
+            report.skipped.append({"file": file.name, "reason": str(error)})
+            continue
+        differences = [
+            line for key in COMPARED for line in compare(key, taken.snapshot.get(key), again.get(key))
+        ]
+        if differences:
+            report.different.append(
+                {"file": file.name, "recorded_by": taken.versions, "differences": differences}
+            )
+        else:
+            report.same += 1
+    if export is not None:
+        _export(files, export, report)
+    if as_json:
+        print(json.dumps(report.to_json()))
+    else:
+        _print(report, console)
+    damaged = [entry for entry in report.skipped if not entry["reason"].startswith("no images")]
+    return 1 if report.different or damaged else 0
+
+
+def compare(place: str, old: Any, new: Any) -> Iterator[str]:
+    """One line for each value that is not the same, by its path."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            yield from compare(f"{place}.{key}", old.get(key), new.get(key))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for index, (before, after) in enumerate(zip(old, new, strict=True)):
+            yield from compare(f"{place}[{index}]", before, after)
+    elif old != new:
+        numbers = all(isinstance(value, int | float) for value in (old, new))
+        apart = f" ({new - old:+.3g})" if numbers and math.isfinite(new - old) else ""
+        yield f"{place}: {_short(old)} -> {_short(new)}{apart}"
+
+
+class _Setups:
+    """Rigs and jobs of the fingerprints met so far."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[Path, tuple[PreparedRig, dict[int, Job]]] = {}
+
+    def of(self, file: Path, taken: recording.Recording) -> tuple[PreparedRig, Job]:
+        fingerprint, number = str(taken.snapshot.get("fingerprint")), int(taken.snapshot["job_number"])
+        folder = recording.setup_folder(file.parent.parent, fingerprint)
+        if not folder.is_dir():
+            raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
+        if folder not in self._loaded:
+            jobs = [load_job(one) for one in job_folders(folder / "jobs")]
+            rig = prepare(load_rig(folder / "rig.json"))
+            self._loaded[folder] = rig, {job.number: job for job in jobs}
+        rig, known = self._loaded[folder]
+        if number not in known:
+            raise FileFormatError(f"{folder}: no job {number}")
+        return rig, known[number]
+
+
+def _measure(taken: recording.Recording, setup: tuple[PreparedRig, Job]) -> Json:
+    """The snapshot that the same exposure gives now."""
+    rig, job = setup
+    command = taken.snapshot.get("command")
+    if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
+        return {key: taken.snapshot.get(key) for key in COMPARED}  # nothing was measured then
+    outcome = locate(taken.pair, job, rig)
+    return json_of(outcome, rig)
+
+
+def json_of(outcome: Outcome, rig: PreparedRig) -> Json:
+    """The part of a published snapshot that the outcome alone decides."""
+    document = snapshot_to_json(
+        Snapshot(
+            cycle=0,
+            status=outcome.status,
+            command=None,
+            job="",
+            job_number=0,
+            calibration_id=rig.rig.calibration_id,
+            fingerprint="",
+            simulated=False,
+            exposed_ns=0,
+            published_ns=0,
+            targets=outcome.targets,
+            robot_from_rig=rig.rig.robot_from_rig,
+        )
+    )
+    # through text, as the recorded one went
+    return dict(json.loads(json.dumps({key: document[key] for key in COMPARED})))
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    for folder in (path, path.parent if path.name == "cycles" else path):
+        if found := [entry.path for entry in recording.entries(folder)]:
+            return found
+    raise FileFormatError(f"{path}: no recordings (expected a file, or a folder with cycles/*.zip)")
+
+
+def _export(files: list[Path], target: Path, report: Report) -> None:
+    """Everything needed to see the same elsewhere."""
+    try:
+        (target / "cycles").mkdir(parents=True, exist_ok=True)
+        for file in files:
+            shutil.copy2(file, target / "cycles" / file.name)
+            if (parts := recording.NAME.fullmatch(file.name)) is None:
+                continue
+            setup = recording.setup_folder(file.parent.parent, parts["fingerprint"])
+            if setup.is_dir():
+                copy = recording.setup_folder(target, parts["fingerprint"])
+                shutil.copytree(setup, copy, dirs_exist_ok=True)
+        write_atomically(target / "report.json", json.dumps(report.to_json(), indent=1).encode())
+    except OSError as error:
+        raise FileFormatError(f"{target}: cannot be written: {error.strerror or error}") from error
+
+
+def _print(report: Report, console: Console) -> None:
+    for entry in report.different:
+        console.print(f"{entry['file']}: different", markup=False)
+        changed = [
+            f"{name} {old} -> {report.versions.get(name, 'none')}"
+            for name, old in entry["recorded_by"].items()
+            if report.versions.get(name) != old
+        ]
+        console.print(f"  recorded by {', '.join(changed) or 'the same versions'}", markup=False)
+        for line in entry["differences"][:SHOWN]:
+            console.print(f"  {line}", markup=False)
+        if (more := len(entry["differences"]) - SHOWN) > 0:
+            console.print(f"  and {more} more")
+    for entry in report.skipped:
+        console.print(f"{entry['file']}: not replayed: {entry['reason']}", markup=False)
+    console.print(
+        f"{report.same} the same to the last bit, {len(report.different)} different, "
+        f"{len(report.skipped)} not replayed"
+    )
+
+
+def _text(snapshot: Json) -> str:
+    return str(snapshot.get("error") or snapshot.get("status"))
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,217 @@
+"""Recordings: one exposure with its result in one file, enough to measure it again bit by bit.
+
+    FOLDER/cycles/000000042_20260131T235959.123456Z_OK_1a2b3c4d.zip   left.png, right.png, recording.json
+    FOLDER/setups/1a2b3c4d/...                                        rig, jobs, configuration of that cycle
+
+The first number counts recordings and goes on after a restart, so that the order of files does not depend
+on a clock that may jump; the last part is the fingerprint of the setup. Files are whole or not there.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import platform
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from edged import __version__
+from edged.domain import Frame, FramePair, Image, Snapshot
+from edged.errors import FileFormatError, ImageError
+from edged.payload import Json, snapshot_to_json
+from edged.store import MAX_FILE_BYTES, decode_image, read_bytes, write_atomically
+
+FORMAT = "edged-recording"
+VERSION = 1
+SIDES = ("left", "right")
+NAME = re.compile(
+    r"(?P<index>\d{9})_(?P<utc>\d{8}T\d{6}\.\d{6}Z)_(?P<status>[A-Z_]+)_(?P<fingerprint>[0-9a-f]{8})\.zip"
+)
+PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+"""Lossless at any level; higher ones take three times as long for a tenth less."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A recording by its name: what a ring has to know without opening it."""
+
+    path: Path
+    index: int
+    recorded: datetime
+    status: str
+    fingerprint: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What one file holds.
+
+    snapshot : as published (`payload.snapshot_to_json`).  versions : of what computed it.
+    pair : None where there was no exposure (a fault of the cameras).
+    """
+
+    snapshot: Json
+    versions: dict[str, str]
+    pair: FramePair | None
+
+
+def versions() -> dict[str, str]:
+    """What a result may depend on besides its input."""
+    return {
+        "edged": __version__,
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "opencv": cv2.__version__,
+        "numba": version("numba"),
+        "machine": platform.machine(),
+    }
+
+
+def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
+    """The file of one cycle."""
+    frames = {} if pair is None else {"left": pair.left, "right": pair.right}
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "versions": versions(),
+        "snapshot": snapshot_to_json(snapshot),
+        "frames": {
+            side: {
+                "camera": frame.camera,
+                "frame_id": frame.frame_id,
+                "device_ns": frame.device_ns,
+                "exposed_ns": frame.exposed_ns,
+            }
+            for side, frame in frames.items()
+        },
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
+        for side, frame in frames.items():
+            archive.writestr(f"{side}.png", _png(frame.image))
+        archive.writestr("recording.json", json.dumps(document, allow_nan=False, indent=1))
+    return buffer.getvalue()
+
+
+def decode(data: bytes, place: str) -> Recording:
+    """Read a file's content back. Raises `FileFormatError` that names place, member and expectation."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            sizes = {info.filename: info.file_size for info in archive.infolist()}
+            if sum(sizes.values()) > MAX_FILE_BYTES:
+                raise FileFormatError(f"{place}: {sum(sizes.values())} bytes are too many for a recording")
+            members = {name: archive.read(name) for name in sizes}
+        document = json.loads(members["recording.json"])
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
+        raise FileFormatError(f"{place}: not a recording: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise FileFormatError(f'{place}: not a recording (expected "format": "{FORMAT}")')
+    if document.get("version") != VERSION:
+        raise FileFormatError(f"{place}: version {document.get('version')!r}, this edged reads {VERSION}")
+    snapshot, made_by, frames = (_table(document, key, place) for key in ("snapshot", "versions", "frames"))
+    for key, kind in (("status", str), ("job", str), ("job_number", int), ("cycle", int)):
+        if not isinstance(snapshot.get(key), kind):
+            raise FileFormatError(f"{place}: snapshot.{key}: expected {kind.__name__}")
+    pair = None
+    if frames:
+        pair = FramePair(*(_frame(side, frames, members, place) for side in SIDES))
+    return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair)
+
+
+def load(path: Path) -> Recording:
+    """Read one recording. Raises `FileFormatError`."""
+    return decode(read_bytes(path, "a recording"), str(path))
+
+
+def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair: FramePair | None) -> Entry:
+    """Write one recording into FOLDER/cycles. Raises `OSError`."""
+    utc = recorded.astimezone(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+    cycles = folder / "cycles"
+    cycles.mkdir(parents=True, exist_ok=True)
+    path = cycles / f"{index:09d}_{utc}_{snapshot.status}_{snapshot.fingerprint}.zip"
+    write_atomically(path, encode(snapshot, pair))
+    return Entry(path, index, recorded, str(snapshot.status), snapshot.fingerprint)
+
+
+def entries(folder: Path) -> list[Entry]:
+    """The recordings of a folder, oldest first; other files are no recordings."""
+    found = []
+    for path in (folder / "cycles").glob("*.zip"):
+        if parts := NAME.fullmatch(path.name):
+            recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
+            found.append(Entry(path, int(parts["index"]), recorded, parts["status"], parts["fingerprint"]))
+    return sorted(found, key=lambda entry: entry.index)
+
+
+def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> None:
+    """Keep what results of this fingerprint stand on, once. Raises `OSError`."""
+    target = setup_folder(folder, fingerprint)
+    if target.is_dir():
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=".", dir=target.parent))
+    try:
+        for name, data in files.items():
+            file = draft / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(file, data)
+        draft.chmod(0o755)
+        draft.replace(target)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def setup_folder(folder: Path, fingerprint: str) -> Path:
+    """Where rig and jobs of a fingerprint are kept."""
+    return folder / "setups" / fingerprint
+
+
+def sweep(folder: Path) -> int:
+    """Remove what an interrupted writer left behind; returns how many."""
+    left = [*(folder / "cycles").glob(".*"), *(folder / "setups").glob(".*")]
+    for path in left:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+    return len(left)
+
+
+def _png(image: Image) -> bytes:
+    encoded, data = cv2.imencode(".png", image, PNG_QUICK)
+    if not encoded:
+        raise ImageError(f"an image of shape {image.shape} cannot be written as PNG")
+    return data.tobytes()
+
+
+def _table(document: Mapping[str, Any], key: str, place: str) -> dict[str, Any]:
+    value = document.get(key)
+    if not isinstance(value, dict):
+        raise FileFormatError(f"{place}: {key}: expected an object")
+    return value
+
+
+def _frame(side: str, frames: Mapping[str, Any], members: Mapping[str, bytes], place: str) -> Frame:
+    facts = _table(frames, side, place)
+    numbers = [facts.get(key) for key in ("frame_id", "device_ns", "exposed_ns")]
+    if not all(isinstance(number, int) for number in numbers):
+        raise FileFormatError(f"{place}: frames.{side}: expected integers frame_id, device_ns, exposed_ns")
+    if f"{side}.png" not in members:
+        raise FileFormatError(f"{place}: {side}.png is missing")
+    try:
+        image = decode_image(members[f"{side}.png"], f"{place}/{side}.png")
+    except ImageError as error:
+        raise FileFormatError(str(error)) from error
+    frame_id, device_ns, exposed_ns = (int(number) for number in numbers if number is not None)
+    return Frame(str(facts.get("camera", side)), frame_id, image, device_ns, exposed_ns)

@@ -1,0 +1,344 @@
+"""Recordings: what is kept, what is given up, and that the same exposure gives the same bits again."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+import zipfile
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from snapshots import make_snapshot
+
+from edged import recording
+from edged.adapters.recorder import Recorder, RecorderSettings
+from edged.app import Daemon, load_cell
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.replay import compare, replay
+from edged.domain import Event, ExposureDone, Frame, FramePair, Snapshot, Status
+from edged.errors import FileFormatError
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.world import VirtualWorld
+
+FINGERPRINT = "0badcafe"
+START_NS = 1_700_000_000_000_000_000
+DAY_NS = 86_400 * 10**9
+
+
+def make_pair(seed: int = 0, size: tuple[int, int] = (48, 64)) -> FramePair:
+    """Two small pictures of noise."""
+    rng = np.random.default_rng(seed)
+    return FramePair(
+        *(Frame(side, 7, rng.integers(0, 256, size, np.uint8), 5, START_NS) for side in ("left", "right"))
+    )
+
+
+def run_events(recorder: Recorder, events: Iterable[Event], *, pace: bool = True) -> None:
+    """Let a recorder live through events; pace : it gets time to write each."""
+
+    async def live() -> None:
+        await recorder.start()
+        for event in events:
+            recorder.announce(event)
+            while pace and recorder._waiting:  # noqa: ASYNC110  (a test may look inside)
+                await asyncio.sleep(0.001)
+        await recorder.close()
+
+    asyncio.run(live())
+
+
+def cycles(*statuses: Status, first: int = 1) -> list[Event]:
+    """Exposure and result of one cycle for each status."""
+    events: list[Event] = []
+    for cycle, status in enumerate(statuses, first):
+        events.append(ExposureDone(cycle, None, make_pair(cycle)))
+        events.append(replace(make_snapshot(cycle, status), fingerprint=FINGERPRINT))
+    return events
+
+
+def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> Recorder:
+    """A recorder with small limits whose setup is one file. clock : its time, from START_NS."""
+    chosen = {"min_free_mib": 0, **limits}
+    now = clock if clock is not None else [START_NS]
+    files = {"rig.json": b"{}", "jobs/flange/job.toml": b""}
+    return Recorder(
+        RecorderSettings(folder, **chosen),  # type: ignore[arg-type]
+        lambda: (FINGERPRINT, files),
+        lambda: now[0],
+    )
+
+
+def test_a_recording_is_lossless(tmp_path: Path) -> None:
+    """Images, times and the published result come back as they were."""
+    pair, snapshot = make_pair(), make_snapshot(3)
+    entry = recording.save(tmp_path, 12, datetime(2026, 1, 31, 23, 59, 59, 123456, UTC), snapshot, pair)
+
+    taken = recording.load(entry.path)
+
+    assert entry == recording.entries(tmp_path)[0]
+    assert taken.pair is not None
+    for before, after in ((pair.left, taken.pair.left), (pair.right, taken.pair.right)):
+        assert np.array_equal(before.image, after.image)
+        for name in ("camera", "frame_id", "device_ns", "exposed_ns"):
+            assert getattr(before, name) == getattr(after, name)
+    assert taken.snapshot["cycle"] == 3
+    assert taken.versions == recording.versions()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_damaged_recording_is_named(data: st.DataObject) -> None:
+    """Cut, changed or foreign bytes: a readable recording or one kind of error, never another."""
+    whole = recording.encode(make_snapshot(), make_pair())
+    cut = data.draw(st.integers(0, len(whole)))
+    damaged = bytearray(whole[:cut])
+    for _ in range(data.draw(st.integers(0, 4))):
+        if damaged:
+            damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        recording.decode(bytes(damaged), "there")
+    except FileFormatError as error:
+        assert str(error).startswith("there")
+
+
+@pytest.mark.parametrize(
+    ("member", "content", "expected"),
+    [
+        ("recording.json", b"[]", 'expected "format"'),
+        ("recording.json", b'{"format": "edged-recording", "version": 99}', "version 99"),
+        ("left.png", b"no picture", "left.png: not an image"),
+    ],
+)
+def test_a_wrong_member_is_named(member: str, content: bytes, expected: str) -> None:
+    """Which member, and what was expected."""
+    whole = zipfile.ZipFile(io.BytesIO(recording.encode(make_snapshot(), make_pair())))
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name in whole.namelist():
+            archive.writestr(name, content if name == member else whole.read(name))
+
+    with pytest.raises(FileFormatError, match=expected):
+        recording.decode(buffer.getvalue(), "file")
+
+
+def test_the_rings_keep_bad_cycles_longer(tmp_path: Path) -> None:
+    """Many good cycles do not push out the bad one somebody will ask for."""
+    statuses = [Status.LOW_QUALITY] + [Status.OK] * 7
+    run_events(recorder(tmp_path, keep_good=3, keep_bad=5), cycles(*statuses))
+
+    assert [(entry.index, entry.status) for entry in recording.entries(tmp_path)] == [
+        (0, "LOW_QUALITY"),
+        (5, "OK"),
+        (6, "OK"),
+        (7, "OK"),
+    ]
+
+
+def test_numbers_go_on_after_a_restart_with_an_earlier_clock(tmp_path: Path) -> None:
+    """The order is the order of writing, whatever the clock did; the limits hold over both runs."""
+    run_events(recorder(tmp_path, [START_NS], keep_good=3), cycles(Status.OK, Status.OK))
+    run_events(recorder(tmp_path, [START_NS - DAY_NS], keep_good=3), cycles(Status.OK, Status.OK))
+
+    assert [entry.index for entry in recording.entries(tmp_path)] == [1, 2, 3]
+
+
+def test_what_is_too_old_goes(tmp_path: Path) -> None:
+    """Also the setup that nothing stands on any more."""
+    clock = [START_NS]
+    one = recorder(tmp_path, clock, max_age_days=2)
+    other = Recorder(
+        RecorderSettings(tmp_path, max_age_days=2, min_free_mib=0),
+        lambda: ("11111111", {"rig.json": b""}),
+        lambda: START_NS + 3 * DAY_NS,
+    )
+    run_events(one, cycles(Status.OK))
+    assert recording.setup_folder(tmp_path, FINGERPRINT).is_dir()
+
+    run_events(other, [replace(make_snapshot(), fingerprint="11111111")])
+
+    assert [entry.index for entry in recording.entries(tmp_path)] == [1]
+    assert not recording.setup_folder(tmp_path, FINGERPRINT).exists()
+    assert (recording.setup_folder(tmp_path, "11111111") / "rig.json").is_file()
+
+
+def test_a_repeated_fault_is_recorded_once(tmp_path: Path) -> None:
+    """A camera that is gone for a night must not push out the fault before it."""
+    faults = [
+        replace(event, fingerprint=FINGERPRINT) for event in _faults("cable", "cable", "other", "cable")
+    ]
+    run_events(recorder(tmp_path), faults)
+
+    errors = [recording.load(entry.path).snapshot["error"] for entry in recording.entries(tmp_path)]
+    assert errors == ["cable", "other", "cable"]
+
+
+def _faults(*errors: str) -> list[Snapshot]:
+    return [
+        replace(make_snapshot(n, Status.CAPTURE_FAULT), error=error, error_code=104)
+        for n, error in enumerate(errors, 1)
+    ]
+
+
+def test_a_full_disk_is_said_once_and_stops_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing is written below the limit of free space, and one line says so."""
+    full = recorder(tmp_path, min_free_mib=100_000_000)
+    run_events(full, cycles(*[Status.OK] * 4))
+
+    assert recording.entries(tmp_path) == []
+    assert "MiB are free" in full.figures.problem
+    assert full.figures.failed == 4
+    assert len([r for r in caplog.records if "no recordings" in r.getMessage()]) == 1
+
+
+def test_a_folder_that_cannot_be_used_stops_nothing(tmp_path: Path) -> None:
+    """A file where the folder should be: the cell starts and says why there are no recordings."""
+    (tmp_path / "taken").write_text("")
+    blocked = recorder(tmp_path / "taken")
+    run_events(blocked, cycles(Status.OK))
+
+    assert str(tmp_path / "taken") in blocked.figures.problem
+
+
+def test_a_torn_write_is_swept_away(tmp_path: Path) -> None:
+    """What a power cut left unfinished is removed at the next start; what is whole stays."""
+    run_events(recorder(tmp_path), cycles(Status.OK))
+    (tmp_path / "cycles" / ".000000001_x.zip.abc").write_bytes(b"half")
+    (tmp_path / "setups" / ".draft").mkdir()
+
+    run_events(recorder(tmp_path), [])
+
+    assert [path.name for path in (tmp_path / "setups").iterdir()] == [FINGERPRINT]
+    assert [path.name for path in (tmp_path / "cycles").iterdir()] == [
+        entry.path.name for entry in recording.entries(tmp_path)
+    ]
+
+
+def test_good_cycles_are_left_out_first(tmp_path: Path) -> None:
+    """A disk that is slower than the cell costs good cycles, not the bad one after them."""
+    slow = recorder(tmp_path)
+    run_events(slow, cycles(*[Status.OK] * 5, Status.LOW_QUALITY), pace=False)
+
+    # close gives up what waits, so the ring holds what was begun; the count tells the choice
+    assert slow.figures.left_out == 3
+
+
+class _StopAfter:
+    """An observer that ends the daemon."""
+
+    def __init__(self, number: int) -> None:
+        self.daemon: Daemon | None = None
+        self.snapshots: list[Snapshot] = []
+        self._number = number
+
+    async def start(self) -> None: ...
+
+    def announce(self, event: Event) -> None:
+        if isinstance(event, Snapshot):
+            self.snapshots.append(event)
+            if len(self.snapshots) == self._number and self.daemon is not None:
+                self.daemon.stop()
+
+    async def close(self) -> None: ...
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a daemon with a recorder left of three cycles of a virtual cell."""
+    folder = tmp_path_factory.mktemp("cell")
+    cell = VirtualCell(demo_rig(), demo_part())
+    path = prepare_cell(folder, cell, DemoOptions(period_s=0.3), gige=False)
+    text = (
+        path.read_text()
+        .replace("port = 1502", "enabled = false")
+        .replace("[zenoh]", "[zenoh]\nenabled = false")
+    )
+    path.write_text(f'{text}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n')
+    observer = _StopAfter(3)
+    with VirtualWorld(gige=False) as world:
+        observer.daemon = Daemon(path, load_cell(path), observers=[observer], world=world)
+        asyncio.run(observer.daemon.run())
+    assert [snapshot.status for snapshot in observer.snapshots] == [Status.OK] * 3
+    return folder / "recordings"
+
+
+def run_replay(
+    path: Path, capsys: pytest.CaptureFixture[str], export: Path | None = None
+) -> tuple[int, dict]:
+    """Exit code and report."""
+    code = replay(path, True, Console(), export)
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The pipeline is pure: the recorded exposure gives every digit again."""
+    code, report = run_replay(recorded, capsys)
+
+    assert (code, report["different"], report["skipped"]) == (0, [], [])
+    assert report["same"] >= 2
+
+
+def test_an_export_replays_elsewhere(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rig and jobs travel with the recordings."""
+    one = recording.entries(recorded)[0].path
+    run_replay(one, capsys, export=tmp_path / "report")
+
+    code, report = run_replay(tmp_path / "report", capsys)
+
+    assert (code, report["same"]) == (0, 1)
+    assert json.loads((tmp_path / "report" / "report.json").read_text())["same"] == 1
+
+
+def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A limit that was edited since makes another result; the path of the value is said."""
+    run_replay(recorded, capsys, export=tmp_path)
+    setup = next((tmp_path / "setups").iterdir())
+    job = setup / "jobs" / "flange" / "job.toml"
+    job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 1e-6"))
+
+    code, report = run_replay(tmp_path, capsys)
+
+    assert code == 1
+    assert 'status: "OK" -> "LOW_QUALITY"' in report["different"][0]["differences"]
+
+
+def test_without_its_setup_a_recording_is_skipped_with_the_reason(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A lone file cannot be replayed, and the message says what to bring."""
+    source = recording.entries(recorded)[0].path
+    (tmp_path / "cycles").mkdir()
+    alone = tmp_path / "cycles" / source.name
+    alone.write_bytes(source.read_bytes())
+
+    code, report = run_replay(alone, capsys)
+
+    assert code == 1
+    assert "its rig and jobs are not there" in report["skipped"][0]["reason"]
+
+
+def test_a_folder_without_recordings_is_an_error(tmp_path: Path) -> None:
+    """Not silently "0 different"."""
+    with pytest.raises(FileFormatError, match="no recordings"):
+        replay(tmp_path, True, Console())
+
+
+def test_compare_names_the_path_and_the_step() -> None:
+    """Nested lists and objects, numbers with their difference, missing keys as null."""
+    old = {"a": [1.0, {"b": 2.0}], "gone": 1}
+    new = {"a": [1.0, {"b": 2.5}], "new": [1]}
+
+    assert list(compare("x", old, new)) == [
+        "x.a[1].b: 2.0 -> 2.5 (+0.5)",
+        "x.gone: 1 -> null",
+        "x.new: null -> [1]",
+    ]
