@@ -104,6 +104,35 @@ def calibrate(
     raise typer.Exit(command(directory, board, output, model, report, Console(stderr=True)))
 
 
+rig_app = typer.Typer(name="rig", help="Rig files of other software.", no_args_is_help=True)
+app.add_typer(rig_app)
+
+
+@rig_app.callback()
+def _rig() -> None:
+    pass
+
+
+@rig_app.command("convert")
+def rig_convert(
+    source: Annotated[Path, typer.Argument(help="rig file, or folder of ROS or HALCON files")],
+    target: Annotated[Path, typer.Argument(help="file or folder to write")],
+    to: Annotated[str, typer.Option(help="edged, opencv, ros, kalibr or halcon")] = "edged",
+    from_: Annotated[str | None, typer.Option("--from", help="the same; default: by content")] = None,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, for OpenCV files without it")] = None,
+    unit: Annotated[str, typer.Option(help="mm, cm or m: the unit of an OpenCV file to be read")] = "mm",
+    pixel_um: Annotated[
+        float, typer.Option("--pixel-um", help="pixel size for HALCON files; any gives the same geometry")
+    ] = 3.45,
+) -> None:
+    """Convert a rig from or to OpenCV, ROS camera_info, Kalibr or HALCON."""
+    from rich.console import Console
+
+    from edged.commands.rig import convert as command
+
+    raise typer.Exit(command(source, target, to, from_, size, unit, pixel_um, Console(stderr=True)))
+
+
 @app.command()
 def teach(
     rig: RigOption,

@@ -106,6 +106,24 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
     write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
+def keep_old_rig(path: Path) -> Path | None:
+    """Copy a rig that is about to be replaced beside it, under its own calibration id.
+
+    That id is in every result the rig ever gave. Returns the copy, or None where there is no rig.
+    """
+    if not path.exists():
+        return None
+    data = read_bytes(path, "a rig")
+    try:
+        identity = str(json.loads(data)["calibration_id"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        identity = "old"
+    safe = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in identity)[:60]
+    kept = path.with_name(f"{path.stem}.{safe}{path.suffix}")
+    write_atomically(kept, data)
+    return kept
+
+
 def load_rig(path: Path) -> StereoRig:
     """Read a rig; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
     path = Path(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,7 +19,7 @@ from rich.table import Table
 from edged.domain import FloatArray
 from edged.errors import CalibrationError, UserError
 from edged.report import calibration_report
-from edged.store import load_image, save_rig, write_atomically
+from edged.store import keep_old_rig, load_image, save_rig, write_atomically
 from edged.vision.boards import Board, Detection, Missed, StereoView, parse_boards
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
@@ -70,7 +69,7 @@ def calibrate(
     make_rectification(calibration.rig)
     quality = quality_figures(calibration, held, boards)
     page = calibration_report(calibration, held, views, quality) if report else None
-    kept = _keep_old(output)
+    kept = keep_old_rig(output)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_atomically(report, page.encode())
@@ -256,21 +255,6 @@ def _check_writable(path: Path) -> None:
         raise UserError(f"{path}: is a folder, expected a file to write")
     if not path.resolve().parent.is_dir():
         raise UserError(f"{path}: there is no folder {path.resolve().parent} to write into")
-
-
-def _keep_old(output: Path) -> Path | None:
-    """Copy a rig that is about to be replaced; its id is in every result it ever gave."""
-    if not output.exists():
-        return None
-    data = output.read_bytes()
-    try:
-        identity = str(json.loads(data)["calibration_id"])
-    except (ValueError, TypeError, KeyError):
-        identity = "old"
-    safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in identity)[:60]
-    kept = output.with_name(f"{output.stem}.{safe}{output.suffix}")
-    write_atomically(kept, data)
-    return kept
 
 
 def _print(

@@ -9,7 +9,6 @@ without need (fx apart from fy, k3) are only released where the data demand it.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +26,7 @@ from edged.vision.bundle import (
     adjust,
     relation_information,
 )
-from edged.vision.camera import DISTORTION_NAMES, LensModel, StereoRig
+from edged.vision.camera import DISTORTION_NAMES, LensModel, StereoRig, calibration_identity
 from edged.vision.geometry import apply
 from edged.vision.rectification import row_difference_px
 from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
@@ -337,15 +336,6 @@ def _rig(result: BundleResult, identity: str) -> StereoRig:
     return StereoRig(state.left, state.right, state.right_from_left, identity, covariance=result.covariance)
 
 
-def _identity(rig: StereoRig) -> str:
-    """A name that follows from the values: the same calibration has the same name anywhere."""
-    cameras = [
-        (c.model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion) for c in (rig.left, rig.right)
-    ]
-    text = repr((cameras, rig.right_from_left.tolist()))
-    return f"cal-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
 def _rms(*residuals: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
 
@@ -353,7 +343,8 @@ def _rms(*residuals: FloatArray) -> float:
 def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibration:
     problem, result = solution.problem, solution.result
     rig = _rig(result, "")
-    rig = replace(rig, calibration_id=_identity(rig))
+    identity = calibration_identity(rig.left, rig.right, rig.right_from_left)
+    rig = replace(rig, calibration_id=identity)
     fits = tuple(
         fit_of_view(view, rig, pose)
         for view, pose in zip(problem.views, result.state.left_from_board, strict=True)

@@ -11,6 +11,7 @@ Two lens models, both in normalised coordinates (x, y) = (X/Z, Y/Z):
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -118,6 +119,13 @@ class StereoRig:
             for name in ("fx", "fy", "cx", "cy", *DISTORTION_NAMES[camera.model])
         ]
         return (*names, *(f"rotation.{axis}" for axis in "xyz"), *(f"translation.{axis}" for axis in "xyz"))
+
+
+def calibration_identity(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> str:
+    """A name that follows from the values: the same calibration has the same name anywhere."""
+    cameras = [(c.model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion) for c in (left, right)]
+    text = repr((cameras, right_from_left.tolist()))
+    return f"cal-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _brown(undistorted: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:

@@ -1,0 +1,230 @@
+"""What all foreign formats share: options, the result, and YAML read with suspicion."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from edged.domain import FloatArray
+from edged.errors import FileFormatError, UserError
+from edged.store import read_bytes
+from edged.vision.camera import CameraModel, StereoRig, calibration_identity
+from edged.vision.geometry import nearest_rotation, transform
+
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_MAX_SIZE_PX = 100_000
+_MAX_TEXT_BYTES = 1_000_000  # camera files are kilobytes; YAML of megabytes is slow to parse
+_ROTATION_TOLERANCE = 1e-3  # files with four decimals are common; the nearest rotation is taken
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a file does not say itself.
+
+    size : (width, height) of both images, for OpenCV files without one.
+    unit_mm : the length unit of an OpenCV file, in mm.
+    pixel_um : size of a pixel, for HALCON files; every value gives the same geometry.
+    """
+
+    size: tuple[int, int] | None = None
+    unit_mm: float = 1.0
+    pixel_um: float = 3.45  # of the sensors most common in such cameras (Sony IMX250 and its kin)
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.pixel_um <= 100:
+            raise UserError(f"pixel size {self.pixel_um:g} µm: expected 0.1 to 100")
+
+
+DEFAULTS = Options()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """A rig as edged holds it, and what a person should know of how it came about."""
+
+    rig: StereoRig
+    notes: tuple[str, ...]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """(width, height) of "1280x960"."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if not found or not all(int(n) > 0 for n in found.groups()):
+        raise UserError(f"image size {text!r}: expected WIDTHxHEIGHT in pixels, e.g. 1280x960")
+    return int(found[1]), int(found[2])
+
+
+def make_rig(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> StereoRig:
+    """A rig named by its values, as every rig that was not calibrated here."""
+    return StereoRig(left, right, right_from_left, calibration_identity(left, right, right_from_left))
+
+
+# --- fields -------------------------------------------------------------------------------------
+
+
+class Fields:
+    """Typed fields of a mapping; each error names the file and the field."""
+
+    def __init__(self, path: Path, values: Mapping[str, Any], prefix: str = "") -> None:
+        self.path, self.values, self.prefix = path, values, prefix
+
+    def error(self, name: str, problem: str) -> FileFormatError:
+        """To be raised."""
+        return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
+
+    def sub(self, name: str) -> Fields:
+        """A nested mapping."""
+        value = self.values.get(name)
+        if not isinstance(value, Mapping):
+            raise self.error(name, f"expected a mapping, got {_kind(value)}")
+        return Fields(self.path, value, f"{self.prefix}{name}.")
+
+    def text(self, name: str) -> str:
+        """A string."""
+        value = self.values.get(name)
+        if not isinstance(value, str):
+            raise self.error(name, f"expected text, got {_kind(value)}")
+        return value
+
+    def numbers(self, name: str, counts: tuple[int, ...] = ()) -> FloatArray:
+        """A flat (N,) list of finite numbers; N one of `counts` if given.
+
+        A matrix may be a nested list or OpenCV's and ROS's {rows, cols, data}.
+        """
+        value = self.values.get(name)
+        if isinstance(value, Mapping):
+            value = value.get("data")
+        wanted = f"expected {' or '.join(str(n) for n in counts)} numbers" if counts else "expected numbers"
+        if value is None or isinstance(value, str | bool | Mapping):
+            raise self.error(name, f"{wanted}, got {_kind(value)}")
+        try:
+            # YAML 1.1 takes 1e-5 (no point) for a string; float() does not
+            array = np.array(value, dtype=np.float64).ravel()
+        except (TypeError, ValueError, OverflowError):
+            raise self.error(name, wanted) from None
+        if not np.isfinite(array).all():
+            raise self.error(name, f"{wanted}, all finite")
+        if counts and len(array) not in counts:
+            raise self.error(name, f"{wanted}, got {len(array)}")
+        return array
+
+    def number(self, name: str) -> float:
+        """One finite number."""
+        return float(self.numbers(name, (1,))[0])
+
+    def size_px(self, name: str) -> int:
+        """A positive whole number of pixels."""
+        value = self.number(name)
+        if value != round(value) or not 0 < value < _MAX_SIZE_PX:
+            raise self.error(name, f"expected a size in pixels, got {value:g}")
+        return int(value)
+
+    def rotation(self, name: str) -> FloatArray:
+        """The rotation matrix (3, 3) nearest to nine numbers that nearly are one."""
+        return self.nearest_rotation(name, self.numbers(name, (9,)).reshape(3, 3))
+
+    def nearest_rotation(self, name: str, matrix: FloatArray) -> FloatArray:
+        """`matrix` without its rounding errors; an error if it is no rotation."""
+        rotation = nearest_rotation(matrix) if np.linalg.det(matrix) > 0 else np.zeros((3, 3))
+        if np.abs(rotation - matrix).max() > _ROTATION_TOLERANCE:
+            raise self.error(name, "expected a rotation matrix (orthonormal, determinant 1)")
+        return rotation
+
+    def camera(
+        self, matrix: FloatArray, size: tuple[int, int], distortion: tuple[float, ...], name: str
+    ) -> CameraModel:
+        """A Brown-Conrady camera of the matrix fx, skew, cx, 0, fy, cy, 0, 0, 1 (9,)."""
+        fx, skew, cx, zero, fy, cy = (float(v) for v in matrix[:6])
+        if not (fx > 0 and fy > 0):
+            raise self.error(name, f"focal lengths must be positive, got {fx:g}, {fy:g}")
+        if abs(skew) > 1e-6 * fx or zero != 0 or not np.allclose(matrix[6:], (0, 0, 1)):
+            raise self.error(name, "expected [fx 0 cx; 0 fy cy; 0 0 1]; edged has no skew")
+        return CameraModel("brown", *size, fx, fy, cx, cy, distortion)
+
+    def brown(self, name: str, values: FloatArray) -> tuple[float, ...]:
+        """k1, k2, p1, p2, k3 of OpenCV's 4 to 14 values, of which the later ones must be 0."""
+        if len(values) not in (0, 4, 5, 8, 12, 14):
+            raise self.error(name, f"expected 4, 5, 8, 12 or 14 values, got {len(values)}")
+        if np.any(values[5:]):
+            raise self.error(
+                name, "rational, thin prism and tilt terms are not supported; calibrate with k1 k2 p1 p2 k3"
+            )
+        padded = np.zeros(5)
+        padded[: min(5, len(values))] = values[:5]
+        return tuple(float(v) for v in padded)
+
+
+def relation(fields: Fields, name: str, rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
+    """right_from_left (4, 4); an error if both cameras are in one place."""
+    if not float(np.linalg.norm(translation_mm)) > 1e-6:
+        raise fields.error(name, "the baseline is zero: both cameras are in one place")
+    return transform(rotation, translation_mm)
+
+
+def _kind(value: object) -> str:
+    return "nothing" if value is None else type(value).__name__
+
+
+# --- YAML ---------------------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML, and OpenCV's matrices as mappings."""
+
+
+def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(
+            None, None, "opencv-matrix without rows, cols, data", node.start_mark
+        )
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+
+
+def load_yaml(path: Path) -> Fields:
+    """The mapping at the top of a YAML file, OpenCV's dialect included."""
+    try:
+        raw = read_bytes(path, "camera parameters")
+        if len(raw) > _MAX_TEXT_BYTES:
+            raise FileFormatError(f"{path}: {len(raw)} bytes are too many for camera parameters")
+        text = raw.decode("utf-8-sig")
+        # "%YAML:1.0" is OpenCV's own spelling of a directive that YAML writes with a blank
+        document = yaml.load(re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text), Loader=_Loader)
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError) as error:
+        problem = " ".join(str(error).split())[:200]
+        raise FileFormatError(f"{path}: not YAML that can be read: {problem}") from error
+    if not isinstance(document, Mapping) or not all(isinstance(key, str) for key in document):
+        raise FileFormatError(f"{path}: expected named values, got {_kind(document)}")
+    return Fields(path, document)
+
+
+def holds(path: Path, *names: str) -> bool:
+    """Whether a YAML file has all these keys; False for what cannot be read."""
+    try:
+        return path.is_file() and set(names) <= set(load_yaml(path).values)
+    except FileFormatError:
+        return False
+
+
+def files_in(folder: Path, *suffixes: str) -> list[Path]:
+    """The folder's files with these suffixes, by name."""
+    try:
+        return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot be read: {error.strerror or error}") from error
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder to write into; an error if that is not possible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{folder}: expected a folder to write into: {error.strerror or error}") from error
