@@ -160,6 +160,7 @@ class CommandKind(enum.IntEnum):
     LOCATE = 1
     CHANGE_JOB = 2
     GRAB = 3
+    VERIFY = 4
 
 
 @dataclass(frozen=True, slots=True)

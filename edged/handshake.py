@@ -58,6 +58,7 @@ class Verdict(enum.Enum):
     """What a finished command says about the part."""
 
     GOOD = "good"  # found, within limits, can be expressed in the registers
+    PASSED = "passed"  # as good, but asked for without coordinates: nothing for a robot
     BAD = "bad"  # measured, but nothing that a robot may use
     DONE = "done"  # carried out, says nothing about a part (picture taken, job changed)
     FAULT = "fault"  # could not be measured
@@ -249,11 +250,15 @@ Effect = Submit | Answered
 
 
 def is_valid(state: Handshake[Payload], now_s: float) -> bool:
-    """Whether the result on display may be used now."""
+    """Whether the coordinates on display may be used now."""
+    return state.result is not None and state.result.verdict is Verdict.GOOD and is_fresh(state, now_s)
+
+
+def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
+    """Whether what is on display is neither acknowledged, nor too old, nor for a client that is lost."""
     result = state.result
     return (
         result is not None
-        and result.verdict is Verdict.GOOD
         and not state.client_lost
         and state.acknowledged != result.sequence
         and 0.0 <= now_s - result.exposed_s <= state.limits.validity_s

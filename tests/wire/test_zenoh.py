@@ -275,7 +275,7 @@ def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
 def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
-        "kind=melt": "kind: expected one of locate, change_job, grab, got 'melt'",
+        "kind=melt": "kind: expected one of locate, change_job, grab, verify, got 'melt'",
         "job=-1": "job: expected a number from 0 to 65535, got '-1'",
         "job=99999999999999999999": "job: expected a number from 0 to 65535, got '99999999999999999999'",
         "job=²": "job: expected a number from 0 to 65535, got '²'",

@@ -23,7 +23,6 @@ from edged.domain import (
     ExposureDone,
     JobChanged,
     Snapshot,
-    Status,
 )
 from edged.errors import CommandRefused
 from edged.ports import Commander
@@ -32,6 +31,14 @@ log = logging.getLogger(__name__)
 
 SOURCE = "modbus"
 STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
+
+VERDICTS = {
+    reg.ResultCode.OK: hs.Verdict.GOOD,
+    reg.ResultCode.VERIFIED: hs.Verdict.PASSED,
+    reg.ResultCode.GRABBED: hs.Verdict.DONE,
+    reg.ResultCode.CAPTURE_FAULT: hs.Verdict.FAULT,
+}
+"""What a result means for the handshake; every other code is a part that no robot may use."""
 
 DEFINED = bytes(
     any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
@@ -124,7 +131,7 @@ class CellRegisters:
             error = 1
         return {
             "STATE": STATES.get(cell.state, 0) if cell is not None else 0,
-            "STATUS_BITS": self._status_bits(valid),
+            "STATUS_BITS": self._status_bits(now_s, valid),
             "CMD_SEQ_ECHO": state.command_sequence,
             "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
             "ERROR": error & reg.UINT16_MAX,
@@ -139,11 +146,12 @@ class CellRegisters:
             "WRITE_OWNER": int(state.owner is not None),
         }
 
-    def _status_bits(self, valid: bool) -> int:
+    def _status_bits(self, now_s: float, valid: bool) -> int:
         state, cell = self._state, self._cell
         ready = cell is not None and cell.ready and len(state.open) < state.limits.queue
         busy = bool(state.open) or (cell is not None and cell.state == "BUSY")
         verdict = state.result.verdict if state.result is not None else None
+        passed = verdict is hs.Verdict.PASSED and hs.is_fresh(state, now_s)
         simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
         raised = {
             reg.StatusBit.READY: ready,
@@ -152,7 +160,7 @@ class CellRegisters:
             reg.StatusBit.BUSY: busy,
             reg.StatusBit.EXPOSURE_DONE: state.exposure_done,
             reg.StatusBit.RESULT_VALID: valid,
-            reg.StatusBit.OK: valid,
+            reg.StatusBit.OK: valid or passed,
             reg.StatusBit.NOK: verdict in (hs.Verdict.BAD, hs.Verdict.FAULT),
             reg.StatusBit.ERROR: cell is not None and (cell.state == "FAULT" or bool(cell.error)),
             reg.StatusBit.OVERRUN: state.overrun,
@@ -253,15 +261,9 @@ class CellRegisters:
                 pass
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
-        grab = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
-        result = reg.measured(snapshot, self._settings.convention, grabbed=grab)
+        result = reg.measured(snapshot, self._settings.convention)
         self._last = result
-        if snapshot.status is Status.CAPTURE_FAULT:
-            verdict = hs.Verdict.FAULT
-        elif grab:
-            verdict = hs.Verdict.DONE
-        else:
-            verdict = hs.Verdict.GOOD if result.good else hs.Verdict.BAD
+        verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
         # both stamps are UTC of one machine; if the clock was set in between, a negative latency is 0
         # and one that is too long makes the result stale, which is the safe side
         exposed_s = now_s - result.latency_us * 1e-6

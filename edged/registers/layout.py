@@ -1,0 +1,224 @@
+"""The blocks of the map, word by word: the one place where an address is written down."""
+
+from __future__ import annotations
+
+from edged.domain import CommandKind, Reject
+from edged.registers.schema import (
+    ROW_WORDS,
+    TABLE_ROWS,
+    Block,
+    Flag,
+    Kind,
+    Option,
+    ResultCode,
+    StatusBit,
+    Warn,
+    list_bits,
+    list_codes,
+    make_block,
+)
+from edged.robots import Convention
+
+AXES = ("X", "Y", "Z", "A", "B", "C")
+_U16, _I32, _U32, _U64, _F32 = Kind.U16, Kind.I32, Kind.U32, Kind.U64, Kind.F32
+
+CONSTANTS = make_block(
+    "constants",
+    0,
+    [
+        ("MAGIC", _U16, "", "0x4544: this is edged, and the base address is right"),
+        ("MAP_VERSION", _U16, "", "grows when a word changes its meaning"),
+        ("PROBE_U32", _U32, "", "0x01020304: reads so only with the right word order"),
+        ("PROBE_F32", _F32, "", "123.456, for the same check of floats"),
+        ("POSE_CONVENTION", _U16, "", f"what A, B, C mean: {list_codes(Convention)}"),
+        ("UNIT_LENGTH", _U16, "", "unit of X, Y, Z: 1 is µm"),
+        ("UNIT_ANGLE", _U16, "", "unit of A, B, C: 1 is 0.001°"),
+        ("RESERVED_9", _U16, "", "0"),
+        ("CONFIG_CRC", _U32, "", "fingerprint of configuration, rig and jobs; 0 before the first cycle"),
+        ("CALIBRATION", _U32, "", "CRC-32 of the calibration id; 0 before the first cycle"),
+        ("TABLE_ROWS", _U16, "", "rows of the target table"),
+        ("ROW_WORDS", _U16, "", "words of each row"),
+    ],
+)
+
+COMMAND = make_block(
+    "command",
+    100,
+    [
+        (
+            "COMMAND",
+            _U16,
+            "",
+            f"{list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and answers OK or NOK, "
+            "but no robot gets coordinates from it",
+        ),
+        ("JOB", _U16, "", "job number; 0: the active one"),
+        (
+            "CMD_SEQ",
+            _U16,
+            "",
+            "write it last: the command runs when this changes. 0: no command, shows a free-running cell",
+        ),
+        ("ACK_SEQ", _U16, "", "write SEQ of the result here when it is used: RESULT_VALID drops"),
+        (
+            "CLIENT_HEARTBEAT",
+            _U16,
+            "",
+            "optional: count it up; when it stops the result is withdrawn. 0: not supervised",
+        ),
+        ("OPTIONS", _U16, "bits", f"{list_bits(Option)}: give up the right to write (reads back as 0)"),
+        *(
+            (
+                f"FLANGE_{axis}",
+                _I32,
+                "µm" if axis in "XYZ" else "0.001°",
+                "pose of the flange; kept, not used",
+            )
+            for axis in AXES
+        ),
+        ("TIMEOUT", _U16, "ms", "time-out of the command, NACK after it; 0: none"),
+        ("RESERVED_119", _U16, "", "write 0"),
+        ("RESERVED_120", _U16, "", "write 0"),
+        ("RESERVED_121", _U16, "", "write 0"),
+    ],
+    writable=True,
+)
+
+STATUS = make_block(
+    "status",
+    200,
+    [
+        ("STATE", _U16, "", "0 STARTING, 1 READY, 2 BUSY, 3 FAULT, 4 STOPPING"),
+        (
+            "STATUS_BITS",
+            _U16,
+            "bits",
+            list_bits(StatusBit)
+            + "; ACK and NACK belong to DONE_SEQ; 10, 11, 13, 14 are not raised by this version",
+        ),
+        ("CMD_SEQ_ECHO", _U16, "", "the CMD_SEQ that was taken note of"),
+        ("HEARTBEAT", _U16, "0.1 s", "counts at 10 Hz while the server lives"),
+        ("ERROR", _U16, "", "0: none; 1xx: cameras; 1: other, see the log"),
+        ("WARNING", _U16, "bits", list_bits(Warn)),
+        ("ACTIVE_JOB", _U16, "", "the job that is loaded and warm"),
+        ("RESULT_AGE", _U32, "ms", "since the exposure of the result on display; 0xFFFFFFFF: none"),
+        ("MISSED_TRIGGERS", _U16, "", "since start; stays at 65535"),
+        ("CLIENTS", _U16, "", "connected clients"),
+        ("DONE_SEQ", _U16, "", "the last command that ended; ACK, NACK and NACK_REASON speak of it"),
+        ("OPEN_COMMANDS", _U16, "", "accepted and not ended, at most 8"),
+        (
+            "NACK_REASON",
+            _U16,
+            "",
+            "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault",
+        ),
+        ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
+        ("RESERVED_215", _U16, "", "0"),
+    ],
+)
+
+RESULT = make_block(
+    "result",
+    300,
+    [
+        ("SEQ_HEAD", _U16, "", "CMD_SEQ of the command; cycle number of a free-running cell; 0: no result"),
+        ("RESULT", _U16, "", list_codes(ResultCode)),
+        ("JOB", _U16, "", "job that was measured"),
+        (
+            "REJECT",
+            _U16,
+            "bits",
+            list_bits(Reject),
+        ),
+        ("COUNT", _U16, "", "targets that were found"),
+        ("INDEX", _U16, "", "row of the target table that is shown here"),
+        ("SCORE", _U16, "0.01 %", "visible share of the model that agrees"),
+        ("FLAGS", _U16, "bits", list_bits(Flag) + "; coordinates are in the rig frame without ROBOT_FRAME"),
+        *((axis, _I32, "µm" if axis in "XYZ" else "0.001°", "INT32_MIN when not VALID") for axis in AXES),
+        ("RADIUS", _I32, "µm", "of the largest circle; INT32_MIN when there is none"),
+        ("DEPTH", _I32, "µm", "of the reference point along the left camera's axis"),
+        *(
+            (
+                f"SIGMA_{name}",
+                _U16,
+                "0.001°" if name in ("A", "B", "C") else "0.1 µm",
+                "one sigma; 65535: not known, or larger than can be written",
+            )
+            for name in (*AXES, "RADIUS", "DEPTH")
+        ),
+        ("EPIPOLAR_ERROR", _U16, "0.001 px", "rms row difference of corresponding points; 65535: not known"),
+        ("RESERVED_333", _U16, "", "0"),
+        ("EXPOSURE_NS", _U64, "ns", "UTC of the exposure since 1970"),
+        ("CYCLE", _U32, "", "cycle number"),
+        ("LATENCY", _U32, "µs", "from exposure to publication"),
+        ("CALIBRATION", _U32, "", "CRC-32 of the calibration id"),
+        ("RESERVED_344", _U16, "", "0"),
+        ("RESERVED_345", _U16, "", "0"),
+        ("CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
+        ("SEQ_TAIL", _U16, "", "equals SEQ_HEAD"),
+    ],
+)
+
+UR = make_block(
+    "ur",
+    400,
+    [
+        ("UR_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
+        ("UR_FLAGS", _U16, "bits", "as FLAGS"),
+        ("UR_RESULT", _U16, "", "as RESULT"),
+        *((f"UR_{axis}", _I32, "µm", "high word, low word; 32768, 0 when not VALID") for axis in "XYZ"),
+        *(
+            (f"UR_R{axis}", _I32, "0.1 mrad", "rotation vector, high word, low word; 32768, 0 when not VALID")
+            for axis in "XYZ"
+        ),
+        ("UR_JOB", _U16, "", "as JOB"),
+        ("UR_STATUS_BITS", _U16, "bits", "as STATUS_BITS"),
+        ("UR_DONE_SEQ", _U16, "", "as DONE_SEQ"),
+        ("UR_HEARTBEAT", _U16, "0.1 s", "as HEARTBEAT"),
+        ("UR_SEQ_TAIL", _U16, "", "equals UR_SEQ_HEAD"),
+    ],
+    high_first=True,
+)
+
+FLOAT = make_block(
+    "float",
+    500,
+    [
+        ("F_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
+        ("F_FLAGS", _U16, "bits", "as FLAGS"),
+        *((f"F_{axis}", _F32, "mm" if axis in "XYZ" else "°", "NaN when not VALID") for axis in AXES),
+        ("F_RADIUS", _F32, "mm", "NaN when not VALID"),
+        ("F_DEPTH", _F32, "mm", "NaN when not VALID"),
+        *((f"F_SIGMA_{axis}", _F32, "mm" if axis in "XYZ" else "°", "one sigma") for axis in AXES),
+        ("F_RESULT", _U16, "", "as RESULT"),
+        ("F_SEQ_TAIL", _U16, "", "equals F_SEQ_HEAD"),
+    ],
+)
+
+
+def _row(index: int) -> Block:
+    t = f"T{index}_"
+    return make_block(
+        f"target {index}",
+        600 + ROW_WORDS * index,
+        [
+            (t + "SEQ", _U16, "", "as SEQ_HEAD; 0: empty row"),
+            (t + "JOB", _U16, "", "job"),
+            (t + "REJECT", _U16, "bits", "as REJECT"),
+            (t + "SCORE", _U16, "0.01 %", "as SCORE"),
+            *((t + axis, _I32, "µm" if axis in "XYZ" else "0.001°", "as in the result") for axis in AXES),
+            (t + "RADIUS", _I32, "µm", "as RADIUS"),
+            (t + "FLAGS", _U16, "bits", "as FLAGS"),
+            (t + "CRC16", _U16, "", "of the row's words before"),
+        ],
+    )
+
+
+TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
+
+BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, FLOAT, *TABLE)
+
+ADDRESS = {
+    register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers
+}
+"""First word by name, of the blocks in which the server itself looks something up."""

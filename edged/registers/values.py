@@ -1,0 +1,268 @@
+"""From a snapshot to the numbers of the registers.
+
+Whatever is not a good, fresh result is encoded as such: INT32_MIN, NaN or 65535, never an old number.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import CommandKind, FloatArray, Snapshot, Status, Target
+from edged.registers.layout import AXES
+from edged.registers.schema import (
+    INT32_MAX,
+    INT32_MIN,
+    MAGIC,
+    MAP_VERSION,
+    ROW_WORDS,
+    TABLE_ROWS,
+    UINT16_MAX,
+    UINT32_MAX,
+    Flag,
+    Number,
+    ResultCode,
+)
+from edged.robots import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One target in the units of the registers.
+
+    exact : mm and degrees, X Y Z A B C. sigma : the same. integers : µm and 0.001°.
+    rotation_vector : 0.1 mrad. radius, depth and their sigmas in mm; NaN when there is no circle.
+    """
+
+    exact: tuple[float, ...]
+    sigma: tuple[float, ...]
+    integers: tuple[int, ...]
+    rotation_vector: tuple[int, ...]
+    radius_mm: float
+    sigma_radius_mm: float
+    depth_mm: float
+    sigma_depth_mm: float
+    score: float
+    reject: int
+    epipolar_rms_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A snapshot in the units of the registers; immutable and encoded as often as needed.
+
+    good : the first part was found and is within all limits; for a VERIFY that is all that is said.
+    poses : of each target; None where one cannot be expressed (not finite, out of range).
+    """
+
+    code: ResultCode
+    good: bool
+    job: int
+    poses: tuple[Pose | None, ...]
+    flags: Flag
+    exposed_ns: int
+    latency_us: int
+    cycle: int
+    calibration: int
+    config: int
+
+
+def measured(snapshot: Snapshot, convention: Convention) -> Measured:
+    """Express a snapshot in registers' units. Never raises for a number: out of range is a result code."""
+    poses = tuple(_pose(target, snapshot.robot_from_rig, convention) for target in snapshot.targets)
+    code = _code(snapshot, poses)
+    good = code is ResultCode.OK
+    purpose = snapshot.command.kind if snapshot.command is not None else CommandKind.LOCATE
+    if purpose is CommandKind.VERIFY and good:
+        code = ResultCode.VERIFIED
+    elif purpose is CommandKind.GRAB and snapshot.status is not Status.CAPTURE_FAULT:
+        code, good = ResultCode.GRABBED, False
+    flags = Flag(0)
+    if snapshot.robot_from_rig is not None:
+        flags |= Flag.ROBOT_FRAME
+    if snapshot.simulated:
+        flags |= Flag.SIMULATED
+    latency_us = (snapshot.published_ns - snapshot.exposed_ns) // 1000 if snapshot.exposed_ns else 0
+    return Measured(
+        code=code,
+        good=good,
+        job=_clamp(snapshot.job_number, UINT16_MAX),
+        poses=poses,
+        flags=flags,
+        exposed_ns=_clamp(snapshot.exposed_ns, 2**64 - 1),
+        latency_us=_clamp(latency_us, UINT32_MAX),
+        cycle=snapshot.cycle & UINT32_MAX,
+        calibration=zlib.crc32(snapshot.calibration_id.encode()),
+        config=_fingerprint(snapshot.fingerprint),
+    )
+
+
+def _code(snapshot: Snapshot, poses: tuple[Pose | None, ...]) -> ResultCode:
+    if snapshot.status is not Status.OK:
+        return ResultCode[snapshot.status.name]
+    if not poses:
+        return ResultCode.NO_TARGET
+    if poses[0] is None:
+        return ResultCode.OUT_OF_RANGE
+    return ResultCode.LOW_QUALITY if poses[0].reject else ResultCode.OK
+
+
+def _fingerprint(text: str) -> int:
+    """The 8 hex digits of a fingerprint as a number; the CRC-32 of anything else."""
+    try:
+        return int(text, 16) & UINT32_MAX
+    except ValueError:
+        return zlib.crc32(text.encode())
+
+
+def _pose(target: Target, robot_from_rig: FloatArray | None, convention: Convention) -> Pose | None:
+    if not (_is_sane(target.rig_from_part) and _is_sane(target.covariance)):
+        return None
+    to_frame = np.eye(4) if robot_from_rig is None else robot_from_rig
+    frame_from_part = to_frame @ target.rig_from_part
+    turn = np.kron(np.eye(2), to_frame[:3, :3])  # position and small rotation turn alike
+    covariance = turn @ target.covariance @ turn.T
+    R = frame_from_part[:3, :3]
+    exact = (*(float(x) for x in frame_from_part[:3, 3]), *ANGLES_DEG[convention](R))
+    sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
+    sigma = (*sigma_mm.tolist(), *sigma_angles_deg(R, covariance[3:, 3:], convention).tolist())
+    integers = tuple(round(value * 1000) for value in exact)
+    if any(not -INT32_MAX <= number <= INT32_MAX for number in integers):
+        return None
+    circle = max(target.circles, key=lambda circle: circle.radius_mm, default=None)
+    radius_mm = circle.radius_mm if circle is not None else math.nan
+    depth_mm = float(target.rig_from_part[2, 3])
+    if any(abs(value) * 1000 > INT32_MAX for value in (radius_mm, depth_mm)):
+        return None
+    return Pose(
+        exact=exact,
+        sigma=sigma,
+        integers=integers,
+        rotation_vector=tuple(round(value * 1e4) for value in rotation_vector_rad(R)),
+        radius_mm=radius_mm,
+        sigma_radius_mm=circle.sigma_radius_mm if circle is not None else math.nan,
+        depth_mm=depth_mm,
+        sigma_depth_mm=float(target.sigma_mm[2]),
+        score=target.match.score,
+        reject=int(target.reject) & UINT16_MAX,
+        epipolar_rms_px=target.epipolar_rms_px,
+    )
+
+
+def _is_sane(matrix: FloatArray) -> bool:
+    """Whether all numbers are finite and far from the end of float64, so that sums of products are too."""
+    return bool((np.abs(matrix) < 1e30).all())
+
+
+def _clamp(number: int, top: int) -> int:
+    return min(max(number, 0), top)
+
+
+def _saturated(value: float, unit: float) -> int:
+    """A magnitude in units; 65535 for what is not known or too large."""
+    return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
+
+
+def _length_um(value_mm: float) -> int:
+    return round(value_mm * 1000) if math.isfinite(value_mm) else INT32_MIN
+
+
+def _score(score: float) -> int:
+    return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
+
+
+def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: bool) -> dict[str, Number]:
+    """Values of the blocks result, ur and float by name; coordinates only when valid."""
+    flags = (
+        shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
+    )
+    pose = shown.poses[0] if shown.poses else None
+    values: dict[str, Number] = {
+        **NOTHING,
+        "JOB": shown.job,
+        "RESULT": shown.code,
+        "COUNT": _clamp(len(shown.poses), UINT16_MAX),
+        "FLAGS": flags,
+        "SEQ_HEAD": sequence,
+        "SEQ_TAIL": sequence,
+        "EXPOSURE_NS": shown.exposed_ns,
+        "CYCLE": shown.cycle,
+        "LATENCY": shown.latency_us,
+        "CALIBRATION": shown.calibration,
+        "UR_SEQ_HEAD": sequence,
+        "UR_SEQ_TAIL": sequence,
+        "UR_FLAGS": flags,
+        "UR_RESULT": shown.code,
+        "UR_JOB": shown.job,
+        "F_SEQ_HEAD": sequence,
+        "F_SEQ_TAIL": sequence,
+        "F_FLAGS": flags,
+        "F_RESULT": shown.code,
+    }
+    if pose is not None:
+        values["REJECT"] = pose.reject
+        values["SCORE"] = _score(pose.score)
+        values["EPIPOLAR_ERROR"] = _saturated(pose.epipolar_rms_px, 1e-3)
+        if valid:
+            values |= _coordinates(pose)
+    return values
+
+
+NOTHING: dict[str, Number] = {
+    **{f"SIGMA_{name}": UINT16_MAX for name in (*AXES, "RADIUS", "DEPTH")},
+    "EPIPOLAR_ERROR": UINT16_MAX,
+}
+"""Values of the block result when there is none; INT32_MIN and NaN come by themselves."""
+
+
+def _coordinates(pose: Pose) -> dict[str, Number]:
+    values: dict[str, Number] = dict(zip(AXES, pose.integers, strict=True))
+    for axis, sigma in zip(AXES, pose.sigma, strict=True):
+        values[f"SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+        values[f"F_SIGMA_{axis}"] = min(sigma, 1e30)  # near a singular position; float32 ends at 3.4e38
+    values["SIGMA_RADIUS"] = _saturated(pose.sigma_radius_mm, 1e-4)
+    values["SIGMA_DEPTH"] = _saturated(pose.sigma_depth_mm, 1e-4)
+    values["RADIUS"] = _length_um(pose.radius_mm)
+    values["DEPTH"] = _length_um(pose.depth_mm)
+    values |= {f"F_{axis}": value for axis, value in zip(AXES, pose.exact, strict=True)}
+    values |= {"F_RADIUS": pose.radius_mm, "F_DEPTH": pose.depth_mm}
+    values |= {f"UR_{axis}": value for axis, value in zip("XYZ", pose.integers[:3], strict=True)}
+    values |= {f"UR_R{axis}": value for axis, value in zip("XYZ", pose.rotation_vector, strict=True)}
+    return values
+
+
+def row_values(shown: Measured, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
+    """Values of one row of the target table; a rejected target is listed without coordinates."""
+    if index >= len(shown.poses):
+        return {}
+    t = f"T{index}_"
+    pose = shown.poses[index]
+    usable = valid and pose is not None and not pose.reject
+    flags = shown.flags | (Flag.VALID if usable else Flag(0))
+    values: dict[str, Number] = {t + "SEQ": sequence, t + "JOB": shown.job, t + "FLAGS": flags}
+    if pose is not None:
+        values |= {t + "REJECT": pose.reject, t + "SCORE": _score(pose.score)}
+        if usable:
+            values |= {t + axis: value for axis, value in zip(AXES, pose.integers, strict=True)}
+            values[t + "RADIUS"] = _length_um(pose.radius_mm)
+    return values
+
+
+def constant_values(convention: Convention, config: int, calibration: int) -> dict[str, Number]:
+    """Values of the block constants by name."""
+    return {
+        "MAGIC": MAGIC,
+        "MAP_VERSION": MAP_VERSION,
+        "PROBE_U32": 0x01020304,
+        "PROBE_F32": 123.456,
+        "POSE_CONVENTION": convention,
+        "UNIT_LENGTH": 1,
+        "UNIT_ANGLE": 1,
+        "CONFIG_CRC": config,
+        "CALIBRATION": calibration,
+        "TABLE_ROWS": TABLE_ROWS,
+        "ROW_WORDS": ROW_WORDS,
+    }
