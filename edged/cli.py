@@ -63,6 +63,9 @@ def demo(
     ] = False,
     modbus_port: Annotated[int, typer.Option(min=1, max=65535, help="Modbus/TCP port")] = 1502,
     zenoh_port: Annotated[int, typer.Option(min=1, max=65535, help="Zenoh TCP port")] = 7447,
+    web_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="port of the status page; 0: no page")
+    ] = 8080,
     folder: Annotated[
         Path | None, typer.Option(help="where rig, job and config go; default: a temporary folder")
     ] = None,
@@ -73,7 +76,11 @@ def demo(
     from edged.commands.demo import demo as command
 
     raise typer.Exit(
-        command(DemoOptions(cycles, period_s, in_process, modbus_port, zenoh_port, folder, as_json))
+        command(
+            DemoOptions(
+                cycles, period_s, in_process, modbus_port, zenoh_port, web_port or None, folder, as_json
+            )
+        )
     )
 
 
@@ -102,6 +109,35 @@ def calibrate(
     from edged.commands.calibrate import calibrate as command
 
     raise typer.Exit(command(directory, board, output, model, report, Console(stderr=True)))
+
+
+@app.command()
+def verify(
+    rig: RigOption,
+    left: Annotated[Path, typer.Argument(help="left image")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    board: Annotated[
+        str | None, typer.Option(help="the board in the images, as for `edged calibrate`")
+    ] = None,
+    job: Annotated[Path | None, typer.Option(help="job folder of the part in the images")] = None,
+    length: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=MM, a known size of the part: c0 (diameter), c0-c1 (distance), or a measurement"
+        ),
+    ] = None,
+    max_epipolar: Annotated[float, typer.Option(min=0, help="largest epipolar rms, px")] = 0.3,
+    max_length_error: Annotated[float, typer.Option(min=0, help="largest length error, percent")] = 0.1,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a rig against one fresh pair: rows must agree, and a known length must come out."""
+    from rich.console import Console
+
+    from edged.commands.verify import Limits
+    from edged.commands.verify import verify as command
+
+    limits = Limits(max_epipolar, max_length_error)
+    raise typer.Exit(command(rig, left, right, board, job, length or [], limits, as_json, Console()))
 
 
 rig_app = typer.Typer(name="rig", help="Rig files of other software.", no_args_is_help=True)
@@ -184,6 +220,27 @@ def replay(
     from edged.commands.replay import replay as command
 
     raise typer.Exit(command(path, as_json, Console(), export))
+
+
+@app.command()
+def password() -> None:
+    """Ask for a password and print its hash, for `web.password_hash`."""
+    from edged.commands.password import password as command
+
+    raise typer.Exit(command())
+
+
+@app.command()
+def status(
+    url: Annotated[str, typer.Option(help="status page of the cell")] = "http://127.0.0.1:8080",
+    as_json: JsonOption = False,
+) -> None:
+    """Show what the cell does now, from its status page. 0: ready; 1: not ready or not reached."""
+    from rich.console import Console
+
+    from edged.commands.status import status as command
+
+    raise typer.Exit(command(url, as_json, Console()))
 
 
 @app.command()

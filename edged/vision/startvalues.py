@@ -118,7 +118,7 @@ def agree(
     if best is None:
         raise CalibrationError("no view to calibrate from")
     turned = [
-        replace(view, right=_renumbered(view.found("right"), view.board)) if choice else view
+        replace(view, right=renumbered(view.found("right"), view.board)) if choice else view
         for view, choice in zip(views, best[2], strict=True)
     ]
     return turned, best[1]
@@ -129,7 +129,8 @@ def _half_turn(board: Board) -> FloatArray:
     return transform(np.diag([-1.0, -1.0, 1.0]), board.points_mm[-1])
 
 
-def _renumbered(seen: Detection, board: Board) -> Detection:
+def renumbered(seen: Detection, board: Board) -> Detection:
+    """The same marks counted from the other end of a symmetric board."""
     return replace(seen, ids=len(board.points_mm) - 1 - seen.ids)
 
 
