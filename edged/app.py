@@ -11,7 +11,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from ipaddress import ip_network
+from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Any
 
@@ -303,10 +303,21 @@ class Daemon:
             base_address=section.base_address,
             convention=Convention[section.convention.upper()],
             validity_s=section.validity_s,
+            heartbeat_s=section.heartbeat_s,
+            owner_s=section.owner_s,
+            idle_s=section.idle_s,
             max_clients=section.max_clients,
+            reserved={ip_address(host): slots for host, slots in section.reserved.items()},
             readers=tuple(ip_network(network) for network in section.readers),
             writers=tuple(ip_network(network) for network in section.writers),
-            serial=None if serial is None else SerialSettings(serial.device, serial.baud, serial.parity),
+            serial=None
+            if serial is None
+            else SerialSettings(
+                serial.device,
+                serial.baud,
+                serial.parity,
+                gap_s=None if serial.gap_ms is None else serial.gap_ms * 1e-3,
+            ),
             tls=None
             if tls is None
             else TlsSettings(tls.certificate, tls.key, tls.authority, frozenset(tls.writer_roles)),

@@ -105,6 +105,9 @@ class SerialSection(_Section):
     device: str = Field(min_length=1, description="for example /dev/ttyUSB0")
     baud: int = Field(19200, ge=300, le=4_000_000)
     parity: Literal["even", "odd", "none"] = "even"
+    gap_ms: float | None = Field(
+        None, ge=0.1, le=1000, description="silence that ends a frame; 3.5 characters when left out"
+    )
 
 
 class TlsSection(_Section):
@@ -124,6 +127,14 @@ def _network(value: str) -> str:
 Network = Annotated[str, AfterValidator(_network)]
 
 
+def _address(value: str) -> str:
+    ipaddress.ip_address(value)  # ValueError names what is wrong
+    return value
+
+
+Address = Annotated[str, AfterValidator(_address)]
+
+
 class ModbusSection(_Section):
     """The Modbus server for the PLC."""
 
@@ -137,7 +148,17 @@ class ModbusSection(_Section):
         "fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"
     ] = Field("fixed_xyz", description="what A, B, C mean; fixed_xyz: FANUC and Yaskawa W, P, R")
     validity_s: float = Field(2.0, gt=0, le=3600, description="a result older than this is not VALID")
+    heartbeat_s: float = Field(
+        2.0, gt=0, le=3600, description="a client that counts its heartbeat and stops for so long is lost"
+    )
+    owner_s: float = Field(
+        5.0, gt=0, le=3600, description="the right to write lapses so long after the last write"
+    )
+    idle_s: float = Field(60.0, gt=0, le=86_400, description="a connection without a request is closed")
     max_clients: int = Field(16, ge=1, le=256)
+    reserved: dict[Address, Annotated[int, Field(ge=1, le=16)]] = Field(
+        default_factory=dict, description="of these connections, how many are kept for an address"
+    )
     readers: list[Network] = Field(
         default_factory=list, description="networks that may connect; empty: everyone"
     )
@@ -146,6 +167,13 @@ class ModbusSection(_Section):
     )
     serial: SerialSection | None = None
     tls: TlsSection | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> ModbusSection:
+        kept = sum(self.reserved.values())
+        if kept > self.max_clients:
+            raise ValueError(f"reserved: {kept} connections are kept, but max_clients is {self.max_clients}")
+        return self
 
 
 class ZenohSection(_Section):

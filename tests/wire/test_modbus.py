@@ -13,7 +13,7 @@ import struct
 import subprocess
 import tty
 from collections.abc import Callable, Coroutine
-from ipaddress import ip_network
+from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,8 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from snapshots import make_snapshot
 
 from edged import registers as reg
-from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
+from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.domain import CellState, Command, CommandKind, ExposureDone, JobChanged, Status
@@ -248,6 +249,27 @@ def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
     serve(test)
 
 
+def test_verify_answers_ok_and_gives_no_coordinates() -> None:
+    """VERIFY of a good part: ACK and OK, RESULT_VALID stays down; of none: ACK and NOK."""
+
+    async def test(rig: Rig) -> None:
+        await rig.command(CommandKind.VERIFY, 0, 1)
+        rig.server.announce(make_snapshot(1, command=rig.cell.commands[0]))
+        bits = await rig.bits()
+        assert StatusBit.ACK | StatusBit.OK in bits
+        assert not bits & (StatusBit.RESULT_VALID | StatusBit.NOK)
+        result = await rig.block(reg.RESULT)
+        assert (reg.ResultCode.VERIFIED, reg.INT32_MIN) == (result["RESULT"], result["X"])
+        await rig.client.write_register(103, 1)
+        assert StatusBit.OK not in await rig.bits()
+        await rig.command(CommandKind.VERIFY, 0, 2)
+        rig.server.announce(make_snapshot(2, status=Status.NO_TARGET, command=rig.cell.commands[1]))
+        assert StatusBit.ACK | StatusBit.NOK in await rig.bits()
+        assert StatusBit.OK not in await rig.bits()
+
+    serve(test)
+
+
 def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone() -> None:
     """DEVICE BUSY while another holds the right; the end of its connection passes it on."""
 
@@ -363,6 +385,30 @@ def test_unit_ids() -> None:
         assert bytes((0x83, 0x0B)) == await ask(rig, read, 17)
 
     serve(test)
+
+
+def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    """200 refused commands, 50 strangers: one line each; the next line says how many were held back."""
+
+    async def test(rig: Rig) -> None:
+        rig.cell.refuses = True
+        for sequence in range(1, 201):
+            await rig.command(CommandKind.LOCATE, 0, sequence)
+        for _ in range(50):
+            reader, writer = await raw(rig)
+            writer.write(b"GET / HTTP/1.1\r\n\r\n")
+            assert await ended(reader)
+            writer.close()
+
+    serve(test)
+    assert 2 == len([record for record in caplog.records if record.name.startswith("edged.adapters.modbus")])
+    now_s = 0.0
+    limit = LogLimit("edged.test", clock_s=lambda: now_s)
+    for _ in range(3):
+        limit.warning("%s", "flood")
+    now_s = 11.0
+    limit.warning("%s", "flood")
+    assert caplog.messages[-2:] == ["flood", "flood (2 more lines like this were held back)"]
 
 
 def test_device_identification() -> None:
@@ -492,6 +538,49 @@ def test_too_many_clients_are_closed_at_once() -> None:
             writer.close()
 
     serve(test, ModbusSettings(port=0, max_clients=2))
+
+
+def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own dead connections take all places: one that was silent makes room, an active one never."""
+    monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+
+    async def test(rig: Rig) -> None:
+        dead_reader, dead = await raw(rig)
+        async with asyncio.timeout(WAIT_S):
+            while True:
+                assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+                reader, writer = await raw(rig)
+                writer.write(frame(struct.pack(">BHH", 3, 0, 1)))
+                if await reader.read(100):
+                    break
+                writer.close()
+        assert await ended(dead_reader)
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for one in (dead, writer):
+            one.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=2))
+
+
+def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None:
+    """Two of three places are kept for 127.0.0.9: 127.0.0.1 gets one, 127.0.0.9 both of its own."""
+
+    async def test(rig: Rig) -> None:
+        reader, second = await raw(rig)
+        assert await ended(reader)
+        plc = [
+            await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=("127.0.0.9", 0))
+            for _ in range(3)
+        ]
+        for reader, writer in plc[:2]:
+            writer.write(frame(struct.pack(">BHH", 3, 0, 1)))
+            assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await response(reader, 1)
+        assert await ended(plc[2][0])
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for writer in (second, *(writer for _, writer in plc)):
+            writer.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=3, reserved={ip_address("127.0.0.9"): 2}))
 
 
 def test_networks_that_may_not_connect_or_not_write() -> None:

@@ -6,12 +6,12 @@ the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`
 
 from __future__ import annotations
 
-import logging
 import struct
 from collections.abc import Callable, Sequence
 
 from edged import handshake as hs
 from edged import registers as reg
+from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.domain import (
@@ -26,8 +26,6 @@ from edged.domain import (
 )
 from edged.errors import CommandRefused
 from edged.ports import Commander
-
-log = logging.getLogger(__name__)
 
 SOURCE = "modbus"
 STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
@@ -63,6 +61,7 @@ class CellRegisters:
         self._image = bytearray(2 * MAP_END)
         self._encoded: tuple[int, int, bool] | None = None
         self._held: tuple[object, object] = (None, None)
+        self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self.clients = 0
 
     # --- reading -----------------------------------------------------------------------------
@@ -231,7 +230,7 @@ class CellRegisters:
         try:
             self._commander.submit(command)
         except CommandRefused as refused:
-            log.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
+            self._refusals.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
             self._step(hs.Declined(command.sequence), self._clock_s())
 
     # --- events of the cell --------------------------------------------------------------------
@@ -251,7 +250,7 @@ class CellRegisters:
             case CommandFailed(command, reason):
                 ticket = _ticket(command)
                 if ticket is not None:
-                    log.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
+                    self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
             case CellState():
                 if event.state == "BUSY" and (self._cell is None or self._cell.state != "BUSY"):

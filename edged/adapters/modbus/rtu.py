@@ -17,6 +17,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
+from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
 from edged.errors import ListenError
@@ -67,6 +68,7 @@ class RtuServer:
         self._client = client
         self._view = ClientView(cell, client)
         self._framer = FramerRTU(DecodePDU(is_server=True))
+        self._losses = LogLimit(__name__)
         self._line: serial.Serial | None = None
         self._input = bytearray()
         self._output = bytearray()
@@ -116,7 +118,7 @@ class RtuServer:
         self._cell.gone(self._client)
 
     def _lost(self, why: str) -> None:
-        log.warning("modbus: %s is lost (%s), trying again", self._settings.device, why)
+        self._losses.warning("modbus: %s is lost (%s), trying again", self._settings.device, why)
         if self._timer is not None:
             self._timer.cancel()
         self._drop_line()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ from edged.registers import BLOCKS, WordOrder
 from edged.robots import Convention
 
 Network = IPv4Network | IPv6Network
+Address = IPv4Address | IPv6Address
 LOOPBACK: tuple[Network, ...] = (ip_network("127.0.0.0/8"), ip_network("::1/128"))
 MAP_END = max(block.address + block.words for block in BLOCKS)
 
@@ -55,6 +57,7 @@ class ModbusSettings:
 
     readers : networks that may connect; empty: everyone. writers : networks that may write; they also
     find a free connection when `max_clients` strangers are connected.
+    reserved : of the `max_clients` connections, how many are kept for an address.
     """
 
     host: str = "127.0.0.1"
@@ -67,6 +70,7 @@ class ModbusSettings:
     heartbeat_s: float = 2.0
     owner_s: float = 5.0
     max_clients: int = 16
+    reserved: Mapping[Address, int] = field(default_factory=dict)
     idle_s: float = 60.0
     readers: tuple[Network, ...] = ()
     writers: tuple[Network, ...] = LOOPBACK
@@ -83,12 +87,18 @@ class ModbusSettings:
         return Limits(self.validity_s, self.heartbeat_s, self.owner_s)
 
 
-def contains(networks: tuple[Network, ...], host: str) -> bool:
-    """Whether a peer's address is in one of the networks; IPv4 inside IPv6 counts as IPv4."""
+def address_of(host: str) -> Address | None:
+    """A peer's address; IPv4 inside IPv6 counts as IPv4. None for what is none."""
     try:
-        address: IPv4Address | IPv6Address = ip_address(host.partition("%")[0])
+        address = ip_address(host.partition("%")[0])
     except ValueError:
-        return False
+        return None
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
-        address = address.ipv4_mapped
-    return any(address in network for network in networks)
+        return address.ipv4_mapped
+    return address
+
+
+def contains(networks: tuple[Network, ...], host: str) -> bool:
+    """Whether a peer's address is in one of the networks."""
+    address = address_of(host)
+    return address is not None and any(address in network for network in networks)

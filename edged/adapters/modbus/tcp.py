@@ -12,21 +12,18 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import logging
 import ssl
-import time
-from collections.abc import Callable
+from collections import Counter
 
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
+from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.security import certificate_role, server_context
-from edged.adapters.modbus.settings import ModbusSettings, contains
+from edged.adapters.modbus.settings import Address, ModbusSettings, address_of, contains
 from edged.errors import ListenError
-
-log = logging.getLogger(__name__)
 
 HEADER_BYTES = 7
 MAX_LENGTH = 254  # of unit id and PDU ("MODBUS Messaging on TCP/IP", 3.1.3: 260 bytes with the header)
@@ -34,26 +31,7 @@ GATEWAY_NO_RESPONSE = 0x0B
 TURN = 16  # requests answered before other connections and tasks get their turn
 WRITE_BUFFER_BYTES = 16 * 1024
 HANDSHAKE_S = 5.0
-
-
-class LogLimit:
-    """Lets one line through per period and says how many were held back: peers can flood, logs must not."""
-
-    def __init__(self, period_s: float = 10.0, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self._period_s = period_s
-        self._clock_s = clock_s
-        self._next_s = float("-inf")
-        self._held = 0
-
-    def warning(self, message: str, *arguments: object) -> None:
-        """Log, or count."""
-        now_s = self._clock_s()
-        if now_s < self._next_s:
-            self._held += 1
-            return
-        held = f" ({self._held} more lines like this were held back)" if self._held else ""
-        log.warning(message + held, *arguments)
-        self._next_s, self._held = now_s + self._period_s, 0
+SILENT_S = 3.0  # no PLC polls as slowly as that
 
 
 class TcpServer:
@@ -62,7 +40,7 @@ class TcpServer:
     def __init__(self, settings: ModbusSettings, cell: CellRegisters, clients: itertools.count[int]) -> None:
         self.settings = settings
         self.cell = cell
-        self.log = LogLimit()
+        self.log = LogLimit(__name__)
         self._numbers = clients
         self._connections: set[Connection] = set()
         self._server: asyncio.Server | None = None
@@ -104,13 +82,13 @@ class TcpServer:
         await asyncio.sleep(0)  # lets every connection_lost run: no transport is left behind
 
     def admit(self, connection: Connection) -> bool:
-        """Whether a new connection may stay; a known PLC displaces the stranger that is idle longest."""
+        """Whether a new connection may stay."""
         if self.settings.readers and not contains(
             (*self.settings.readers, *self.settings.writers), connection.peer
         ):
             self.log.warning("modbus: %s is not in the list of networks, closed", connection.peer)
             return False
-        if len(self._connections) >= self.settings.max_clients and not self._make_room(connection):
+        if not self._has_room(connection) and not self._make_room(connection):
             self.log.warning(
                 "modbus: %s closed, %d clients are connected", connection.peer, len(self._connections)
             )
@@ -119,12 +97,35 @@ class TcpServer:
         self.cell.clients += 1
         return True
 
+    def _has_room(self, newcomer: Connection) -> bool:
+        """Whether a place is free that is not kept for somebody else."""
+        here = Counter(other.address for other in self._connections)
+        kept = sum(
+            max(0, slots - here[address])
+            for address, slots in self.settings.reserved.items()
+            if address != newcomer.address
+        )
+        return len(self._connections) + kept < self.settings.max_clients
+
     def _make_room(self, newcomer: Connection) -> bool:
-        strangers = [other for other in self._connections if not other.is_known]
-        if not newcomer.is_known or not strangers:
+        """A known PLC displaces the stranger that is idle longest, or else a silent connection of its own.
+
+        A PLC that loses power leaves connections behind that look alive; it must get in again.
+        """
+        if not newcomer.is_known:
             return False
-        min(strangers, key=lambda other: other.active_s).abort()
-        return True
+        strangers = [other for other in self._connections if not other.is_known]
+        silent_s = newcomer.active_s - SILENT_S
+        own = [
+            other
+            for other in self._connections
+            if other.address == newcomer.address and other.active_s <= silent_s
+        ]
+        displaced = min(strangers or own, key=lambda other: other.active_s, default=None)
+        if displaced is None:
+            return False
+        displaced.abort()
+        return self._has_room(newcomer)
 
     def forget(self, connection: Connection) -> None:
         """A connection has ended."""
@@ -163,6 +164,7 @@ class Connection(asyncio.Protocol):
     def __init__(self, server: TcpServer, number: int) -> None:
         self.number = number
         self.peer = ""
+        self.address: Address | None = None
         self.is_known = False
         self.active_s = 0.0
         self._server = server
@@ -184,6 +186,7 @@ class Connection(asyncio.Protocol):
         name = transport.get_extra_info("peername")
         self.peer = str(name[0]) if name else "?"
         self.active_s = self._loop.time()
+        self.address = address_of(self.peer)
         self.is_known = contains(settings.writers, self.peer)
         self._may_write = self.is_known
         tls = transport.get_extra_info("ssl_object")

@@ -19,7 +19,7 @@ from importlib import import_module
 import numpy as np
 import zenoh
 
-from edged.domain import FloatArray, Reject, Snapshot, Status
+from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
 from edged.errors import ConfigError
 from edged.payload import rotate_covariance
 from edged.vision.geometry import rotation_vector
@@ -61,6 +61,8 @@ def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
     """The best usable target of a snapshot for ROS, None where there is none."""
     if snapshot.status is not Status.OK:
         return None
+    if snapshot.command is not None and snapshot.command.kind is CommandKind.VERIFY:
+        return None  # who verifies does not want a robot to move
     target = next((target for target in snapshot.targets if target.reject is Reject.NONE), None)
     if target is None:
         return None
