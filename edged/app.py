@@ -19,10 +19,12 @@ import numpy as np
 
 from edged import __version__
 from edged.adapters.aravis import AravisCamera, AravisSettings
+from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.adapters.replay import replay_cameras
 from edged.adapters.systemd import SystemdNotifier
+from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.capture import StereoHead
 from edged.config import (
@@ -31,6 +33,7 @@ from edged.config import (
     Config,
     ModbusSection,
     RecorderSection,
+    WebSection,
     ZenohSection,
     fingerprint,
     load,
@@ -195,7 +198,8 @@ class Daemon:
         self._world = world
         self._cycle = Cycle(head_of(loaded.config.cameras, world), loaded.setup)
         self._notifier = SystemdNotifier()
-        self._observers = (self._notifier, *observers)
+        self._metrics = MetricsPublisher(loaded.config.cell.name, self._figures)
+        self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
         self._servers: dict[str, Publisher] = {}
         self._reloading = asyncio.Lock()
 
@@ -210,6 +214,8 @@ class Daemon:
                 await self._start("zenoh", self._zenoh(config.cell.name, config.zenoh))
             if config.recorder is not None:
                 await self._start("recorder", self._recorder(config.recorder))
+            if config.web is not None:
+                await self._start("web", self._web(config.cell.name, config.web))
             for observer in self._observers:
                 started.append(observer)
                 await observer.start()
@@ -271,6 +277,12 @@ class Daemon:
                 "zenoh",
                 self._zenoh(new.cell.name, new.zenoh) if new.zenoh.enabled else None,
                 self._zenoh(old.cell.name, old.zenoh) if old.zenoh.enabled else None,
+            )
+        if (new.web, new.cell.name) != (old.web, old.cell.name):
+            await self._exchange_server(
+                "web",
+                self._web(new.cell.name, new.web) if new.web is not None else None,
+                self._web(old.cell.name, old.web) if old.web is not None else None,
             )
         if new.recorder != old.recorder:
             await self._exchange_server(
@@ -341,6 +353,69 @@ class Daemon:
             RecorderSettings(**section.model_dump()),
             lambda: (self._loaded.setup.fingerprint, self._loaded.files),
         )
+
+    def _web(self, cell: str, section: WebSection) -> WebPublisher:
+        sources = Sources(
+            rectification=lambda: self._loaded.rig.rectification,
+            jobs=self._job_list,
+            facts=self._facts,
+            registers=self._register_values,
+            metrics=self._metrics.render,
+        )
+        return WebPublisher(cell, WebSettings(**section.model_dump()), sources)
+
+    def _register_values(self) -> list[tuple[int, str, float, str, str]]:
+        """Rows for the status page."""
+        modbus = self._servers.get("modbus")
+        if not isinstance(modbus, ModbusPublisher):
+            return []
+        return [
+            (register.address, register.name, float(value), register.unit, register.help)
+            for register, value in modbus.values()
+        ]
+
+    def _facts(self) -> dict[str, dict[str, Any]]:
+        """What the status page says of the parts, group by group."""
+        config, setup = self._loaded.config, self._loaded.setup
+        registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
+        facts: dict[str, dict[str, Any]] = {
+            "Software": {"version": __version__, "configuration": setup.fingerprint},
+            "Calibration": {"id": setup.calibration_id, "registered to the robot": registered},
+            "Cameras": {"source": config.cameras.source},
+        }
+        modbus, zenoh, recorder = (self._servers.get(name) for name in ("modbus", "zenoh", "recorder"))
+        if isinstance(modbus, ModbusPublisher):
+            facts["Modbus"] = {"port": modbus.port, "clients": modbus.clients}
+        if zenoh is not None:
+            facts["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
+        if isinstance(recorder, Recorder):
+            kept = recorder.figures
+            facts["Recorder"] = {
+                "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
+                "left out, failed": f"{kept.left_out}, {kept.failed}",
+            }
+            if kept.problem:
+                facts["Recorder"]["problem"] = kept.problem
+        return facts
+
+    def _figures(self) -> dict[str, tuple[str, float]]:
+        """Figures of the parts for /metrics."""
+        figures: dict[str, tuple[str, float]] = {}
+        modbus, recorder = self._servers.get("modbus"), self._servers.get("recorder")
+        if isinstance(modbus, ModbusPublisher):
+            figures["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
+        if isinstance(recorder, Recorder):
+            kept = recorder.figures
+            figures |= {
+                "recordings": ("recordings on disk", kept.kept),
+                "recordings_bytes": ("size of all recordings", kept.kept_bytes),
+                "recordings_left_out": (
+                    "cycles left out since the start: the disk was slower",
+                    kept.left_out,
+                ),
+                "recordings_failed": ("recordings that could not be written since the start", kept.failed),
+            }
+        return figures
 
     def _job_list(self) -> list[tuple[int, str]]:
         return [(job.number, job.name) for job in self._loaded.setup.jobs.values()]

@@ -203,6 +203,35 @@ class RecorderSection(_Section):
     min_free_mib: int = Field(1000, ge=0, le=100_000_000, description="of the disk")
 
 
+class WebSection(_Section):
+    """The status page."""
+
+    host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
+    port: Port = 8080
+    password_hash: str = Field("", description="from `edged password`; needed beyond this machine")
+    certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
+    key: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _protected(self) -> WebSection:
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("certificate and key go together")
+        if self.password_hash and not self.password_hash.startswith("$argon2"):
+            raise ValueError("password_hash: expected what `edged password` prints")
+        if not self.password_hash and not _is_loopback(self.host):
+            raise ValueError(
+                f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
+            )
+        return self
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 class Config(_Section):
     """The whole file."""
 
@@ -212,6 +241,7 @@ class Config(_Section):
     modbus: ModbusSection = ModbusSection()
     zenoh: ZenohSection = ZenohSection()
     recorder: RecorderSection | None = None
+    web: WebSection | None = None
 
 
 def load(path: Path) -> Config:

@@ -38,6 +38,7 @@ class DemoOptions:
     in_process: bool = False
     modbus_port: int = 1502
     zenoh_port: int = 7447
+    web_port: int | None = None
     folder: Path | None = None
     as_json: bool = False
 
@@ -57,6 +58,8 @@ def demo(options: DemoOptions) -> int:
             "two GigE Vision cameras over UDP (127.0.0.1, 127.0.0.2)" if gige else "two in-process cameras"
         )
         console.print(f"virtual cell: {source}; configuration, rig and job in {folder}")
+        if options.web_port is not None:
+            console.print(f"status page: http://127.0.0.1:{options.web_port}")
         daemons: list[Daemon] = []
         view = make_view(world.cell, options, console, finished=lambda: daemons[0].stop())
 
@@ -105,6 +108,8 @@ port = {options.modbus_port}
 [zenoh]
 listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
 """
+    if options.web_port is not None:
+        text += f"\n[web]\nport = {options.web_port}\n"
     path = folder / "cell.toml"
     write_atomically(path, text.encode())
     return path

@@ -286,7 +286,7 @@ def _valid(cell: Cell) -> dict[str, Any] | None:
 @needs_aravis
 def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
     """Two GigE Vision cameras, the part anywhere at any rotation: below 0.05 mm rms."""
-    ports = ("--modbus-port", str(free_port()), "--zenoh-port", str(free_port()))
+    ports = ("--modbus-port", str(free_port()), "--zenoh-port", str(free_port()), "--web-port", "0")
     run = subprocess.run(
         [*EDGED, "demo", "--cycles", "6", "--period", "0.2", "--json", *ports],
         capture_output=True,

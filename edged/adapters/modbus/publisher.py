@@ -12,6 +12,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain import Event
 from edged.ports import Commander
+from edged.registers import BLOCKS, Number, Register, decode
 
 
 class ModbusPublisher:
@@ -28,6 +29,7 @@ class ModbusPublisher:
         *,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._settings = settings
         self._cell = CellRegisters(settings, commander, clock_s)
         clients = itertools.count(1)
         self._tcp = TcpServer(settings, self._cell, clients)
@@ -40,6 +42,20 @@ class ModbusPublisher:
     def port(self) -> int:
         """TCP port that is listened on."""
         return self._tcp.port
+
+    def values(self) -> list[tuple[Register, Number]]:
+        """Every register of the map with the value that a client would read now."""
+        settings, found = self._settings, list[tuple[Register, Number]]()
+        for block in BLOCKS:
+            words = self._cell.read(settings.base_address + block.address, block.words)
+            values = decode(block, words, settings.word_order)
+            found += [(register, values[register.name]) for register in block.registers]
+        return found
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return self._cell.clients
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`; then nothing stays open."""

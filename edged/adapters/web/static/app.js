@@ -1,0 +1,261 @@
+"use strict";
+// Shows what /events tells. No framework: the page must load from the cell PC alone, and last for years.
+
+const POINTS = 600;
+const SVG = "http://www.w3.org/2000/svg";
+const $ = (id) => document.getElementById(id);
+let points = [];
+let shownCycle = -1;
+let registersTimer = 0;
+
+function element(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  node.append(...children);
+  return node;
+}
+
+function drawing(tag, attributes) {
+  const node = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  return node;
+}
+
+const fixed = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+const clock = (ns) => (ns ? new Date(ns / 1e6).toLocaleTimeString() : "–");
+const words = (text) => text.toLowerCase().replaceAll("_", " ");
+
+// --- head ---
+
+function showHead(status) {
+  $("cell").textContent = status.cell;
+  document.title = `${status.cell}: ${status.result ? words(status.result.status) : "edged"}`;
+  const { state, result } = status;
+  let [text, kind] = ["starting", "idle"];
+  if (state && state.error) [text, kind] = ["FAULT", "bad"];
+  else if (result) [text, kind] = result.status === "OK" ? ["OK", "good"] : [words(result.status), "warn"];
+  else if (state) [text, kind] = [words(state.state), "idle"];
+  const badge = $("badge");
+  if (badge.textContent !== text) badge.textContent = text;
+  badge.className = `badge ${kind}`;
+  const parts = [];
+  if (state) parts.push(`job ${state.job_number} ${state.job}`);
+  if (result) parts.push(`cycle ${result.cycle}`, clock(result.exposed_ns || result.published_ns));
+  if (result && result.simulated) parts.push("simulated");
+  if (state && state.error) parts.push(state.error);
+  $("headline").textContent = parts.join(" · ");
+}
+
+// --- pictures ---
+
+function showPictures(picture) {
+  for (const side of ["left", "right"]) {
+    const view = $(side);
+    if (!picture) continue;
+    view.setAttribute("viewBox", `0 0 ${picture.width} ${picture.height}`);
+    let image = view.querySelector("image");
+    if (!image) {
+      image = drawing("image", { x: 0, y: 0 });
+      view.append(image);
+    }
+    image.setAttribute("width", picture.width);
+    image.setAttribute("height", picture.height);
+    if (picture.cycle === shownCycle) continue;
+    const loaded = new Image();
+    loaded.onload = () => {
+      image.setAttribute("href", loaded.src);
+      view.querySelectorAll("g").forEach((old) => old.remove());
+      picture.marks.forEach((mark) => view.append(marks(mark, side, picture)));
+    };
+    loaded.src = `/picture/${picture.cycle}/${side}`;
+  }
+  if (picture) shownCycle = picture.cycle;
+}
+
+function marks(mark, side, { width, height }) {
+  const group = drawing("g", { fill: "none", "stroke-width": width / 500, stroke: mark.good ? "#2fe37a" : "#ff8f3a" });
+  const place = ([x, y]) => `${(x * width).toFixed(1)},${(y * height).toFixed(1)}`;
+  for (const circle of mark[side].circles) group.append(drawing("polyline", { points: circle.map(place).join(" ") }));
+  const [origin, x, y] = mark[side].axes.map(place);
+  group.append(drawing("polyline", { points: `${origin} ${x}`, stroke: "#ff5d52" }));
+  group.append(drawing("polyline", { points: `${origin} ${y}`, stroke: "#4fb3ff" }));
+  return group;
+}
+
+// --- result ---
+
+function showResult(result) {
+  const place = $("reading");
+  if (!result) return place.replaceChildren("nothing measured yet");
+  const parts = [];
+  for (const target of [...result.targets, ...result.rejected]) {
+    const pose = target.pose_robot || target;
+    const table = element("table");
+    table.append(element("thead", {}, row("th", ["", target.pose_robot ? "robot frame" : "rig frame", "1 σ"])));
+    const body = element("tbody");
+    ["X", "Y", "Z"].forEach((axis, i) => {
+      const line = row("td", [axis, `${fixed(pose.position_mm[i], 3)} mm`, `${fixed(pose.sigma_mm[i], 4)} mm`]);
+      line.children[1].classList.add("big", "number");
+      body.append(line);
+    });
+    for (const circle of target.circles.slice(0, 1))
+      body.append(row("td", [`radius ${circle.name}`, `${fixed(circle.radius_mm, 3)} mm`, `${fixed(circle.sigma_radius_mm, 4)} mm`]));
+    body.append(row("td", ["angle in image", `${fixed(target.match.angle_deg, 3)}°`, ""]));
+    body.append(row("td", ["score", fixed(target.score, 3), ""]));
+    body.append(row("td", ["row difference", `${fixed(target.epipolar_rms_px, 3)} px`, ""]));
+    if (target.reject.length) body.append(row("td", ["not good", words(target.reject.join(", ")), ""]));
+    table.append(body);
+    parts.push(table);
+  }
+  if (!parts.length) parts.push(element("p", {}, result.error || words(result.status)));
+  const total = result.timing_ms.total;
+  const stages = Object.entries(result.timing_ms).filter(([name]) => name !== "total");
+  parts.push(element("p", { class: "muted" }, `${fixed(total, 0)} ms: ${stages.map(([name, ms]) => `${name} ${fixed(ms, 0)}`).join(", ")}`));
+  place.replaceChildren(...parts);
+}
+
+function row(tag, cells) {
+  const line = element("tr");
+  cells.forEach((text, i) => line.append(element(tag, i && tag === "td" ? { class: "number" } : {}, text)));
+  return line;
+}
+
+// --- trends ---
+
+const TRENDS = [
+  { name: "X from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[0], centred: true, digits: 3 },
+  { name: "Y from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[1], centred: true, digits: 3 },
+  { name: "Z from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[2], centred: true, digits: 3 },
+  { name: "score", unit: "", of: (p) => p.score, digits: 4 },
+  { name: "row difference", unit: "px", of: (p) => p.epipolar_px, digits: 3, from: 0 },
+  { name: "cycle time", unit: "ms", of: (p) => p.total_ms, digits: 0, from: 0 },
+];
+
+function showTrends() {
+  $("span").textContent = points.length ? `last ${points.length} cycles since ${clock(points[0].time_ns)}` : "";
+  $("trends").replaceChildren(...TRENDS.map(trend));
+}
+
+function trend({ name, unit, of, centred, digits, from }) {
+  let values = points.map(of).map((value) => (value === undefined || value === null ? null : value));
+  const known = values.filter((value) => value !== null);
+  const box = element("div", { class: "trend" }, element("span", {}, name));
+  if (!known.length) {
+    box.append(element("b", {}, "–"));
+    return box;
+  }
+  const mean = centred ? known.reduce((a, b) => a + b, 0) / known.length : 0;
+  values = values.map((value) => (value === null ? null : value - mean));
+  const shown = values.filter((value) => value !== null);
+  let [low, high] = [Math.min(from ?? Infinity, ...shown), Math.max(...shown)];
+  if (high - low < 1e-9) [low, high] = [low - 0.5, high + 0.5];
+  const last = known[known.length - 1] - mean;
+  box.append(element("b", {}, `${fixed(last, digits)} ${unit}`));
+  const view = drawing("svg", { viewBox: "0 0 600 60", preserveAspectRatio: "none", role: "img",
+    "aria-label": `${name}: ${fixed(last, digits)} ${unit}, between ${fixed(low, digits)} and ${fixed(high, digits)}` });
+  const step = 600 / Math.max(values.length - 1, 1);
+  let path = "";
+  let pen = "M";
+  values.forEach((value, i) => {
+    if (value === null) { pen = "M"; return; }
+    path += `${pen}${(i * step).toFixed(1)} ${(56 - (52 * (value - low)) / (high - low)).toFixed(1)}`;
+    pen = "L";
+  });
+  view.append(drawing("path", { d: path, fill: "none", stroke: "currentColor", "stroke-width": 1.5, "vector-effect": "non-scaling-stroke" }));
+  box.append(view, element("span", { class: "muted" }, `${fixed(low, digits)} … ${fixed(high, digits)} ${unit}`));
+  return box;
+}
+
+// --- the rest ---
+
+function showFacts(facts) {
+  $("facts").replaceChildren(...Object.entries(facts).map(([group, values]) => {
+    const list = element("dl");
+    for (const [name, value] of Object.entries(values)) list.append(element("dt", {}, name), element("dd", {}, String(value)));
+    return element("div", {}, element("h3", {}, group), list);
+  }));
+}
+
+let shownFaults = "";
+function showFaults(faults) {
+  const key = faults.map((fault) => fault.cycle).join();
+  if (key === shownFaults && $("faults").childElementCount) return;
+  shownFaults = key;
+  if (!faults.length) return $("faults").replaceChildren(element("li", { class: "muted" }, "none since the start"));
+  $("faults").replaceChildren(...faults.map((fault) => {
+    const picture = fault.has_picture ? element("img", { src: `/picture/${fault.cycle}/left`, alt: `left picture of cycle ${fault.cycle}`, loading: "lazy" }) : element("span", { class: "muted" }, "no picture");
+    return element("li", {}, picture, element("div", {}, element("b", {}, words(fault.status)), element("div", {}, fault.text),
+      element("div", { class: "muted" }, `cycle ${fault.cycle}, ${clock(fault.time_ns)}`)));
+  }));
+}
+
+function showJobs(jobs, state) {
+  $("jobs").replaceChildren(...jobs.map((job) => {
+    const active = state && state.job_number === job.number;
+    return element("li", active ? { "aria-current": "true" } : {}, active ? element("b", {}, `${job.number} ${job.name} (active)`) : `${job.number} ${job.name}`);
+  }));
+}
+
+async function loadRegisters() {
+  const answer = await fetch("/registers.json");
+  if (!answer.ok) return;
+  const wanted = $("find").value.trim().toLowerCase();
+  const rows = (await answer.json()).filter((r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted);
+  $("words").replaceChildren(...rows.map((r) => row("td", [String(r.address), r.name, r.value === null ? "–" : String(Number(r.value.toPrecision(9))), r.unit, r.help])));
+}
+
+$("registers").addEventListener("toggle", () => {
+  clearInterval(registersTimer);
+  if ($("registers").open) {
+    loadRegisters();
+    registersTimer = setInterval(loadRegisters, 1000);
+  }
+});
+$("find").addEventListener("input", loadRegisters);
+
+// --- the connection ---
+
+function show(status) {
+  $("logout").hidden = !status.protected;
+  showHead(status);
+  showPictures(status.picture);
+  showResult(status.result);
+  showTrends();
+  showFacts(status.facts);
+  showFaults(status.faults);
+  showJobs(status.jobs, status.state);
+}
+
+function connect() {
+  const source = new EventSource("/events");
+  source.addEventListener("all", (event) => {
+    const status = JSON.parse(event.data);
+    points = status.points;
+    shownCycle = -1;
+    $("link").textContent = "live";
+    show(status);
+  });
+  source.addEventListener("update", (event) => {
+    const status = JSON.parse(event.data);
+    const last = points.length ? points[points.length - 1].cycle : 0;
+    points.push(...status.points.filter((point) => point.cycle > last));
+    points.splice(0, points.length - POINTS);
+    show(status);
+  });
+  source.onerror = () => {
+    // what stands on the page is old from now on, and must look so
+    $("badge").textContent = "no connection";
+    $("badge").className = "badge bad";
+    $("link").textContent = "reconnecting";
+    if (source.readyState === EventSource.CLOSED) setTimeout(again, 3000);
+  };
+}
+
+
+async function again() {
+  const answer = await fetch("/status.json").catch(() => null);
+  if (answer && answer.status === 401) location.assign("/login");
+  else connect();
+}
+
+connect();

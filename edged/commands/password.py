@@ -1,0 +1,25 @@
+"""`edged password`: the hash that protects the status page."""
+
+from __future__ import annotations
+
+import getpass
+import sys
+
+from edged.adapters.web.access import hash_password
+from edged.errors import UserError
+
+MIN_LENGTH = 8
+
+
+def password() -> int:
+    """Ask twice on a terminal, or read one line from a pipe; print the hash."""
+    if sys.stdin.isatty():
+        first = getpass.getpass("password: ", stream=sys.stderr)
+        if first != getpass.getpass("again: ", stream=sys.stderr):
+            raise UserError("the two passwords differ")
+    else:
+        first = sys.stdin.readline().rstrip("\n")
+    if len(first) < MIN_LENGTH:
+        raise UserError(f"a password of at least {MIN_LENGTH} characters is expected")
+    print(hash_password(first))
+    return 0

@@ -1,0 +1,418 @@
+"""The status page over real HTTP: what it shows, who may see it, and that it never holds up a cycle."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from base64 import b64encode
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from snapshots import make_snapshot, make_target
+
+from edged.adapters.web import Sources, WebPublisher, WebSettings
+from edged.adapters.web.access import Access, TooManyAttempts, hash_password, is_hash
+from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines
+from edged.adapters.web.server import FREE, STATIC
+from edged.domain import CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
+from edged.errors import ListenError
+from edged.sim.cell import demo_rig
+from edged.vision.rectification import make_rectification
+
+PASSWORD = "correct horse"
+HASH = hash_password(PASSWORD)
+RECTIFICATION = make_rectification(demo_rig())
+READY = CellState("READY", True, True, "flange", 1, 0)
+
+
+def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
+    """What the page asks for, fixed."""
+    return Sources(
+        rectification=lambda: RECTIFICATION,
+        jobs=lambda: [(1, "flange"), (2, "<script>alert(1)</script>")],
+        facts=lambda: facts or {"Modbus": {"clients": 2}},
+        registers=lambda: [(300, "SEQ_HEAD", 7.0, "", "sequence"), (500, "F_X", float("nan"), "mm", "x")],
+        metrics=lambda: b"# HELP edged_x x\nedged_x 1\n",
+    )
+
+
+def make_pair(grey: int = 100) -> FramePair:
+    """Images of the rig's size."""
+    rig = RECTIFICATION.rig
+    return FramePair(
+        *(
+            Frame(side, 1, np.full((camera.height, camera.width), grey, np.uint8), 0, 1)
+            for side, camera in (("left", rig.left), ("right", rig.right))
+        )
+    )
+
+
+def measure(web: WebPublisher | Page, cycle: int, status: Status = Status.OK, error: str = "") -> None:
+    """One cycle with pictures; without, when it is a fault of the cameras."""
+    take = web.announce if isinstance(web, WebPublisher) else web.take
+    if not error:
+        take(ExposureDone(cycle, None, make_pair()))
+    take(replace(make_snapshot(cycle, status), error=error, error_code=104 if error else 0))
+
+
+@asynccontextmanager
+async def served(
+    settings: WebSettings | None = None,
+) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
+    """A page on a free port, and a browser's session with it."""
+    web = WebPublisher("cell<1>", settings or WebSettings(port=0), sources())
+    await web.start()
+    try:
+        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
+        async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
+            yield web, session
+    finally:
+        await web.close()
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    """A test's coroutine, bounded."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(20):
+            await test()
+
+    asyncio.run(bounded())
+
+
+async def next_event(stream: aiohttp.StreamReader) -> tuple[str, dict[str, Any]]:
+    """Name and data of the next server-sent event."""
+    name = ""
+    while True:
+        line = (await stream.readline()).decode().rstrip("\n")
+        if line.startswith("event: "):
+            name = line[7:]
+        elif line.startswith("data: "):
+            return name, json.loads(line[6:])
+
+
+def test_every_path_has_its_headers() -> None:
+    """No script but our own, no frame, no cache; also on errors."""
+
+    async def test() -> None:
+        async with served() as (_, session):
+            for path in (
+                "/",
+                "/status.json",
+                "/registers.json",
+                "/metrics",
+                "/nowhere",
+                *map("/static/{}".format, STATIC),
+            ):
+                async with session.get(path) as answer:
+                    assert (answer.status == 200) == (path != "/nowhere"), path
+                    assert "script-src 'self'" in answer.headers["Content-Security-Policy"]
+                    assert answer.headers["Cache-Control"] == "no-store"
+
+    run(test)
+
+
+def test_the_page_needs_nothing_from_elsewhere() -> None:
+    """A cell PC has no internet: no address outside of the page itself."""
+
+    async def test() -> None:
+        async with served() as (_, session):
+            for path in ("/", "/login", *map("/static/{}".format, STATIC)):
+                async with session.get(path) as answer:
+                    text = await answer.text()
+                found = set(re.findall(r"https?://[^\"' ]+", text)) - {"http://www.w3.org/2000/svg"}
+                assert not found, path
+                assert "<script>" not in text and " onclick" not in text
+
+    run(test)
+
+
+def test_a_viewer_hears_of_each_cycle() -> None:
+    """First everything, then the newest state with the points in between, none twice."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            web.announce(READY)
+            measure(web, 1)
+            async with session.get("/events") as answer:
+                name, first = await next_event(answer.content)
+                assert (name, [point["cycle"] for point in first["points"]]) == ("all", [1])
+                assert first["cell"] == "cell<1>"
+                assert first["state"]["ready"]
+                assert first["result"]["targets"][0]["position_mm"][0] == 10.0
+                for cycle in (2, 3, 4):
+                    measure(web, cycle)
+                seen: list[int] = []
+                while not seen or seen[-1] < 4:
+                    _, update = await next_event(answer.content)
+                    seen += [point["cycle"] for point in update["points"]]
+                assert seen == [2, 3, 4]
+
+    run(test)
+
+
+def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
+    """Announcing is as quick as without it, and the connection holds no queue of states."""
+
+    async def test() -> None:
+        async with served() as (web, session), session.get("/events"):
+            for cycle in range(1, 3 * HISTORY):
+                measure(web, cycle)
+                if cycle % 100 == 0:
+                    await asyncio.sleep(0)
+            async with session.get("/status.json") as answer:
+                assert (await answer.json())["result"]["cycle"] == 3 * HISTORY - 1
+
+    run(test)
+
+
+def test_closing_ends_every_viewer() -> None:
+    """A stop of the daemon does not wait for a browser."""
+
+    async def test() -> None:
+        async with served() as (web, session), session.get("/events") as answer:
+            await next_event(answer.content)
+            await asyncio.wait_for(web.close(), 5)
+            assert (await answer.content.read()).strip() == b""
+
+    run(test)
+
+
+def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
+    """A JPEG in the shape of the rectified image; an old cycle is 404, and so is a foreign side."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            measure(web, 1)
+            measure(web, 2)
+            async with session.get("/picture/2/left") as answer:
+                image = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+            width, height = RECTIFICATION.size
+            assert image is not None
+            assert abs(image.shape[1] / image.shape[0] - width / height) < 0.01
+            assert abs(int(np.median(image)) - 100) <= 1
+            for path in ("/picture/1/left", "/picture/2/middle", "/picture/99999999999999999999/left"):
+                async with session.get(path) as answer:
+                    assert answer.status == 404
+
+    run(test)
+
+
+def test_marks_lie_on_the_parts_edge() -> None:
+    """A circle of the rig, projected by the camera models and rectified, is the drawn outline."""
+    target = make_target()
+    circle = target.circles[0]
+    marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}  # type: ignore[arg-type]
+    width, height = RECTIFICATION.size
+    for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):
+        drawn = np.array(marks[side]["circles"][0]) * [width, height] - 0.5
+        raw = RECTIFICATION.raw_points(side, drawn)  # type: ignore[arg-type]
+        from_rig = np.eye(4) if side == "left" else RECTIFICATION.rig.right_from_left
+        rays = np.column_stack([camera.normalise(raw), np.ones(len(raw))]) @ from_rig[:3, :3]
+        eye = -from_rig[:3, :3].T @ from_rig[:3, 3]
+        depth = ((circle.centre_mm - eye) @ circle.normal) / (rays @ circle.normal)
+        radius = np.linalg.norm(eye + depth[:, None] * rays - circle.centre_mm, axis=1)
+        assert np.allclose(radius, circle.radius_mm, atol=0.01), side
+
+
+def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
+    """A night without a camera leaves room for what happened before it."""
+    page = Page("cell", sources())
+    measure(page, 1, Status.LOW_QUALITY)
+    for cycle in range(2, 50):
+        measure(page, cycle, Status.CAPTURE_FAULT, "cable")
+    measure(page, 50)
+
+    faults = page.status()["faults"]
+    assert [(fault["cycle"], fault["text"], fault["has_picture"]) for fault in faults] == [
+        (2, "cable", False),
+        (1, "nothing found", True),
+    ]
+    for cycle in range(51, 51 + 2 * FAULTS):
+        measure(page, cycle, Status.NO_TARGET)
+    assert len(page.status()["faults"]) == FAULTS
+
+
+def test_why_a_target_was_not_good_is_in_words() -> None:
+    """The operator reads "sigma limit", not 4."""
+    page = Page("cell", sources())
+    page.take(make_snapshot(1, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
+
+    assert page.status()["faults"][0]["text"] == "sigma limit"
+    assert page.history()[0].get("position_mm") is None
+
+
+def test_numbers_that_are_none_are_null() -> None:
+    """JSON has no NaN; a browser would refuse the whole answer."""
+
+    async def test() -> None:
+        async with served() as (_, session), session.get("/registers.json") as answer:
+            rows = json.loads(await answer.text(), parse_constant=lambda name: pytest.fail(name))
+            assert [row["value"] for row in rows] == [7.0, None]
+
+    run(test)
+
+
+def test_ready_tells_a_load_balancer_and_a_person() -> None:
+    """503 with the reason until a trigger would be carried out; alive all the time."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            for state, expected in (
+                (CellState("FAULT", False, False, "flange", 1, 0, "cable", 104), 503),
+                (READY, 200),
+            ):
+                web.announce(state)
+                async with session.get("/ready") as answer:
+                    assert answer.status == expected
+                    assert (await answer.json())["error"] == state.error
+                async with session.get("/health") as answer:
+                    assert (answer.status, (await answer.json())["state"]) == (200, state.state)
+
+    run(test)
+
+
+def test_without_a_session_only_the_form_is_shown() -> None:
+    """Every other path asks for the password; a browser is led to the form, a scraper told how."""
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+            for path in (
+                "/status.json",
+                "/events",
+                "/registers.json",
+                "/metrics",
+                "/picture/1/left",
+                "/static/app.js",
+            ):
+                async with session.get(path) as answer:
+                    assert answer.status == 401, path
+            for path in sorted(FREE):
+                async with session.get(path) as answer:
+                    assert answer.status in (200, 503), path
+            async with session.get("/", headers={"Accept": "text/html"}) as answer:
+                assert answer.url.path == "/login"
+            basic = "Basic " + b64encode(f"prometheus:{PASSWORD}".encode()).decode()
+            async with session.get("/metrics", headers={"Authorization": basic}) as answer:
+                assert (await answer.text()).startswith("# HELP")
+
+    run(test)
+
+
+def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
+    """The cookie is out of reach of scripts and other sites."""
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+            async with session.post("/login", data={"password": "guess"}) as answer:
+                assert answer.url.path == "/login"
+            async with session.post("/login", data={"password": PASSWORD}, allow_redirects=False) as answer:
+                cookie = answer.headers["Set-Cookie"]
+                assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+            async with session.get("/status.json") as answer:
+                assert (answer.status, (await answer.json())["protected"]) == (200, True)
+            await (await session.post("/logout")).read()
+            async with session.get("/status.json") as answer:
+                assert answer.status == 401
+
+    run(test)
+
+
+def test_guessing_is_slowed_down() -> None:
+    """After five wrong passwords the right one has to wait too; others are not locked out with it."""
+
+    async def test() -> None:
+        now_s = [0.0]
+        access = Access(HASH, lambda: now_s[0])
+        for _ in range(5):
+            assert await access.log_in("10.0.0.9", "guess") is None
+        with pytest.raises(TooManyAttempts):
+            await access.log_in("10.0.0.9", PASSWORD)
+        assert await access.log_in("10.0.0.7", PASSWORD)
+        now_s[0] = 31.0
+        assert await access.log_in("10.0.0.9", PASSWORD)
+
+    run(test)
+
+
+def test_a_session_ends_by_itself() -> None:
+    """Twelve hours after the log-in."""
+
+    async def test() -> None:
+        now_s = [0.0]
+        access = Access(HASH, lambda: now_s[0])
+        cookie = await access.log_in("10.0.0.9", PASSWORD)
+        assert cookie is not None
+        assert access.has_session(cookie)
+        now_s[0] = 12 * 3600.0 + 1
+        assert not access.has_session(cookie)
+
+    run(test)
+
+
+def test_a_foreign_host_name_reaches_no_open_page() -> None:
+    """A page elsewhere whose name was made to point here (DNS rebinding) gets nothing."""
+
+    async def test() -> None:
+        async with served() as (_, session):
+            for host, expected in (
+                ("evil.example", 421),
+                ("localhost:1", 200),
+                ("127.0.0.1", 200),
+                ("[::1]:8080", 200),
+            ):
+                async with session.get("/status.json", headers={"Host": host}) as answer:
+                    assert answer.status == expected, host
+
+    run(test)
+
+
+def test_nothing_can_be_changed_and_large_bodies_are_refused() -> None:
+    """The page is read-only: other methods are 405, and a body that is no form is cut off."""
+
+    async def test() -> None:
+        async with served() as (_, session):
+            for path in ("/", "/status.json", "/registers.json", "/metrics"):
+                async with session.post(path, data=b"x") as answer:
+                    assert answer.status == 405
+            async with session.post("/login", data={"password": "x" * 100_000}) as answer:
+                assert answer.status == 413
+
+    run(test)
+
+
+def test_a_port_in_use_is_named() -> None:
+    """With the place, before anything else is started."""
+
+    async def test() -> None:
+        async with served() as (web, _):
+            other = WebPublisher("cell", WebSettings(port=web.port), sources())
+            with pytest.raises(ListenError, match=f"127.0.0.1:{web.port}"):
+                await other.start()
+            await other.close()
+
+    run(test)
+
+
+def test_only_a_hash_is_a_hash() -> None:
+    """A password in the clear is not taken for one."""
+    assert is_hash(HASH)
+    assert not is_hash(PASSWORD)
+
+
+def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
+    """An older pair is never shown for a newer result."""
+    page = Page("cell", sources())
+    measure(page, 1)
+    page.take(make_snapshot(2))
+
+    assert page.status()["picture"] is None
+    assert page.pair(2) is None
+    assert isinstance(make_snapshot(2), Snapshot)
