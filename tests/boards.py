@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import erf
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Board, Chessboard, Detection, DotGrid, StereoView
+from edged.vision.boards import Board, Chessboard, CircleGrid, Detection, DotGrid, StereoView
 from edged.vision.camera import CameraModel, StereoRig
 from edged.vision.geometry import apply, rotation_matrix, rotation_vector, transform
 
@@ -34,8 +34,8 @@ def draw_board(
     with np.errstate(divide="ignore"):
         depth = (normal @ offset) / (rays @ normal)
     plane = (rays * depth[..., None] - offset) @ camera_from_board[:3, :2]
-    shade = _chessboard if isinstance(board, Chessboard) else _dots
-    image = shade(board, plane[..., 0], plane[..., 1], blur_mm)  # type: ignore[arg-type]
+    shade = {Chessboard: _chessboard, DotGrid: _dots, CircleGrid: _circles}[type(board)]
+    image = shade(board, plane[..., 0], plane[..., 1], blur_mm)  # type: ignore[operator]
     image = np.where(depth > 0, image, BACKGROUND)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape) if noise else image
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
@@ -90,6 +90,18 @@ def _dots(board: DotGrid, x: FloatArray, y: FloatArray, blur_mm: float) -> Float
     dark = np.maximum(dark, np.maximum(outer * (1 - inner), corner * outer))
     paper = WHITE + (BLACK - WHITE) * dark
     return np.asarray(BACKGROUND + (paper - BACKGROUND) * sheet)
+
+
+def _circles(board: CircleGrid, x: FloatArray, y: FloatArray, blur_mm: float) -> FloatArray:
+    p = board.pitch_mm
+    dark = np.zeros_like(x)
+    for mark_x, mark_y, _ in board.points_mm:
+        near = (abs(x - mark_x) < 0.6 * p) & (abs(y - mark_y) < 0.6 * p)
+        radius = np.hypot(x[near] - mark_x, y[near] - mark_y)
+        dark[near] = np.maximum(dark[near], _step(board.diameter_mm / 2 - radius, blur_mm))
+    far_x, far_y = board.points_mm[:, :2].max(axis=0)
+    sheet = _box(x, y, (-1.1 * p, -1.1 * p, far_x + 1.1 * p, far_y + 1.1 * p), blur_mm)
+    return np.asarray(BACKGROUND + (WHITE + (BLACK - WHITE) * dark - BACKGROUND) * sheet)
 
 
 def board_poses(rig: StereoRig, board: Board, n: int, seed: int, tilt_deg: float = 25.0) -> list[FloatArray]:

@@ -22,6 +22,8 @@ _MAX_MARKS_PER_SIDE = 100
 _GRAMMAR = {
     "chessboard": "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
     "dots": "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. dots:7x7:5.0",
+    "circles": "circles:COLSxROWS:PITCH_MM[:DIAMETER_MM] (asymmetric, in OpenCV's terms: circles in a row "
+    "x rows, pitch from row to row; diameter half the pitch if not given), e.g. circles:4x11:5.0",
     "charuco": "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY (squares), e.g. charuco:12x9:4:3:5X5_250",
 }
 
@@ -70,8 +72,50 @@ class DotGrid:
         """The orientation mark settles it."""
         return False
 
+    @property
+    def gap_mm(self) -> float:
+        """Between the edges of neighbouring dots."""
+        return self.pitch_mm - self.diameter_mm
+
     def __str__(self) -> str:
         return f"dots:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.diameter_mm:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class CircleGrid:
+    """Rows of round marks, each row shifted by half a step against the one before; no orientation mark.
+
+    columns marks in each of the rows, two pitches apart; the rows are one pitch apart.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    diameter_mm: float
+
+    @property
+    def lattice(self) -> IntArray:
+        """(N, 2) places of all marks in whole pitches."""
+        row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
+        return np.column_stack([2 * column + row % 2, row])
+
+    @property
+    def points_mm(self) -> FloatArray:
+        """(N, 3) all marks in the board's frame."""
+        return np.column_stack([self.lattice * self.pitch_mm, np.zeros(self.columns * self.rows)])
+
+    @property
+    def is_symmetric(self) -> bool:
+        """With an even number of rows it looks the same from the other end."""
+        return self.rows % 2 == 0
+
+    @property
+    def gap_mm(self) -> float:
+        """Between the edges of neighbouring marks."""
+        return math.sqrt(2) * self.pitch_mm - self.diameter_mm
+
+    def __str__(self) -> str:
+        return f"circles:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.diameter_mm:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +142,7 @@ class Charuco:
         return f"charuco:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.marker_mm:g}:{self.dictionary}"
 
 
-Board = Chessboard | DotGrid | Charuco
+Board = Chessboard | DotGrid | CircleGrid | Charuco
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,22 +197,23 @@ def parse_board(text: str) -> Board:
             f"board {text!r}: {kind!r} is not a kind of board; expected one of\n  "
             + "\n  ".join(_GRAMMAR.values())
         )
-    counts = {"chessboard": (2,), "dots": (2, 3), "charuco": (4,)}[kind]
+    counts = {"chessboard": (2,), "dots": (2, 3), "circles": (2, 3), "charuco": (4,)}[kind]
     if len(parts) not in counts:
         raise CalibrationError(
             f"board {text!r}: {len(parts)} values after the kind, expected {_GRAMMAR[kind]}"
         )
     columns, rows = _size(text, kind, parts[0])
-    pitch = _length(text, kind, "square" if kind != "dots" else "pitch", parts[1])
+    pitch = _length(text, kind, "pitch" if kind in ("dots", "circles") else "square", parts[1])
     if kind == "chessboard":
         return Chessboard(columns, rows, pitch)
-    if kind == "dots":
+    if kind in ("dots", "circles"):
         diameter = _length(text, kind, "diameter", parts[2]) if len(parts) == 3 else pitch / 2
-        if diameter >= pitch:
+        grid = (DotGrid if kind == "dots" else CircleGrid)(columns, rows, pitch, diameter)
+        if grid.gap_mm <= 0:
             raise CalibrationError(
                 f"board {text!r}: dots of {diameter:g} mm overlap at a pitch of {pitch:g} mm"
             )
-        return DotGrid(columns, rows, pitch, diameter)
+        return grid
     marker = _length(text, kind, "marker", parts[2])
     if marker >= pitch:
         raise CalibrationError(f"board {text!r}: markers of {marker:g} mm do not fit squares of {pitch:g} mm")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Board, Chessboard, Detection, DotGrid, Missed
+from edged.vision.boards import Board, Charuco, Chessboard, Detection, Missed
 from edged.vision.camera import CameraModel
 from edged.vision.charuco import detect_charuco, remeasure_charuco
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
@@ -14,9 +14,9 @@ def detect_board(image: Image, board: Board) -> Detection | Missed:
     """Find a board in an image (H, W) uint8 and measure its marks."""
     if isinstance(board, Chessboard):
         return detect_chessboard(image, board)
-    if isinstance(board, DotGrid):
-        return detect_dots(image, board)
-    return detect_charuco(image, board)
+    if isinstance(board, Charuco):
+        return detect_charuco(image, board)
+    return detect_dots(image, board)
 
 
 def remeasure_board(
@@ -29,6 +29,6 @@ def remeasure_board(
     """
     if isinstance(board, Chessboard):
         return remeasure_chessboard(image, board, found, camera)
-    if isinstance(board, DotGrid):
-        return remeasure_dots(image, board, found, camera, camera_from_board)
-    return remeasure_charuco(image, board, found, camera)
+    if isinstance(board, Charuco):
+        return remeasure_charuco(image, board, found, camera)
+    return remeasure_dots(image, board, found, camera, camera_from_board)

@@ -1,4 +1,7 @@
-"""Plates of round marks (HALCON-like): found as a grid of ellipses, measured by fitting each dot.
+"""Plates of round marks: found as a grid of ellipses, measured by fitting each dot.
+
+HALCON-like plates have a square grid and one filled corner of their frame; OpenCV's asymmetric
+grids tell their turn by the rows' shift.
 
 The dot model is an ellipse with a blurred edge:
 
@@ -14,11 +17,14 @@ Source of the effect: J. Heikkilä, PAMI 2000, doi:10.1109/34.879788.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Detection, DotGrid, IntArray, Missed
+from edged.vision.boards import CircleGrid, Detection, DotGrid, IntArray, Missed
 from edged.vision.camera import CameraModel
 from edged.vision.geometry import apply
 from edged.vision.markfit import fit_dots
@@ -31,14 +37,21 @@ _SIZE_RATIO = 2.0  # of dots on one plate, near end to far end; leaves out the f
 _STEP_TOLERANCE = 0.3  # of the grid step: how far a neighbour may be from where it is expected
 _WINDOW_SHARE = 0.45  # of the free ring between a dot and its neighbours
 _MIN_CONTRAST = 8.0
+_SIZE_TOLERANCE = 0.01  # of the diameter: moves the correction for perspective by less than 0.01 px
+_SIZE_ROUNDS = 3
+_SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
 _MARK_OFFSET = 0.62  # of the pitch, from a corner dot outwards: in the filled corner, else plain plate
 _CIRCLE_POINTS = 64
 
 
-def detect_dots(image: Image, board: DotGrid) -> Detection | Missed:
+Plate = DotGrid | CircleGrid
+
+
+def detect_dots(image: Image, board: Plate) -> Detection | Missed:
     """Find all marks of a plate; dark on light, or light on dark.
 
-    image (H, W) uint8.  Mark 0 is the one next to the filled corner.
+    image (H, W) uint8.  Mark 0 is the one next to the filled corner, or at the end of an asymmetric grid
+    whose row is not shifted.
     """
     reasons: list[str] = []
     for picture in (image, np.asarray(255 - image)):
@@ -48,7 +61,7 @@ def detect_dots(image: Image, board: DotGrid) -> Detection | Missed:
             if isinstance(grid, Missed):
                 reasons.append(grid.reason)
                 continue
-            ordered = _orient(picture, grid, blobs[:, :2], board)
+            ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotGrid) else grid
             if isinstance(ordered, Missed):
                 reasons.insert(0, ordered.reason)  # so near: this is what the user wants to know
                 continue
@@ -57,7 +70,7 @@ def detect_dots(image: Image, board: DotGrid) -> Detection | Missed:
 
 
 def remeasure_dots(
-    image: Image, board: DotGrid, found: Detection, camera: CameraModel, camera_from_board: FloatArray
+    image: Image, board: Plate, found: Detection, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | Missed:
     """Measure a detected plate again, with the lens and the plate's pose now known."""
 
@@ -65,11 +78,10 @@ def remeasure_dots(
         points = np.concatenate([plane_mm, np.zeros_like(plane_mm[..., :1])], axis=-1)
         return camera.project(apply(camera_from_board, points))
 
-    outlines = to_pixels(_circles(board, found.ids))
-    return _measure(image, board, found.ids, outlines, to_pixels(board.points_mm[found.ids, :2]))
+    return _measure(image, board, found.ids, to_pixels, to_pixels(board.points_mm[found.ids, :2]))
 
 
-def _measure_first(image: Image, board: DotGrid, ellipses: FloatArray) -> Detection | Missed:
+def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detection | Missed:
     """Fit the dots, learn the homography from the ellipses' middles, and once more from the result."""
     ids = np.arange(len(ellipses))
     centres = ellipses[:, :2]
@@ -79,10 +91,15 @@ def _measure_first(image: Image, board: DotGrid, ellipses: FloatArray) -> Detect
         homography = _homography(plane, centres)
         if homography is None:
             return Missed("the dots found do not lie in one plane")
-        outlines = _map_plane(homography, _circles(board, ids))
         # The homography knows the shapes; the places are the dots' own, lens and all.
         shift = centres - _map_plane(homography, plane)
-        found = _measure(image, board, ids, outlines + shift[:, None], centres)
+
+        def to_pixels(
+            circles: FloatArray, homography: FloatArray = homography, shift: FloatArray = shift
+        ) -> FloatArray:
+            return np.asarray(_map_plane(homography, circles) + shift[:, None])
+
+        found = _measure(image, board, ids, to_pixels, centres)
         if isinstance(found, Missed):
             return found
         ids, centres = found.ids, found.pixels
@@ -90,23 +107,30 @@ def _measure_first(image: Image, board: DotGrid, ellipses: FloatArray) -> Detect
 
 
 def _measure(
-    image: Image, board: DotGrid, ids: IntArray, outlines: FloatArray, centres: FloatArray
+    image: Image,
+    board: Plate,
+    ids: IntArray,
+    to_pixels: Callable[[FloatArray], FloatArray],
+    centres: FloatArray,
 ) -> Detection | Missed:
-    """Fit the dots whose circles are expected at outlines (N, K, 2), their centres at centres (N, 2)."""
-    expected = np.array([_ellipse_of(outline) for outline in outlines])
-    usable = np.isfinite(expected).all(axis=1)
-    major = _major_px(expected)
-    minor = _minor_px(expected)
-    # The ring to the next dot, where the plate is foreshortened most, bounds the window there.
-    gap = minor * (2 * board.pitch_mm / board.diameter_mm - 2)
-    start = np.column_stack([expected, major + np.clip(_WINDOW_SHARE * gap, 2.0, 8.0)])
-    fits = np.full((len(ids), 9), np.nan)
-    fits[:, 5] = 0
-    some = np.empty((int(usable.sum()), 9))
-    fit_dots(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), some)
-    fits[usable] = some
+    """Fit the dots whose centres are expected at centres (N, 2).
+
+    to_pixels : image of points (N, K, 2) of the plate, one row for each dot.
+    The dots' size is measured, too: the stated one may be a guess, and it decides how far an ellipse's
+    middle is from the image of the circle's centre.
+    """
+    for _ in range(_SIZE_ROUNDS):
+        expected = np.array([_ellipse_of(outline) for outline in to_pixels(_circles(board, ids))])
+        fits = _fit(image, board, expected)
+        ok = fits[:, 5] > 0
+        if not ok.any():
+            break
+        size = float(np.median(np.sqrt(_inverse_areas(expected[ok]) / _inverse_areas(fits[ok][:, _SHAPE]))))
+        if abs(size - 1) < _SIZE_TOLERANCE:
+            break
+        board = replace(board, diameter_mm=size * board.diameter_mm)
     contrast = float(np.median(fits[:, 4]))
-    ok = (fits[:, 5] > 0) & (fits[:, 4] > 0.25 * contrast)
+    ok &= fits[:, 4] > 0.25 * contrast
     if not contrast >= _MIN_CONTRAST:
         return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
     if ok.sum() < max(6, 0.5 * len(ids)):
@@ -118,7 +142,21 @@ def _measure(
     )
 
 
-def _circles(board: DotGrid, ids: IntArray) -> FloatArray:
+def _fit(image: Image, board: Plate, expected: FloatArray) -> FloatArray:
+    """What `fit_dots` finds (N, 9) where ellipses (N, 5) are expected; NaN and not ok where none can be."""
+    usable = np.isfinite(expected).all(axis=1)
+    # The ring to the next dot, where the plate is foreshortened most, bounds the window there.
+    gap = _minor_px(expected) * 2 * board.gap_mm / board.diameter_mm
+    start = np.column_stack([expected, _major_px(expected) + np.clip(_WINDOW_SHARE * gap, 2.0, 8.0)])
+    fits = np.full((len(expected), 9), np.nan)
+    fits[:, 4:6] = 0
+    some = np.empty((int(usable.sum()), 9))
+    fit_dots(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), some)
+    fits[usable] = some
+    return fits
+
+
+def _circles(board: Plate, ids: IntArray) -> FloatArray:
     """Outlines (N, K, 2) of the dots on the plate."""
     angles = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS, endpoint=False)
     ring = 0.5 * board.diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -167,6 +205,11 @@ def _axes(ellipses: FloatArray) -> FloatArray:
     return np.column_stack([mean - difference, mean + difference])
 
 
+def _inverse_areas(ellipses: FloatArray) -> FloatArray:
+    """Inverse products (N,) of the semi-axes."""
+    return np.asarray(ellipses[:, 2] * ellipses[:, 4] - ellipses[:, 3] ** 2)
+
+
 def _major_px(ellipses: FloatArray) -> FloatArray:
     return np.asarray(1 / _axes(ellipses)[:, 0])
 
@@ -211,14 +254,17 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
     return np.array([x, y, matrix[0, 0], matrix[0, 1], matrix[1, 1]])
 
 
-def _grow_grid(blobs: FloatArray, board: DotGrid) -> IntArray | Missed:
-    """Indices (rows, columns) into blobs of a complete, right-handed grid; its turn is still open."""
+def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | Missed:
+    """Indices into blobs of a complete, right-handed grid.
+
+    For a square grid (rows, columns), its turn still open; for an asymmetric one (N,) in the board's order.
+    """
     wanted = board.columns * board.rows
     if len(blobs) < wanted:
         return Missed(f"{len(blobs)} dots found, the plate has {wanted}")
     centres = blobs[:, :2]
     middle = np.median(centres, axis=0)
-    sizes = 1 / np.sqrt(blobs[:, 2] * blobs[:, 4] - blobs[:, 3] ** 2)
+    sizes = 1 / np.sqrt(_inverse_areas(blobs))
     best = 0
     for seed in np.argsort(np.linalg.norm(centres - middle, axis=1))[:12]:
         alike = np.abs(np.log(sizes / sizes[seed])) < np.log(_SIZE_RATIO)
@@ -226,16 +272,50 @@ def _grow_grid(blobs: FloatArray, board: DotGrid) -> IntArray | Missed:
         best = max(best, len(places))
         if len(places) != wanted:
             continue
-        keys = np.array(list(places))
-        low = keys.min(axis=0)
-        shape = tuple(keys.max(axis=0) - low + 1)
-        if shape not in ((board.columns, board.rows), (board.rows, board.columns)):
-            continue
-        grid = np.full((shape[1], shape[0]), -1)
-        for (i, j), index in places.items():
-            grid[j - low[1], i - low[0]] = index
-        return grid if shape == (board.columns, board.rows) else np.rot90(grid)
+        grid = _rectangle(places, board) if isinstance(board, DotGrid) else _asymmetric(places, board)
+        if grid is not None:
+            return grid
+    if best == wanted:
+        return Missed(f"the {best} dots found are arranged in another way than the plate's")
     return Missed(f"the dots form a grid of {best} marks, the plate has {wanted}")
+
+
+def _rectangle(places: dict[tuple[int, int], int], board: DotGrid) -> IntArray | None:
+    """The grid (rows, columns) if it has the board's shape."""
+    keys = np.array(list(places))
+    low = keys.min(axis=0)
+    shape = tuple(keys.max(axis=0) - low + 1)
+    if shape not in ((board.columns, board.rows), (board.rows, board.columns)):
+        return None
+    grid = np.full((shape[1], shape[0]), -1)
+    for (i, j), index in places.items():
+        grid[j - low[1], i - low[0]] = index
+    return grid if shape == (board.columns, board.rows) else np.rot90(grid)
+
+
+# Steps of an asymmetric grid along the two directions grown, as columns, up to quarter turns. The nearest
+# neighbours lie on its diagonals; seen aslant, the mark two rows or columns on may be nearer.
+_STEPS = [
+    np.array(steps)
+    for steps in ([[1, -1], [1, 1]], [[1, 0], [1, 2]], [[1, -2], [1, 0]], [[2, 1], [0, 1]], [[2, -1], [0, 1]])
+]
+_QUARTER = np.array([[0, -1], [1, 0]])
+
+
+def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> IntArray | None:
+    """Indices (N,) in the board's order, if turned by some quarter the marks are the board's."""
+    wanted = {(int(x), int(y)): number for number, (x, y) in enumerate(board.lattice)}
+    keys, indices = np.array(list(places)), np.array(list(places.values()))
+    for steps in _STEPS:
+        lattice = keys @ steps.T
+        for _ in range(4):
+            lattice = lattice @ _QUARTER.T
+            numbers = [wanted.get((int(x), int(y))) for x, y in lattice - lattice.min(axis=0)]
+            if None not in numbers:
+                ordered = np.empty(len(indices), dtype=np.int64)
+                ordered[np.array(numbers, dtype=np.int64)] = indices
+                return ordered
+    return None
 
 
 def _grow_from(seed: int, centres: FloatArray) -> dict[tuple[int, int], int]:
