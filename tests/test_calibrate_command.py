@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from rigs import make_rig
 
 from edged.commands.calibrate import calibrate, find_pairs
 from edged.errors import CalibrationError, ImageError, UserError
-from edged.store import load_rig
+from edged.store import load_rig, save_rig
 from edged.vision.boards import parse_board
 
 SPEC = "chessboard:8x6:6"
@@ -174,6 +175,72 @@ def test_swapped_pictures_are_refused(folder: Path, tmp_path: Path) -> None:
         right.rename(left)
         (folder / "moving").rename(right)
     refused(folder, tmp_path, "swapped")
+
+
+def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
+    """Left and right from the same file: every pair is named, nothing is calibrated."""
+    for left in folder.glob("*_left.png"):
+        shutil.copy(left, left.with_name(left.name.replace("left", "right")))
+    refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: the left and the right picture are the same")
+
+
+def test_both_images_of_one_camera_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Two exposures of the same camera have no baseline: said as such."""
+    rng = np.random.default_rng(0)
+    for left in folder.glob("*_left.png"):
+        image = cv2.imread(str(left), cv2.IMREAD_GRAYSCALE)
+        noisy = np.clip(image + rng.normal(0, 1.5, image.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(left.with_name(left.name.replace("left", "right"))), noisy)
+    refused(folder, tmp_path, "both cameras are in one place")
+
+
+def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
+    """A pair that is there twice would make the sigmas too small: the copy is left out by name."""
+    for side in ("left", "right"):
+        shutil.copy(folder / f"v2_{side}.png", folder / f"v9_{side}.png")
+    said = run(folder, tmp_path / "rig.json")
+    assert "v9: left: the same picture as in v2" in said
+    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
+
+
+def test_copies_of_one_pair_are_refused(folder: Path, tmp_path: Path) -> None:
+    """One view, however often, is one view."""
+    for path in folder.glob("v[1-5]_*"):
+        shutil.copy(folder / path.name.replace(path.name[1], "0"), path)
+    refused(folder, tmp_path, r"1 of 6 pairs(.|\n)*v1: left: the same picture as in v0")
+
+
+def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
+    """One pair says nothing of focal length and distance."""
+    for path in folder.glob("v[1-5]_*"):
+        path.unlink()
+    refused(folder, tmp_path, "1 of 1 pairs show the board in both images, expected at least 3")
+
+
+def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
+    """A view out of focus is used at its own precision, or left out; either way it is named."""
+    image = cv2.imread(str(folder / "v4_left.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(folder / "v4_left.png"), cv2.GaussianBlur(image, (0, 0), 3))
+    said = run(folder, tmp_path / "rig.json")
+    assert "v4" in said
+    assert "blurred" in said
+
+
+def test_the_board_is_stated_as_taken_on_trust(pictures: Path, tmp_path: Path) -> None:
+    """A wrong square size cannot be seen in pictures: it scales the baseline, and the output says so."""
+    said = run(pictures, tmp_path / "rig.json", board="chessboard:8x6:6.06")
+    assert "the pictures cannot prove it" in said
+    assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
+
+
+def test_a_registration_that_no_longer_holds_is_said(pictures: Path, tmp_path: Path) -> None:
+    """Replacing a rig that knows the robot warns; the new one does not know it; the old one is kept."""
+    output = tmp_path / "rig.json"
+    save_rig(output, replace(RIG, robot_from_rig=np.eye(4)))
+    said = run(pictures, output)
+    assert "run `edged register` again" in said
+    assert load_rig(output).robot_from_rig is None
+    assert load_rig(tmp_path / "rig.test.json").robot_from_rig is not None
 
 
 def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:

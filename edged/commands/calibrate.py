@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,9 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from edged.domain import FloatArray
-from edged.errors import CalibrationError, UserError
+from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.report import calibration_report
-from edged.store import keep_old_rig, load_image, save_rig, write_atomically
+from edged.store import keep_old_rig, load_image, load_rig, save_rig, write_atomically
 from edged.vision.boards import Board, Detection, Missed, StereoView, parse_boards
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
@@ -69,7 +70,7 @@ def calibrate(
     make_rectification(calibration.rig)
     quality = quality_figures(calibration, held, boards)
     page = calibration_report(calibration, held, views, quality) if report else None
-    kept = keep_old_rig(output)
+    kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_atomically(report, page.encode())
@@ -118,10 +119,21 @@ def detect_views(
         ]
         found = [[_finish(future, progress, bar) for future in pair] for pair in futures]
     sizes = tuple(
-        _one_size([getattr(pair, side) for pair in pairs], [row[i][0] for row in found])
+        _one_size([getattr(pair, side) for pair in pairs], [row[i].size for row in found])
         for i, side in enumerate(("left", "right"))
     )
-    views = [_view(pair.name, boards, row[0][1], row[1][1]) for pair, row in zip(pairs, found, strict=True)]
+    views: list[StereoView] = []
+    first_with: dict[bytes, str] = {}
+    for pair, (left, right) in zip(pairs, found, strict=True):
+        twin = first_with.setdefault(left.digest, pair.name)
+        if left.digest == right.digest:
+            missed = Missed("the left and the right picture are the same file twice")
+            views.append(StereoView(pair.name, boards[0], missed, missed))
+        elif twin != pair.name:
+            missed = Missed(f"the same picture as in {twin}: it would count twice")
+            views.append(StereoView(pair.name, boards[0], missed, missed))
+        else:
+            views.append(_view(pair.name, boards, left.results, right.results))
     return (sizes[0], sizes[1]), views
 
 
@@ -133,14 +145,23 @@ def _view(
     return min(choices, key=lambda view: isinstance(view.left, Missed) + isinstance(view.right, Missed))
 
 
-def _detect(path: Path, boards: Sequence[Board]) -> tuple[tuple[int, int], list[Detection | Missed]]:
-    """The picture's size, and what it shows of each board; after one is found the others are not tried."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies."""
+
+    size: tuple[int, int]
+    digest: bytes
+    results: list[Detection | Missed]
+
+
+def _detect(path: Path, boards: Sequence[Board]) -> _Looked:
+    """Look for every board; after one is found the others are not tried."""
     image = load_image(path)
     results: list[Detection | Missed] = []
     for board in boards:
         seen_another = any(isinstance(result, Detection) for result in results)
         results.append(Missed("shows another board") if seen_another else detect_board(image, board))
-    return (image.shape[1], image.shape[0]), results
+    return _Looked((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest(), results)
 
 
 def remeasure_views(
@@ -248,6 +269,24 @@ def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
         "length_error_rms_mm": rms([view.length_error_mm for view in held]),
         "flatness_rms_mm": rms([view.flatness_mm for view in held]),
     }
+
+
+def _keep_old(output: Path, console: Console) -> Path | None:
+    """Keep the rig that is about to be replaced; say so if it was registered to a robot."""
+    kept = keep_old_rig(output)
+    if kept is None:
+        return None
+    try:
+        registered = load_rig(kept).robot_from_rig is not None
+    except FileFormatError:
+        registered = False  # whatever it was, it is kept
+    if registered:
+        console.print(
+            "[yellow]note[/] the old rig was registered to the robot; that does not hold for the new one: "
+            "run `edged register` again",
+            soft_wrap=True,
+        )
+    return kept
 
 
 def _check_writable(path: Path) -> None:

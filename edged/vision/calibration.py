@@ -107,7 +107,7 @@ def calibrate_stereo(
     left_camera, left_poses = zhang(usable, "left", left_size, model)
     right_camera, right_poses = zhang(usable, "right", right_size, model)
     usable, right_from_left = agree(usable, left_poses, right_poses)
-    check_sides(right_from_left)
+    check_sides(right_from_left, left_poses)
     state = BundleState(left_camera, right_camera, right_from_left, np.array(left_poses))
     solution = _solve_and_clean(usable, state, model, excluded)
     return _summarise(solution, excluded)

@@ -16,6 +16,7 @@ from edged.vision.geometry import invert, rotation_matrix, rotation_vector, tran
 
 MIN_VIEWS = 3  # two give no redundancy at all for the distortion
 MIN_MARKS = 8  # in one image: a homography and as much redundancy again
+_MIN_BASELINE = 1e-3  # of the distance: 1 px of disparity or less, no depth to speak of
 _MIN_TILT_SPREAD_DEG = 3.0  # between board normals; Zhang's method is degenerate for parallel boards
 
 
@@ -141,9 +142,15 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
     return angle + shift / max(float(np.linalg.norm(a[:3, 3])), 1e-9)
 
 
-def check_sides(right_from_left: FloatArray) -> None:
-    """Raise `CalibrationError` where the right camera stands on the left."""
+def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray]) -> None:
+    """Raise `CalibrationError` where the right camera stands on the left, or where the left one does."""
     centre = invert(right_from_left)[:3, 3]
+    distance = float(np.median([pose[2, 3] for pose in left_from_board]))
+    if np.linalg.norm(centre) < _MIN_BASELINE * distance:
+        raise CalibrationError(
+            "both cameras are in one place: are the *_left and *_right images of the same camera? "
+            f"(baseline {np.linalg.norm(centre):.3f} mm at a distance of {distance:.0f} mm)"
+        )
     if centre[0] < 0 and abs(centre[0]) > abs(centre[1]):
         raise CalibrationError(
             "left and right look swapped: the camera of the *_right images lies on the left of the other; "
