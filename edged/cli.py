@@ -245,9 +245,9 @@ def status(
 
 @app.command()
 def registers(
-    format: Annotated[str, typer.Option("--format", help="md, csv or json")] = "md",
+    format: Annotated[str, typer.Option("--format", help="md, csv, json; sources: st, urscript, python")] = "md",
 ) -> None:
-    """Print the Modbus map, generated from the schema that encodes it."""
+    """Print the Modbus map or a client's source, generated from the schema that encodes it."""
     from edged.commands.registers import registers as command
 
     raise typer.Exit(command(format))

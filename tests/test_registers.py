@@ -82,7 +82,7 @@ def test_every_listing_names_every_register() -> None:
     for block in reg.BLOCKS[:7]:
         for register in block.registers:
             assert f"| {register.address} | {register.name} |" in markdown
-    with pytest.raises(UserError, match="expected md, csv, json"):
+    with pytest.raises(UserError, match="expected md, csv, json, st, urscript, python"):
         render("xml")
 
 

@@ -1,4 +1,4 @@
-"""`edged registers`: the Modbus map, from the schema that encodes it."""
+"""`edged registers`: the Modbus map and client sources, from the schema that encodes it."""
 
 from __future__ import annotations
 
@@ -6,29 +6,25 @@ import csv
 import io
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+from edged.clients import python_source, structured_text_source, urscript_source
 from edged.errors import UserError
 from edged.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
 
-FORMATS = ("md", "csv", "json")
-
 
 def registers(fmt: str) -> int:
-    """Print the map as md, csv or json. Raises `UserError` for another format."""
+    """Print the map, or a client's source. Raises `UserError` for another format."""
     sys.stdout.write(render(fmt))
     return 0
 
 
 def render(fmt: str) -> str:
-    """The map as text that ends with a newline."""
-    if fmt == "md":
-        return _markdown()
-    if fmt == "csv":
-        return _csv()
-    if fmt == "json":
-        return _json()
-    raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
+    """The map, or a client's source, as text that ends with a newline."""
+    writer = FORMATS.get(fmt)
+    if writer is None:
+        raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
+    return writer()
 
 
 def _rows() -> Iterator[tuple[Block, Register]]:
@@ -98,3 +94,13 @@ def _json() -> str:
         for block, register in _rows()
     ]
     return json.dumps({"map_version": MAP_VERSION, "registers": rows}, indent=1, ensure_ascii=False) + "\n"
+
+
+FORMATS: dict[str, Callable[[], str]] = {
+    "md": _markdown,
+    "csv": _csv,
+    "json": _json,
+    "st": structured_text_source,
+    "urscript": urscript_source,
+    "python": python_source,
+}

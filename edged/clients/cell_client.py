@@ -1,0 +1,247 @@
+"""An edged cell over Modbus/TCP: the whole handshake, for PCs. Needs Python 3.10 and pymodbus 3.8 or later.
+
+    with EdgedCell("192.168.10.20") as cell:
+        result = cell.locate()
+        if result.ok:
+            print(result.values["X"] / 1000, "mm, sigma", result.values["SIGMA_X"] / 10, "um")
+        cell.acknowledge(result)
+
+Not thread safe: one object for one thread.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from pymodbus.client import ModbusTcpClient
+
+# <map>
+from edged.domain import CommandKind
+from edged.handshake import Reason
+from edged.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, ResultCode, StatusBit
+from edged.registers import BLOCKS as _BLOCKS
+
+BLOCKS = {
+    block.name: (block.address, tuple((one.name, one.kind.value) for one in block.registers))
+    for block in _BLOCKS
+}
+HIGH_FIRST = {block.name for block in _BLOCKS if block.high_first}
+COMMANDS = {code.name: code.value for code in CommandKind}
+RESULTS = {code.name: code.value for code in ResultCode}
+NACK_REASONS = {code.name: code.value for code in Reason}
+STATUS_BITS = {str(code.name): code.value for code in StatusBit}
+FLAGS = {str(code.name): code.value for code in Flag}
+# </map>
+
+ROW_WORDS = 20
+WORDS = {"H": 1, "i": 2, "I": 2, "Q": 4, "f": 2}
+
+
+class CellError(Exception):
+    """The cell cannot be used: not reachable, another device, another map, a refused request."""
+
+
+class CommandRefused(CellError):
+    """The command ended in NACK; reason : a name of `NACK_REASONS`."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"the cell answered NACK: {reason}")
+
+
+class NoAnswer(CellError):
+    """The command did not end in the time."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the cell says about one exposure.
+
+    code : a name of `RESULTS`. ok : coordinates may be used (VALID at the time of reading).
+    values : every register of the block `result`; lengths in um, angles in 0.001 degrees.
+    targets : the rows of the target table, without the prefix of their names.
+    """
+
+    sequence: int
+    code: str
+    ok: bool
+    simulated: bool
+    values: dict[str, float]
+    targets: tuple[dict[str, float], ...]
+
+
+class EdgedCell:
+    """One cell. word_order, base_address, unit_id : as in the cell's configuration."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int = 1502,
+        *,
+        unit_id: int = 1,
+        base_address: int = 0,
+        word_order: str = "high",
+        answer_s: float = 2.0,
+        poll_s: float = 0.01,
+    ) -> None:
+        self._client = ModbusTcpClient(host, port=port, timeout=answer_s)
+        self._unit_id = unit_id
+        self._base = base_address
+        self._low_first = word_order == "low"
+        self._answer_s = answer_s
+        self._poll_s = poll_s
+        self._beat = 0
+
+    def __enter__(self) -> EdgedCell:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def connect(self) -> None:
+        """Connect and check that it is an edged cell, the map is this one and the word order is right."""
+        if not self._client.connect():  # type: ignore[no-untyped-call]
+            raise CellError("the cell does not answer")
+        try:
+            self._check(self.read("constants"))
+        except CellError:
+            self._client.close()  # type: ignore[no-untyped-call]
+            raise
+
+    def _check(self, constants: dict[str, float]) -> None:
+        if constants["MAGIC"] != MAGIC:
+            raise CellError(f"MAGIC is {int(constants['MAGIC']):#06x}: not an edged cell, or another base address")
+        if constants["MAP_VERSION"] != MAP_VERSION:
+            raise CellError(f"the cell's map is version {constants['MAP_VERSION']}, this is {MAP_VERSION}")
+        if constants["PROBE_U32"] != 0x01020304:
+            raise CellError("32-bit values come in the other word order")
+
+    def close(self) -> None:
+        """Give the right to write to others and hang up."""
+        if self._client.connected:
+            self._client.write_register(self._base + ADDRESS["OPTIONS"], 1, device_id=self._unit_id)
+        self._client.close()  # type: ignore[no-untyped-call]
+
+    # --- commands ------------------------------------------------------------------------------
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> Result:
+        """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`."""
+        return self._measure("LOCATE", job, timeout_s)
+
+    def verify(self, job: int = 0, timeout_s: float = 5.0) -> Result:
+        """Measure without asking for coordinates: the code is VERIFIED when the part is good."""
+        return self._measure("VERIFY", job, timeout_s)
+
+    def grab(self, timeout_s: float = 5.0) -> Result:
+        """Take the picture only."""
+        return self._measure("GRAB", 0, timeout_s)
+
+    def change_job(self, job: int, timeout_s: float = 5.0) -> None:
+        """Make a job the active one; when this returns it is loaded and warm."""
+        self._run("CHANGE_JOB", job, timeout_s)
+
+    def acknowledge(self, result: Result) -> None:
+        """The result was used: RESULT_VALID goes down."""
+        self._write(ADDRESS["ACK_SEQ"], [result.sequence])
+
+    def beat(self) -> None:
+        """Count the heartbeat; once begun, call it more often than the cell's `heartbeat_s`."""
+        self._beat = self._beat % 0xFFFF + 1
+        self._write(ADDRESS["CLIENT_HEARTBEAT"], [self._beat])
+
+    # --- reading -------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """The block `status`, and `bits`: the names of the status bits that are up."""
+        values = self.read("status")
+        return {**values, "bits": _names(STATUS_BITS, int(values["STATUS_BITS"]))}
+
+    def latest(self) -> Result:
+        """What is on display now (of a free-running cell: the newest cycle)."""
+        values = self.read("result")
+        flags = _names(FLAGS, int(values["FLAGS"]))
+        codes = {number: name for name, number in RESULTS.items()}
+        return Result(
+            sequence=int(values["SEQ_HEAD"]),
+            code=codes.get(int(values["RESULT"]), "?"),
+            ok="VALID" in flags,
+            simulated="SIMULATED" in flags,
+            values=values,
+            targets=self._targets(values),
+        )
+
+    def read(self, block: str, shift: int = 0) -> dict[str, float]:
+        """One block by name, in one request."""
+        address, registers = BLOCKS[block]
+        count = sum(WORDS[kind] for _, kind in registers)
+        answer = self._client.read_holding_registers(
+            self._base + address + shift, count=count, device_id=self._unit_id
+        )
+        if answer.isError():
+            raise CellError(f"reading {block}: {answer}")
+        low_first = self._low_first and block not in HIGH_FIRST
+        return _decode(registers, list(answer.registers), low_first)
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _measure(self, command: str, job: int, timeout_s: float) -> Result:
+        sequence = self._run(command, job, timeout_s)
+        result = self.latest()
+        if result.sequence != sequence or result.values["SEQ_TAIL"] != sequence:
+            raise NoAnswer(f"another command has taken the place of {sequence}")
+        return result
+
+    def _run(self, command: str, job: int, timeout_s: float) -> int:
+        """Write a command and wait for its end; returns its sequence."""
+        # one more than the cell has seen: a client that was started anew never repeats a sequence
+        sequence = int(self.read("status")["CMD_SEQ_ECHO"]) % 0xFFFF + 1
+        self._write(ADDRESS["TIMEOUT"], [min(max(round(timeout_s * 1000), 1), 0xFFFF)])
+        self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence])
+        reasons = {number: name for name, number in NACK_REASONS.items()}
+        # the cell gives up by itself after the time-out and says so
+        end_s = time.monotonic() + timeout_s + self._answer_s
+        while time.monotonic() < end_s:
+            status = self.status()
+            if status["DONE_SEQ"] == sequence and "NACK" in status["bits"]:
+                raise CommandRefused(reasons.get(int(status["NACK_REASON"]), "?"))
+            if status["DONE_SEQ"] == sequence and "ACK" in status["bits"]:
+                return sequence
+            time.sleep(self._poll_s)
+        raise NoAnswer(f"{command} {sequence} did not end within {timeout_s:g} s")
+
+    def _targets(self, values: dict[str, float]) -> tuple[dict[str, float], ...]:
+        rows = []
+        for index in range(min(int(values["COUNT"]), 16)):
+            row = self.read("target 0", ROW_WORDS * index)
+            if row["T0_SEQ"] != values["SEQ_HEAD"]:
+                break  # the next result has come in between
+            rows.append({name.removeprefix("T0_"): value for name, value in row.items()})
+        return tuple(rows)
+
+    def _write(self, address: int, words: list[int]) -> None:
+        answer = self._client.write_registers(self._base + address, words, device_id=self._unit_id)
+        if answer.isError():
+            raise CellError(
+                f"writing {address}: {answer} (exception 6: another client holds the right to write)"
+            )
+
+
+def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first: bool) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for name, kind in registers:
+        part, words = words[: WORDS[kind]], words[WORDS[kind] :]
+        if low_first:
+            part.reverse()
+        (values[name],) = struct.unpack(">" + kind, struct.pack(f">{len(part)}H", *part))
+    return values
+
+
+def _names(flags: dict[str, int], word: int) -> set[str]:
+    return {name for name, bit in flags.items() if word & bit}

@@ -1,0 +1,63 @@
+"""The Python client: `cell_client` with the map written out; it needs pymodbus and nothing of edged."""
+
+from __future__ import annotations
+
+import inspect
+
+from edged.clients import cell_client
+from edged.domain import CommandKind
+from edged.handshake import Reason
+from edged.registers import (
+    ADDRESS,
+    BLOCKS,
+    MAGIC,
+    MAP_VERSION,
+    TABLE,
+    Flag,
+    ResultCode,
+    StatusBit,
+)
+
+BEGIN, END = "# <map>\n", "# </map>\n"
+
+
+def python_source() -> str:
+    """A module with the class `EdgedCell`, as text."""
+    source = inspect.getsource(cell_client)
+    head, _, rest = source.partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    return head + _map() + tail
+
+
+def _map() -> str:
+    lines = [
+        "# Written by `edged registers --format python` from the schema of the registers.",
+        f"MAGIC = 0x{MAGIC:04X}",
+        f"MAP_VERSION = {MAP_VERSION}",
+        "BLOCKS: dict[str, tuple[int, tuple[tuple[str, str], ...]]] = {",
+    ]
+    for block in BLOCKS[: -len(TABLE)] + TABLE[:1]:
+        lines.append(f'    "{block.name}": (')
+        lines.append(f"        {block.address},")
+        lines.append("        (")
+        lines += [
+            f'            ("{register.name}", "{register.kind.value}"),' for register in block.registers
+        ]
+        lines += ["        ),", "    ),"]
+    lines.append("}")
+    lines.append(
+        f"HIGH_FIRST = { ({block.name for block in BLOCKS if block.high_first})!r}".replace("'", '"')
+    )
+    names = ("COMMAND", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "OPTIONS", "TIMEOUT")
+    lines.append(f"ADDRESS = { ({name: ADDRESS[name] for name in names})!r}".replace("'", '"'))
+    for name, codes in (
+        ("COMMANDS", CommandKind),
+        ("RESULTS", ResultCode),
+        ("NACK_REASONS", Reason),
+        ("STATUS_BITS", StatusBit),
+        ("FLAGS", Flag),
+    ):
+        lines.append(f"{name} = {{")
+        lines += [f'    "{code.name}": {code.value},' for code in codes]
+        lines.append("}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,313 @@
+"""The PLC's side in IEC 61131-3 structured text: result type, conversions, function block with the handshake.
+
+No global variables, no vendor library: the PLC's own Modbus client copies registers to `awStatus` and
+`awResult` and writes `awCommand`; every maker configures that in another way, and all of them can.
+"""
+
+from __future__ import annotations
+
+from edged.domain import CommandKind
+from edged.handshake import Reason
+from edged.registers import (
+    ADDRESS,
+    COMMAND,
+    MAP_VERSION,
+    RESULT,
+    STATUS,
+    Flag,
+    Kind,
+    Register,
+    StatusBit,
+)
+
+TYPES = {Kind.U16: ("ui", "UINT"), Kind.I32: ("di", "DINT"), Kind.U32: ("ud", "UDINT")}
+CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1
+"""COMMAND to TIMEOUT, in one write."""
+
+
+def structured_text_source() -> str:
+    """Types, functions and the function block `FB_EDGED`, as text."""
+    return "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+
+
+def _header() -> str:
+    return f"""(* edged, map version {MAP_VERSION}: written by `edged registers --format st`.
+
+Configure the Modbus client of the PLC (addresses are 0-based PDU addresses; add base_address of the cell):
+    read  {STATUS.words:3} words from {STATUS.address} into awStatus,  cyclically, 20 to 50 ms
+    read  {RESULT.words:3} words from {RESULT.address} into awResult,  cyclically, 20 to 50 ms, in ONE request
+    write {CONTROL_WORDS:3} words to   {COMMAND.address} from awCommand, cyclically, in ONE request (FC 16)
+and xLinkOk: TRUE while all three succeed. Call FB_EDGED in every scan. *)
+"""
+
+
+def _fields(register: Register) -> list[tuple[str, str, str]]:
+    """Name, type and conversion of a register in the result type; 64 bits become two UDINT."""
+    offset = register.address - RESULT.address
+    if register.kind is Kind.U64:
+        halves = ("HIGH", "LOW")
+        first, second = (f"F_EDGED_UDINT_OF_64(awResult, {offset}, {i}, xLowWordFirst)" for i in (0, 1))
+        names = [f"ud{register.name}_{half}" for half in halves]
+        return [(names[0], "UDINT", first), (names[1], "UDINT", second)]
+    prefix, kind = TYPES[register.kind]
+    name = prefix + register.name
+    if register.kind is Kind.U16:
+        return [(name, kind, f"WORD_TO_UINT(awResult[{offset}])")]
+    words = f"awResult[{offset}], awResult[{offset + 1}]"
+    joined = f"F_EDGED_DWORD({words}, xLowWordFirst)"
+    return [(name, kind, f"DWORD_TO_{kind}({joined})")]
+
+
+def _used() -> list[Register]:
+    return [register for register in RESULT.registers if not register.name.startswith(("RESERVED", "CRC"))]
+
+
+def _result_type() -> str:
+    lines = ["TYPE ST_EDGED_RESULT :", "STRUCT", "    xValid : BOOL; (* a robot may use the coordinates *)"]
+    for register in _used():
+        for name, kind, _ in _fields(register):
+            unit = f"{register.unit}: " if register.unit else ""
+            lines.append(f"    {name} : {kind}; (* {unit}{register.help} *)")
+    return "\n".join([*lines, "END_STRUCT", "END_TYPE", ""])
+
+
+FUNCTIONS = """\
+(* Two words as 32 bits. *)
+FUNCTION F_EDGED_DWORD : DWORD
+VAR_INPUT
+    wFirst : WORD;
+    wSecond : WORD;
+    xLowWordFirst : BOOL;
+END_VAR
+IF xLowWordFirst THEN
+    F_EDGED_DWORD := SHL(WORD_TO_DWORD(wSecond), 16) OR WORD_TO_DWORD(wFirst);
+ELSE
+    F_EDGED_DWORD := SHL(WORD_TO_DWORD(wFirst), 16) OR WORD_TO_DWORD(wSecond);
+END_IF
+END_FUNCTION
+
+(* The sequence after this one: 1 to 65535, never 0. *)
+FUNCTION F_EDGED_NEXT : UINT
+VAR_INPUT
+    uiSequence : UINT;
+END_VAR
+IF uiSequence = 65535 THEN
+    F_EDGED_NEXT := 1;
+ELSE
+    F_EDGED_NEXT := uiSequence + 1;
+END_IF
+END_FUNCTION
+
+(* Half of a 64-bit value at iAt: iHalf 0 is the upper, 1 the lower one. *)
+FUNCTION F_EDGED_UDINT_OF_64 : UDINT
+VAR_INPUT
+    awWords : ARRAY[0..47] OF WORD;
+    iAt : INT;
+    iHalf : INT;
+    xLowWordFirst : BOOL;
+END_VAR
+VAR
+    iFirst : INT;
+END_VAR
+IF xLowWordFirst THEN
+    iFirst := iAt + 2 - 2 * iHalf;
+ELSE
+    iFirst := iAt + 2 * iHalf;
+END_IF
+F_EDGED_UDINT_OF_64 := DWORD_TO_UDINT(F_EDGED_DWORD(awWords[iFirst], awWords[iFirst + 1], xLowWordFirst));
+END_FUNCTION
+"""
+
+BLOCK = """\
+(* The handshake. A rising edge of xExecute runs uiCommand for uiJob; keep xExecute TRUE while the result is
+used. Its falling edge acknowledges the result, which is then withdrawn.
+    xDone          the command was carried out; read stResult. Use coordinates only while stResult.xValid.
+    xExposureDone  the picture is taken: the robot may move although the result is still to come.
+    xError         it was not; uiError: 1 to @LAST_REASON@ as NACK_REASON (@REASONS@),
+                   100 not within tTimeout, 101 link down, 102 the cell's heartbeat stands still. *)
+FUNCTION_BLOCK FB_EDGED
+VAR_INPUT
+    xLinkOk : BOOL;
+    xExecute : BOOL;
+    uiCommand : UINT := @LOCATE@; (* @COMMANDS@ *)
+    uiJob : UINT; (* 0: the active one *)
+    tTimeout : TIME := T#5S;
+    xLowWordFirst : BOOL; (* word_order = "low" in the cell *)
+    adiFlange : ARRAY[0..5] OF DINT; (* pose of the flange, um and 0.001 degrees; optional *)
+    awStatus : ARRAY[0..@STATUS_LAST@] OF WORD;
+    awResult : ARRAY[0..@RESULT_LAST@] OF WORD;
+END_VAR
+VAR_OUTPUT
+    xReady : BOOL;
+    xBusy : BOOL;
+    xExposureDone : BOOL;
+    xDone : BOOL;
+    xError : BOOL;
+    uiError : UINT;
+    stResult : ST_EDGED_RESULT;
+    awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
+END_VAR
+VAR
+    iState : INT; (* 0 idle, 10 waits for the answer, 20 waits for the result, 30 result in use, 40 failed *)
+    uiSequence : UINT;
+    uiNext : UINT;
+    wBits : WORD;
+    wAlive : WORD;
+    wHeartbeat : WORD;
+    xAlive : BOOL;
+    xMine : BOOL;
+    xWasExecute : BOOL;
+    tonAnswer : TON;
+    tonAlive : TON;
+    tonBeat : TON;
+    i : INT;
+    dwFlange : DWORD;
+END_VAR
+
+(* Does the cell live? Its heartbeat counts at 10 Hz. *)
+tonAlive(IN := awStatus[@HEARTBEAT@] = wAlive, PT := T#1S);
+wAlive := awStatus[@HEARTBEAT@];
+xAlive := xLinkOk AND NOT tonAlive.Q;
+
+(* Our heartbeat: when it stops, the cell withdraws the result. 0 would end the supervision. *)
+tonBeat(IN := NOT tonBeat.Q, PT := T#200MS);
+IF tonBeat.Q THEN
+    IF wHeartbeat = 16#FFFF THEN
+        wHeartbeat := 1;
+    ELSE
+        wHeartbeat := UINT_TO_WORD(WORD_TO_UINT(wHeartbeat) + 1);
+    END_IF
+END_IF
+awCommand[@O_CLIENT_HEARTBEAT@] := wHeartbeat;
+
+wBits := awStatus[@BITS@];
+xReady := xAlive AND iState = 0 AND (wBits AND @READY@) <> 0;
+(* both in one picture: DONE_SEQ alone could be an older command with the same number *)
+xMine := awStatus[@DONE@] = UINT_TO_WORD(uiSequence) AND awStatus[@ECHO@] = UINT_TO_WORD(uiSequence);
+tonAnswer(IN := iState = 10 OR iState = 20, PT := tTimeout);
+
+CASE iState OF
+    0:
+        IF xExecute AND NOT xWasExecute THEN
+            (* one more than the cell has seen, and not one that may still be on its way *)
+            uiNext := F_EDGED_NEXT(WORD_TO_UINT(awStatus[@ECHO@]));
+            IF uiNext = uiSequence THEN
+                uiNext := F_EDGED_NEXT(uiNext);
+            END_IF
+            uiSequence := uiNext;
+            xDone := FALSE;
+            xError := FALSE;
+            uiError := 0;
+            xExposureDone := FALSE;
+            stResult.xValid := FALSE;
+            awCommand[@O_COMMAND@] := UINT_TO_WORD(uiCommand);
+            awCommand[@O_JOB@] := UINT_TO_WORD(uiJob);
+            awCommand[@O_CMD_SEQ@] := UINT_TO_WORD(uiSequence);
+            awCommand[@O_ACK_SEQ@] := 0;
+            awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(TIME_TO_DWORD(tTimeout));
+            IF tTimeout > T#60S THEN
+                awCommand[@O_TIMEOUT@] := 60000;
+            END_IF
+            iState := 10;
+        END_IF
+    10:
+        IF awStatus[@ECHO@] = UINT_TO_WORD(uiSequence) AND (wBits AND @EXPOSURE_DONE@) <> 0 THEN
+            xExposureDone := TRUE;
+        END_IF
+        IF xMine AND (wBits AND @NACK@) <> 0 THEN
+            uiError := WORD_TO_UINT(awStatus[@REASON@]);
+            iState := 40;
+        ELSIF xMine AND (wBits AND @ACK@) <> 0 THEN
+            IF uiCommand = @CHANGE_JOB@ THEN
+                iState := 30; (* a job change has no result *)
+            ELSE
+                iState := 20;
+            END_IF
+        END_IF
+    20:
+        (* head and tail are read in one request: both are ours, or it is not our result *)
+        IF awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence) THEN
+@DECODE@
+            xExposureDone := TRUE;
+            iState := 30;
+        END_IF
+END_CASE
+
+(* A result stays usable only while the cell says so: it grows old, and a new command withdraws it. *)
+stResult.xValid := iState = 30 AND xAlive AND uiCommand <> @CHANGE_JOB@
+    AND awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence)
+    AND (awResult[@FLAGS@] AND @VALID@) <> 0;
+
+IF (iState = 10 OR iState = 20) AND NOT xAlive THEN
+    IF xLinkOk THEN
+        uiError := 102;
+    ELSE
+        uiError := 101;
+    END_IF
+    iState := 40;
+ELSIF (iState = 10 OR iState = 20) AND tonAnswer.Q THEN
+    uiError := 100;
+    iState := 40;
+END_IF
+
+IF (iState = 30 OR iState = 40) AND NOT xExecute THEN
+    awCommand[@O_ACK_SEQ@] := UINT_TO_WORD(uiSequence);
+    stResult.xValid := FALSE;
+    iState := 0;
+END_IF
+xBusy := iState = 10 OR iState = 20;
+xDone := iState = 30;
+xError := iState = 40;
+xWasExecute := xExecute;
+
+FOR i := 0 TO 5 DO
+    dwFlange := DINT_TO_DWORD(adiFlange[i]);
+    IF xLowWordFirst THEN
+        awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
+        awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
+    ELSE
+        awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
+        awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
+    END_IF
+END_FOR
+END_FUNCTION_BLOCK
+"""
+
+
+def _block() -> str:
+    words = {
+        "LOCATE": CommandKind.LOCATE.value,
+        "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
+        "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
+        "REASONS": ", ".join(reason.name.lower() for reason in Reason if reason),
+        "LAST_REASON": max(Reason).value,
+        "STATUS_LAST": STATUS.words - 1,
+        "RESULT_LAST": RESULT.words - 1,
+        "CONTROL_LAST": CONTROL_WORDS - 1,
+        "HEARTBEAT": _at("HEARTBEAT"),
+        "BITS": _at("STATUS_BITS"),
+        "DONE": _at("DONE_SEQ"),
+        "ECHO": _at("CMD_SEQ_ECHO"),
+        "REASON": _at("NACK_REASON"),
+        "FLANGE": ADDRESS["FLANGE_X"] - COMMAND.address,
+        "FLAGS": next(one.address for one in RESULT.registers if one.name == "FLAGS") - RESULT.address,
+        "VALID": f"16#{Flag.VALID.value:04X}",
+        "DECODE": "\n".join(
+            f"            stResult.{name} := {conversion};"
+            for register in _used()
+            for name, _, conversion in _fields(register)
+        ),
+    }
+    words |= {bit.name or "": f"16#{bit.value:04X}" for bit in StatusBit}
+    words |= {
+        f"O_{name}": ADDRESS[name] - COMMAND.address
+        for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "TIMEOUT")
+    }
+    text = BLOCK
+    for name, value in words.items():
+        text = text.replace(f"@{name}@", str(value))
+    return text
+
+
+def _at(name: str) -> int:
+    return ADDRESS[name] - STATUS.address

@@ -1,0 +1,363 @@
+"""The client sources that `edged registers` writes, used as they are against a running cell."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import structured_text
+import urscript
+from livecell import LiveCell
+from pymodbus.client import ModbusTcpClient
+from snapshots import make_target
+
+from edged.adapters.modbus import ModbusSettings
+from edged.commands.registers import render
+from edged.domain import Reject
+from edged.vision.geometry import rotation_vector
+
+WAIT_S = 20.0
+
+
+def until(condition: Callable[[], Any], what: str) -> Any:
+    """Wait for a true value and return it."""
+    deadline_s = time.monotonic() + WAIT_S
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < deadline_s, f"not in time: {what}"
+        time.sleep(0.002)
+
+
+# --- Python ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def client_module(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
+    """The generated module, imported from a file as a user would."""
+    path = tmp_path_factory.mktemp("client") / "edged_cell.py"
+    path.write_text(render("python"))
+    spec = importlib.util.spec_from_file_location("edged_cell", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["edged_cell"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_python_client_needs_nothing_of_edged(tmp_path: Path) -> None:
+    """In a process that cannot import edged the generated file imports and knows the map."""
+    (tmp_path / "edged_cell.py").write_text(render("python"))
+    code = (
+        "import sys; sys.modules['edged'] = None; import edged_cell; "
+        "print(edged_cell.BLOCKS['result'][0], edged_cell.ADDRESS['CMD_SEQ'])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert "300 102" == run.stdout.strip(), run.stderr
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ModbusSettings(port=0, validity_s=30.0),
+        ModbusSettings(port=0, validity_s=30.0, word_order="low", base_address=2000, unit_id=7),
+    ],
+    ids=["default", "low word first, base 2000, unit 7"],
+)
+def test_the_python_client_drives_every_command(client_module: ModuleType, settings: ModbusSettings) -> None:
+    """Locate, acknowledge, verify, grab, job change, a miss, a dead camera: each ends as it says."""
+    options = {
+        "unit_id": settings.unit_id,
+        "base_address": settings.base_address,
+        "word_order": settings.word_order,
+    }
+    with (
+        LiveCell(settings) as cell,
+        client_module.EdgedCell("127.0.0.1", cell.port, **options) as client,
+    ):
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        cell.targets = (make_target(), make_target(x_mm=30.0))
+        result = client.locate()
+        assert (True, "OK", 10_000, 2) == (result.ok, result.code, result.values["X"], result.values["COUNT"])
+        assert [10_000, 30_000] == [row["X"] for row in result.targets]
+        client.acknowledge(result)
+        assert "RESULT_VALID" not in client.status()["bits"]
+        verified = client.verify()
+        assert (False, "VERIFIED", -(2**31)) == (verified.ok, verified.code, verified.values["X"])
+        assert "GRABBED" == client.grab().code
+        client.change_job(2)
+        assert 2 == client.status()["ACTIVE_JOB"]
+        cell.targets = ()
+        assert (False, "NO_TARGET") == (client.latest().ok, client.locate().code)
+        cell.head.broken = True
+        with pytest.raises(client_module.CommandRefused, match="CAPTURE_FAULT"):
+            client.locate()
+        with pytest.raises(client_module.CommandRefused, match="REFUSED"):
+            client.locate(job=99)
+
+
+def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
+    """Vision that takes too long is a NACK by the time-out of the command, and nothing is valid after it."""
+    with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        cell.slow_s = 0.6
+        with pytest.raises(client_module.CommandRefused, match="TIMEOUT"):
+            client.locate(timeout_s=0.1)
+        until(lambda: "READY" in client.status()["bits"] and not client.status()["OPEN_COMMANDS"], "idle")
+        time.sleep(0.6)
+        assert not client.latest().ok
+
+
+def test_the_python_client_refuses_what_is_no_cell(client_module: ModuleType) -> None:
+    """Wrong word order, wrong base address, nobody there: an error that says so, before any command."""
+    with LiveCell() as cell:
+        for options, message in (
+            ({"word_order": "low"}, "other word order"),
+            ({"base_address": 300}, "reading constants|MAGIC"),
+        ):
+            with pytest.raises(client_module.CellError, match=message):
+                client_module.EdgedCell("127.0.0.1", cell.port, **options).connect()
+        port = cell.port
+    with pytest.raises(client_module.CellError, match="does not answer"):
+        client_module.EdgedCell("127.0.0.1", port, answer_s=0.2).connect()
+
+
+# --- structured text ---------------------------------------------------------------------------
+
+
+class Plc:
+    """A PLC: reads and writes registers as the source's header says, then runs FB_EDGED, scan by scan."""
+
+    def __init__(self, port: int, *, low_word_first: bool = False) -> None:
+        self.skipped_ms = 0.0
+        program = structured_text.Program(render("st"), lambda: time.monotonic() * 1e3 + self.skipped_ms)
+        self.block = program.instance("FB_EDGED")
+        self.values = self.block.values
+        self.values["xLowWordFirst"] = low_word_first
+        self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
+        assert self.client.connect()
+        self.linked = True
+
+    def __enter__(self) -> Plc:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.close()
+
+    def scan(self) -> None:
+        """One cycle of the PLC."""
+        if self.linked:
+            self.values["awStatus"] = self.client.read_holding_registers(200, count=16).registers
+            self.values["awResult"] = self.client.read_holding_registers(300, count=48).registers
+        self.values["xLinkOk"] = self.linked
+        self.block.scan()
+        if self.linked:
+            assert not self.client.write_registers(100, self.values["awCommand"]).isError()
+
+    def until(self, name: str, value: Any = True) -> None:
+        """Scan until a variable has a value."""
+
+        def reached() -> bool:
+            self.scan()
+            return bool(self.values[name] == value)
+
+        until(reached, f"{name} = {value}")
+
+    def run(self, **inputs: Any) -> None:
+        """A rising edge of xExecute, until the block is not busy any more."""
+        self.values |= inputs | {"xExecute": True}
+        self.scan()
+        assert self.values["xBusy"]
+        self.until("xBusy", False)
+
+    def release(self) -> None:
+        """The falling edge: the result was used."""
+        self.values["xExecute"] = False
+        self.scan()
+        self.scan()
+
+
+@pytest.mark.parametrize("order", ["high", "low"])
+def test_structured_text_runs_the_handshake(order: Any) -> None:
+    """blark parses it, a strictly typed interpreter runs it: locate, acknowledge, again, job change."""
+    settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
+    with LiveCell(settings) as cell, Plc(cell.port, low_word_first=order == "low") as plc:
+        plc.until("xReady")
+        for x_mm in (10.0, -12.5):
+            cell.targets = (make_target(x_mm=x_mm),)
+            plc.run()
+            result = plc.values["stResult"]
+            assert (True, False, True, True) == (
+                plc.values["xDone"],
+                plc.values["xError"],
+                plc.values["xExposureDone"],
+                result["xValid"],
+            )
+            assert (round(x_mm * 1000), 20_000, 200_000) == tuple(result[f"di{axis}"] for axis in "XYZ")
+            exposed_ns = result["udEXPOSURE_NS_HIGH"] << 32 | result["udEXPOSURE_NS_LOW"]
+            assert abs(time.time_ns() - exposed_ns) < 60e9
+            plc.release()
+            assert not result["xValid"]
+            plc.scan()
+            assert not plc.values["awResult"][7] & 1, "acknowledged: not VALID any more"
+        plc.run(uiCommand=2, uiJob=2)
+        assert plc.values["xDone"]
+        assert 2 == plc.values["awStatus"][6]
+
+
+def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
+    """Unknown job: the reason; a dead camera: 6; slow vision: 100 here or 4 from the cell; no link: 101."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        for inputs, error in (({"uiJob": 99}, 2), ({"uiJob": 0, "uiCommand": 77}, 1)):
+            plc.run(**inputs)
+            assert (True, error, False) == (
+                plc.values["xError"],
+                plc.values["uiError"],
+                plc.values["stResult"]["xValid"],
+            )
+            plc.release()
+        cell.head.broken = True
+        plc.run(uiCommand=1)
+        assert 6 == plc.values["uiError"]
+        plc.release()
+        cell.head.broken = False
+        cell.slow_s = 0.5
+        plc.until("xReady")
+        plc.run(tTimeout=100)
+        assert plc.values["uiError"] in (4, 100)
+        plc.release()
+        cell.slow_s = 0.0
+        plc.until("xReady")
+        plc.values |= {"xExecute": True, "tTimeout": 5000}
+        plc.linked = False
+        plc.scan()
+        plc.scan()
+        assert (True, 101) == (plc.values["xError"], plc.values["uiError"])
+
+
+def test_structured_text_notices_a_cell_that_stands_still() -> None:
+    """The same picture again and again: after 1 s the heartbeat is missed, coordinates are not valid."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        assert plc.values["stResult"]["xValid"]
+        status, result = plc.values["awStatus"], plc.values["awResult"]
+    # the block is told that the link is well: only the heartbeat can tell it otherwise
+    plc.values |= {"xLinkOk": True, "awStatus": status, "awResult": result}
+    seen = []
+    for _ in range(3):
+        plc.block.scan()
+        seen.append(plc.values["stResult"]["xValid"])
+        plc.skipped_ms += 600
+    assert [True, True, False] == seen
+
+
+def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
+    """After a restart the PLC uses a number again that was answered before: the old picture is no answer."""
+    with LiveCell() as cell, Plc(cell.port) as first, Plc(cell.port) as second:
+        first.until("xReady")
+        first.run()
+        sequence = first.values["uiSequence"]
+        first.client.write_register(105, 1)  # RELEASE: its connection stays open
+        second.scan()  # writes CMD_SEQ 0, as every PLC that starts
+        second.until("xReady")
+        cell.slow_s = 0.2
+        second.values |= {"xExecute": True, "uiCommand": 1}
+        second.scan()
+        assert sequence == second.values["uiSequence"]
+        assert sequence == second.values["awStatus"][11], "DONE_SEQ still shows the old command"
+        second.block.scan()  # the same picture again
+        assert second.values["xBusy"]
+        second.until("xDone")
+        assert 2 == cell.head.captures
+
+
+# --- URScript --------------------------------------------------------------------------------
+
+
+class Controller:
+    """The robot controller's Modbus client: every signal is a single word, read in its own request."""
+
+    def __init__(self, port: int) -> None:
+        self._client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
+        assert self._client.connect()
+        self._signals: dict[str, tuple[int, int]] = {}
+
+    def builtins(self) -> dict[str, Any]:
+        """What URScript calls."""
+        return {
+            "floor": math.floor,
+            "sleep": lambda seconds: time.sleep(seconds / 20),
+            "modbus_add_signal": self._add,
+            "modbus_set_signal_update_frequency": lambda name, _hz: self._signals[name],
+            "modbus_get_signal_status": self._get,
+            "modbus_set_output_register": self._set,
+        }
+
+    def _add(self, ip: str, unit: int, address: int, kind: int, name: str) -> None:
+        assert ip == "192.168.10.20" and unit == 1 and kind in (2, 3)
+        assert name not in self._signals
+        self._signals[name] = (address, kind)
+
+    def _get(self, name: str, _secondary: bool) -> int:
+        address, _ = self._signals[name]
+        return int(self._client.read_input_registers(address, count=1).registers[0])
+
+    def _set(self, name: str, value: int, _secondary: bool) -> None:
+        address, kind = self._signals[name]
+        assert kind == 3 and 0 <= value <= 65535
+        assert not self._client.write_register(address, value).isError()
+
+    def __enter__(self) -> Controller:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+
+def test_urscript_locates_a_part() -> None:
+    """Its functions, run as Python with the controller's Modbus calls: pose in m and rad, then errors."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = urscript.load(render("urscript"), controller.builtins())
+        robot["edged_setup"]("192.168.10.20")
+        for x_mm in (10.0, -1234.567, 30.0):
+            cell.targets = (make_target(x_mm=x_mm),)
+            pose = robot["edged_locate"](0, 5.0)
+            assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
+            np.testing.assert_allclose(pose[:3], [x_mm * 1e-3, 0.020, 0.200], atol=1e-6)
+            expected = rotation_vector(cell.targets[0].rig_from_part[:3, :3])
+            np.testing.assert_allclose(pose[3:], expected, atol=1e-4)
+            robot["edged_acknowledge"]()
+            assert not robot["edged_ok"]
+        for targets, error in (((), 101), ((make_target(reject=Reject.TOLERANCE),), 101)):
+            cell.targets = targets
+            robot["edged_locate"](0, 5.0)
+            assert (False, error) == (robot["edged_ok"], robot["edged_error"])
+        robot["edged_locate"](99, 5.0)
+        assert (False, 2) == (robot["edged_ok"], robot["edged_error"])
+        cell.head.broken = True
+        robot["edged_locate"](0, 5.0)
+        assert (False, 6) == (robot["edged_ok"], robot["edged_error"])
+        robot["edged_alive"]()
+
+
+def test_urscript_arithmetic_is_exact_at_the_ends_of_the_range() -> None:
+    """High and low word give the signed value back; what is invalid is the smallest number there is."""
+    robot = urscript.load(render("urscript"), {"floor": math.floor})
+    for value in (0, 1, -1, 65535, 65536, -65536, 2**31 - 1, -(2**31) + 1, -(2**31)):
+        word = value & 0xFFFFFFFF
+        assert value == robot["edged_signed"](word >> 16, word & 0xFFFF)
+    for bit in range(16):
+        assert [bit == i for i in range(16)] == [robot["edged_bit"](1 << bit, 1 << i) for i in range(16)]
