@@ -172,19 +172,34 @@ def rig_convert(
 @app.command()
 def teach(
     rig: RigOption,
-    left: Annotated[Path, typer.Option(help="left image")],
-    right: Annotated[Path, typer.Option(help="right image")],
-    roi: Annotated[str, typer.Option(help="X,Y,W,H around the part, pixels of the left image")],
     name: Annotated[str, typer.Option(help="name of the job")],
     output: Annotated[Path, typer.Option("--output", "-o", help="job folder to write")],
+    left: Annotated[Path | None, typer.Option(help="left image")] = None,
+    right: Annotated[Path | None, typer.Option(help="right image")] = None,
+    roi: Annotated[str | None, typer.Option(help="X,Y,W,H around the part, pixels of the left image")] = None,
+    dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
+    contour: Annotated[
+        Path | None, typer.Option(help="outlines to teach from: x,y in mm a line, empty lines between them")
+    ] = None,
+    depth: Annotated[
+        float | None, typer.Option(help="of a drawing: nominal distance of the face from the left camera, mm")
+    ] = None,
+    layer: Annotated[list[str] | None, typer.Option(help="of a DXF drawing: only this layer; repeat")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="of a DXF drawing that does not say: mm, cm, m, in")
+    ] = None,
     number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
 ) -> None:
-    """Teach a job from one stereo pair: shape model and metric features."""
+    """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
     from rich.console import Console
 
+    from edged.commands.teach import DrawingSource, PairSource, chosen_source
     from edged.commands.teach import teach as command
 
-    raise typer.Exit(command(rig, left, right, roi, name, output, Console(stderr=True), number=number))
+    source = chosen_source(
+        PairSource(left, right, roi), DrawingSource(dxf, contour, depth, layer or [], unit)
+    )
+    raise typer.Exit(command(rig, source, name, output, Console(stderr=True), number=number))
 
 
 @app.command()
@@ -245,7 +260,9 @@ def status(
 
 @app.command()
 def registers(
-    format: Annotated[str, typer.Option("--format", help="md, csv, json; sources: st, urscript, python")] = "md",
+    format: Annotated[
+        str, typer.Option("--format", help="md, csv, json; sources: st, urscript, python")
+    ] = "md",
 ) -> None:
     """Print the Modbus map or a client's source, generated from the schema that encodes it."""
     from edged.commands.registers import registers as command

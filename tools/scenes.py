@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from edged.vision.shape.raster import coverage
 
 Float = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -91,46 +92,6 @@ def other_part(size: float = 250.0) -> Part:
         ]
     )
     return Part(((gear * k, 200.0), (box(0, 0, 60 * k, 60 * k), 60.0)))
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def coverage(points: Float, height: int, width: int) -> Float:
-    """Exact share of each pixel (H, W) that a closed polygon covers; an integer is a pixel's centre.
-
-    The signed area between each edge and the pixels to its right is summed along the rows, as font
-    rasterisers do. Clockwise and counter-clockwise outlines give the same.
-    """
-    area = np.zeros((height + 1, width + 2))
-    for n in range(len(points)):
-        x0, y0 = points[n - 1, 0] + 0.5, points[n - 1, 1] + 0.5
-        x1, y1 = points[n, 0] + 0.5, points[n, 1] + 0.5
-        sign = 1.0
-        if y0 > y1:
-            x0, y0, x1, y1, sign = x1, y1, x0, y0, -1.0
-        if y1 == y0:
-            continue
-        slope = (x1 - x0) / (y1 - y0)
-        for row in range(max(0, int(np.floor(y0))), min(height, int(np.floor(y1)) + 1)):
-            top, bottom = max(y0, row), min(y1, row + 1.0)
-            if bottom <= top:
-                continue
-            a, b = x0 + (top - y0) * slope, x0 + (bottom - y0) * slope
-            a, b = min(max(min(a, b), 0.0), width), min(max(max(a, b), 0.0), width)
-            first, last = int(a), int(b)
-            for column in range(first, last + 1):
-                # the part of the edge inside this column, and the mean distance to the column's right side
-                left, right = max(a, column), min(b, column + 1.0)
-                share = 1.0 if b - a < 1e-12 else (right - left) / (b - a)
-                if share <= 0:
-                    continue
-                inside = column + 1.0 - 0.5 * (left + right) if b - a >= 1e-12 else column + 1.0 - a
-                amount = sign * (bottom - top) * share
-                area[row, column] += amount * inside
-                area[row, column + 1] += amount * (1 - inside)
-    for row in range(height):
-        for column in range(1, width + 1):
-            area[row, column] += area[row, column - 1]
-    return np.abs(area[:height, :width])
 
 
 def paint(canvas: npt.NDArray[np.float32], part: Part, truth: Truth) -> None:

@@ -1,15 +1,19 @@
-"""`edged teach`: a job from one stereo pair."""
+"""`edged teach`: a job from one stereo pair, or from a drawing."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from edged.errors import TeachError
+from edged.drawing import read_contour, read_dxf
+from edged.errors import TeachError, UserError
 from edged.jobs import save_job
-from edged.pipeline import prepare
+from edged.pipeline import PreparedRig, prepare
 from edged.store import load_image, load_rig
+from edged.vision.drawnpart import teach_drawing
+from edged.vision.job import Job
 from edged.vision.teaching import Region
 from edged.vision.teaching import teach as teach_job
 
@@ -25,11 +29,46 @@ def parse_region(text: str) -> Region:
     return Region(x, y, width, height)
 
 
+@dataclass(frozen=True, slots=True)
+class PairSource:
+    """A stereo pair and the region of the part, as given on the command line."""
+
+    left: Path | None
+    right: Path | None
+    roi: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class DrawingSource:
+    """A drawing, as given on the command line."""
+
+    dxf: Path | None
+    contour: Path | None
+    depth_mm: float | None
+    layers: list[str]
+    unit: str | None
+
+
+def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
+    """What to teach from. Raises `UserError` for nothing, for both, and for half of it."""
+    from_pair = any(value is not None for value in (pair.left, pair.right, pair.roi))
+    files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
+    if from_pair == bool(files) or len(files) > 1:
+        raise UserError("teach: expected either --left, --right and --roi, or one of --dxf and --contour")
+    if from_pair:
+        if missing := [f"--{name}" for name in ("left", "right", "roi") if getattr(pair, name) is None]:
+            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left, --right and --roi")
+        return pair
+    if drawing.depth_mm is None:
+        raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
+    if drawing.dxf is None and (drawing.layers or drawing.unit):
+        raise UserError("teach: --layer and --unit belong to --dxf; a contour is in mm")
+    return drawing
+
+
 def teach(
     rig: Path,
-    left: Path,
-    right: Path,
-    roi: str,
+    source: PairSource | DrawingSource,
     name: str,
     output: Path,
     console: Console,
@@ -37,10 +76,9 @@ def teach(
     number: int = 1,
 ) -> int:
     """Teach a job and write its folder; nothing is written when that fails."""
-    region = parse_region(roi)
     _check_name(name)
     prepared = prepare(load_rig(rig))
-    job = teach_job(load_image(left), load_image(right), prepared.rectification, region, name, number)
+    job = _job(source, prepared, name, number)
     save_job(output, job)
     x, y, z = job.rig_from_part[:3, 3]
     console.print(f"job {job.number} {job.name!r} written to {output}")
@@ -56,6 +94,18 @@ def teach(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
     return 0
+
+
+def _job(source: PairSource | DrawingSource, prepared: PreparedRig, name: str, number: int) -> Job:
+    if isinstance(source, DrawingSource):
+        if source.dxf is not None:
+            outlines = read_dxf(source.dxf, source.layers, source.unit)
+        else:
+            outlines = read_contour(source.contour or Path())
+        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number)[0]
+    region = parse_region(source.roi or "")
+    left, right = load_image(source.left or Path()), load_image(source.right or Path())
+    return teach_job(left, right, prepared.rectification, region, name, number)
 
 
 def _check_name(name: str) -> None:

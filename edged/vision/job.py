@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.shape.model import ShapeModel
@@ -21,6 +24,80 @@ class CircleFeature:
     centre_mm: FloatArray
     radius_mm: float
     polarity: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeFeature:
+    """A straight edge of the part, between two points (3,) of the part frame.
+
+    polarity : +1 brighter on the side 90° from its direction, turned from x to y; -1 darker.
+    """
+
+    name: str
+    start_mm: FloatArray
+    end_mm: FloatArray
+    polarity: int
+
+    @property
+    def length_mm(self) -> float:
+        """From start to end."""
+        return float(np.linalg.norm(self.end_mm - self.start_mm))
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction in the face, from x to y."""
+        x, y, _ = self.end_mm - self.start_mm
+        return float(np.arctan2(y, x))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlotFeature:
+    """A slot of the part: two half circles joined by straight edges.
+
+    centre_mm (3,) : part frame.  angle_rad : of its long axis, from x to y.  length_mm : over all.
+    polarity : +1 brighter outside than inside (a hole), -1 darker outside.
+    """
+
+    name: str
+    centre_mm: FloatArray
+    angle_rad: float
+    length_mm: float
+    width_mm: float
+    polarity: int
+
+
+@dataclass(frozen=True, slots=True)
+class CornerFeature:
+    """Where two straight edges meet."""
+
+    name: str
+    edges: tuple[str, str]
+
+
+MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "flatness"]
+MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
+    "radius": (("circle",),),
+    "distance": (("circle", "slot", "corner", "edge"), ("circle", "slot", "corner", "edge")),
+    "angle": (("edge", "slot"), ("edge", "slot")),
+    "width": (("slot",),),
+    "length": (("slot",),),
+    "flatness": (),
+}
+"""What each measurement is taken of."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementSpec:
+    """A size to measure: mm, of an angle rad.
+
+    of : names of features, as `MEASURES` wants them.  nominal, tolerance : None: not judged.
+    """
+
+    name: str
+    kind: MeasurementKind
+    of: tuple[str, ...]
+    nominal: float | None = None
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +123,9 @@ class Limits:
 class Job:
     """A taught part.
 
-    number : how the PLC calls it.  circles : largest first; `reference` names the one whose centre is
-    the reported position.  rig_from_part (4, 4) : pose at teaching.
+    number : how the PLC calls it.  circles : largest first.  reference : name of the circle, slot or corner
+    whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
+    witness : name of the measurement whose size is known and does not change, for the drift of the rig.
     """
 
     name: str
@@ -58,8 +136,47 @@ class Job:
     rig_from_part: FloatArray
     limits: Limits
     search: SearchParams = field(default_factory=SearchParams)
+    edges: tuple[EdgeFeature, ...] = ()
+    slots: tuple[SlotFeature, ...] = ()
+    corners: tuple[CornerFeature, ...] = ()
+    measurements: tuple[MeasurementSpec, ...] = ()
+    witness: str | None = None
 
     @property
     def reference_circle(self) -> CircleFeature:
-        """The circle that defines the position."""
-        return next(circle for circle in self.circles if circle.name == self.reference)
+        """The circle that the measurement begins with: the reference, or else the largest one."""
+        return next((circle for circle in self.circles if circle.name == self.reference), self.circles[0])
+
+    def kind_of(self, name: str) -> str | None:
+        """ "circle", "edge", "slot" or "corner"; None for a name that the job does not have."""
+        kinds = {circle.name: "circle" for circle in self.circles}
+        kinds |= {edge.name: "edge" for edge in self.edges}
+        kinds |= {slot.name: "slot" for slot in self.slots}
+        kinds |= {corner.name: "corner" for corner in self.corners}
+        return kinds.get(name)
+
+    def place_of(self, name: str) -> FloatArray:
+        """(3,) part frame: centre of a circle or slot, tip of a corner, middle of an edge.
+
+        Raises KeyError for a name that the job does not have.
+        """
+        centres = {circle.name: circle.centre_mm for circle in self.circles}
+        centres |= {slot.name: slot.centre_mm for slot in self.slots}
+        if name in centres:
+            return centres[name]
+        edges = {edge.name: edge for edge in self.edges}
+        for corner in self.corners:
+            if corner.name == name:
+                one, two = (edges[edge] for edge in corner.edges)
+                return crossing(one, two)
+        return np.asarray(0.5 * (edges[name].start_mm + edges[name].end_mm))
+
+
+def crossing(one: EdgeFeature, two: EdgeFeature) -> FloatArray:
+    """(3,) where the lines of two edges meet in the face; NaN for parallel ones."""
+    a, b = one.end_mm - one.start_mm, two.end_mm - two.start_mm
+    area = a[0] * b[1] - a[1] * b[0]
+    if abs(area) < 1e-6 * np.linalg.norm(a) * np.linalg.norm(b):
+        return np.full(3, np.nan)
+    gap = two.start_mm - one.start_mm
+    return np.asarray(one.start_mm + (gap[0] * b[1] - gap[1] * b[0]) / area * a)

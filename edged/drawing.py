@@ -1,0 +1,202 @@
+"""Drawings of flat parts: DXF, or contours as plain text, to closed outlines in mm.
+
+An outline is a (N, 2) float64 polygon, x to the right, y up as drawn, without its first point repeated.
+Lines and arcs that meet are joined; what does not close is an error that names the open ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from ezdxf import path as dxfpath
+from ezdxf.document import Drawing as DxfDocument
+from ezdxf.entities.dxfgfx import DXFGraphic
+from ezdxf.entities.insert import Insert
+from ezdxf.enums import InsertUnits
+from ezdxf.filemanagement import readfile
+from ezdxf.lldxf.const import DXFError
+from ezdxf.units import conversion_factor
+
+from edged.domain import FloatArray
+from edged.errors import FileFormatError
+from edged.store import read_bytes
+
+FLATTENING_MM = 0.002
+"""Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
+GAP_MM = 0.02
+"""Ends closer than this meet; CAD rounds to less."""
+MAX_POINTS = 500_000
+MAX_ENTITIES = 50_000
+SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
+UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Points (N, 2) in mm that are connected, and whether the last meets the first."""
+
+    points: FloatArray
+    closed: bool
+
+
+def read_dxf(path: Path, layers: Sequence[str] = (), units: str | None = None) -> list[FloatArray]:
+    """Closed outlines of a DXF drawing in mm.
+
+    layers : only these; empty: all that are switched on.  units : of `UNITS`, where the drawing does not say.
+    Raises `FileFormatError` for what is no DXF, has no unit, is not flat, is not closed, or is empty.
+    """
+    path = Path(path)
+    read_bytes(path, "a drawing")  # exists, and has a sane size
+    try:
+        document = readfile(path)
+    except (DXFError, OSError, ValueError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{path}: not a DXF drawing that can be read: {error}") from error
+    known = sorted(layer.dxf.name for layer in document.layers)
+    if missing := [name for name in layers if name not in known]:
+        raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(known)}")
+    scale = _scale(document, path, units)
+    chains = []
+    for entity in _entities(document, layers, path):
+        chains += _chains(entity, scale, path)
+        if sum(len(chain.points) for chain in chains) > MAX_POINTS:
+            raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the drawing of one part")
+    return _outlines(chains, str(path))
+
+
+def read_contour(path: Path) -> list[FloatArray]:
+    """Closed outlines from text: a point `x,y` in mm on each line, an empty line between outlines.
+
+    Raises `FileFormatError` that names the line.
+    """
+    path = Path(path)
+    try:
+        text = read_bytes(path, "a contour").decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
+    outlines: list[list[tuple[float, float]]] = [[]]
+    for number, line in enumerate(text.splitlines(), 1):
+        content = line.split("#")[0].strip()
+        if not content:
+            if not line.strip() and outlines[-1]:
+                outlines.append([])
+            continue
+        try:
+            x, y = (float(value) for value in content.replace(";", ",").split(","))
+        except ValueError:
+            raise FileFormatError(
+                f"{path}: line {number}: expected x,y in mm, got {content[:40]!r}"
+            ) from None
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise FileFormatError(f"{path}: line {number}: expected finite numbers, got {content[:40]!r}")
+        outlines[-1].append((x, y))
+    chains = [Chain(np.array(points), True) for points in outlines if points]
+    if sum(len(chain.points) for chain in chains) > MAX_POINTS:
+        raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the contour of one part")
+    return _outlines(chains, str(path))
+
+
+def _scale(document: DxfDocument, path: Path, units: str | None) -> float:
+    if units is not None:
+        if units not in UNITS:
+            raise FileFormatError(f"{path}: unit {units!r}: expected one of {', '.join(UNITS)}")
+        return UNITS[units]
+    if document.units == 0:
+        raise FileFormatError(
+            f"{path}: the drawing does not say its unit ($INSUNITS is 0); state it ({', '.join(UNITS)})"
+        )
+    return float(conversion_factor(InsertUnits(document.units), InsertUnits.Millimeters))
+
+
+def _entities(document: DxfDocument, layers: Sequence[str], path: Path) -> list[DXFGraphic]:
+    """Shapes of the model space with blocks resolved; text, dimensions and hatches draw no edge."""
+    hidden = {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
+
+    def wanted(entity: DXFGraphic) -> bool:
+        layer = entity.dxf.layer
+        return layer in layers if layers else layer not in hidden
+
+    found: list[DXFGraphic] = []
+    waiting: list[tuple[DXFGraphic, int]] = [(entity, 0) for entity in document.modelspace()]
+    while waiting:
+        entity, depth = waiting.pop(0)
+        if isinstance(entity, Insert):
+            if depth > 8:
+                raise FileFormatError(f"{path}: blocks inside blocks, more than 8 deep")
+            waiting += [(part, depth + 1) for part in entity.virtual_entities()]
+        elif entity.dxftype() in SHAPES and wanted(entity):
+            found.append(entity)
+        if len(found) + len(waiting) > MAX_ENTITIES:
+            raise FileFormatError(f"{path}: more than {MAX_ENTITIES} shapes: not the drawing of one part")
+    return found
+
+
+def _chains(entity: DXFGraphic, scale: float, path: Path) -> list[Chain]:
+    try:
+        outline = dxfpath.make_path(entity)
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(f"{path}: {entity}: {error}") from error
+    chains = []
+    for part in outline.sub_paths():
+        points = np.array([tuple(p) for p in part.flattening(FLATTENING_MM / scale)], np.float64)
+        if len(points) < 2:
+            continue
+        points *= scale
+        if not np.isfinite(points).all():
+            raise FileFormatError(f"{path}: {entity}: coordinates that are not finite")
+        if np.ptp(points[:, 2]) > GAP_MM:
+            raise FileFormatError(f"{path}: {entity}: not flat; expected a drawing in the x-y plane")
+        chains.append(_chain(points[:, :2]))
+    return chains
+
+
+def _chain(points: FloatArray) -> Chain:
+    """Without points that repeat their predecessor."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    kept = points[np.concatenate([[True], steps > 1e-9])]
+    closed = len(kept) > 3 and float(np.linalg.norm(kept[0] - kept[-1])) < GAP_MM
+    return Chain(kept[:-1] if closed else kept, closed)
+
+
+def _outlines(chains: Iterable[Chain], place: str) -> list[FloatArray]:
+    """Join open chains end to end. Raises `FileFormatError` for what stays open, and for nothing at all."""
+    outlines = [chain.points for chain in chains if chain.closed and len(chain.points) >= 3]
+    waiting = [chain.points for chain in chains if not chain.closed and len(chain.points) >= 2]
+    while waiting:
+        line = waiting.pop(0)
+        while np.linalg.norm(line[0] - line[-1]) >= GAP_MM or len(line) < 4:
+            follows = _next(line[-1], waiting)
+            if follows is None:
+                x, y = line[-1]
+                raise FileFormatError(
+                    f"{place}: an outline is open: nothing goes on at ({x:.3f}, {y:.3f}) mm; expected closed "
+                    "outlines (leave out construction lines by choosing layers)"
+                )
+            index, flipped = follows
+            more = waiting.pop(index)
+            line = np.concatenate([line, more[::-1][1:] if flipped else more[1:]])
+        outlines.append(line[:-1])
+    outlines = [outline for outline in outlines if abs(area(outline)) > GAP_MM**2]
+    if not outlines:
+        raise FileFormatError(f"{place}: no closed outline in it; expected lines, arcs, circles or polylines")
+    return outlines
+
+
+def _next(end: FloatArray, waiting: Sequence[FloatArray]) -> tuple[int, bool] | None:
+    """The nearest chain that goes on at a point, and whether it has to be turned round."""
+    best, found = GAP_MM, None
+    for index, points in enumerate(waiting):
+        for flipped, start in ((False, points[0]), (True, points[-1])):
+            distance = float(np.linalg.norm(start - end))
+            if distance < best:
+                best, found = distance, (index, flipped)
+    return found
+
+
+def area(outline: FloatArray) -> float:
+    """Signed area of a polygon (N, 2), mm²; positive when it turns from x to y."""
+    x, y = outline.T
+    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))

@@ -1,0 +1,159 @@
+"""Drawings to closed outlines: every kind of line, every unit, and what is wrong with the others."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+
+import ezdxf
+import numpy as np
+import pytest
+from ezdxf.document import Drawing
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edged.domain import FloatArray
+from edged.drawing import area, read_contour, read_dxf
+from edged.errors import FileFormatError
+
+MM, INCH = 4, 1
+
+
+def saved(document: Drawing, folder: Path) -> Path:
+    """The drawing as a file."""
+    path = folder / "part.dxf"
+    document.saveas(path)
+    return path
+
+
+@functools.cache
+def plate_bytes() -> bytes:
+    """The plate's file, once: each has its own time stamp."""
+    with tempfile.TemporaryDirectory() as folder:
+        return saved(plate(), Path(folder)).read_bytes()
+
+
+def plate(units: int = MM) -> Drawing:
+    """A plate 40 x 25 with one round corner, drawn as loose lines in no order, with a hole and a slot."""
+    document = ezdxf.new(units=units)
+    space = document.modelspace()
+    space.add_line((40, 20), (40, 0))
+    space.add_line((0, 25), (0, 0))
+    space.add_arc((35, 20), 5, 0, 90)
+    space.add_line((0, 0), (40, 0))
+    space.add_line((35, 25), (0, 25))
+    space.add_circle((10, 10), 4)
+    slot = [(20, 5, 0, 0, 0), (30, 5, 0, 0, 1), (30, 9, 0, 0, 0), (20, 9, 0, 0, 1)]
+    space.add_lwpolyline(slot, close=True, format="xyseb")
+    return document
+
+
+def areas(outlines: list[FloatArray]) -> list[float]:
+    """Sizes of all outlines, smallest first."""
+    return sorted(abs(area(outline)) for outline in outlines)
+
+
+def test_loose_lines_arcs_and_bulges_become_closed_outlines(tmp_path: Path) -> None:
+    """The areas are those of the drawing, whatever order and direction its lines have."""
+    hole, slot = np.pi * 16, 40 + np.pi * 4
+    outside = 40 * 25 - (1 - np.pi / 4) * 25
+
+    assert areas(read_dxf(saved(plate(), tmp_path))) == pytest.approx([hole, slot, outside], rel=1e-3)
+
+
+def test_units_are_converted(tmp_path: Path) -> None:
+    """An inch is 25.4 mm; a drawing that does not say its unit is not guessed."""
+    in_mm = areas(read_dxf(saved(plate(), tmp_path)))
+    assert areas(read_dxf(saved(plate(INCH), tmp_path))) == pytest.approx(
+        [25.4**2 * a for a in in_mm], rel=1e-3
+    )
+    silent = saved(plate(0), tmp_path)
+    with pytest.raises(FileFormatError, match=r"does not say its unit.*mm, cm, m, in"):
+        read_dxf(silent)
+    assert areas(read_dxf(silent, units="cm")) == pytest.approx([100 * a for a in in_mm], rel=1e-3)
+    with pytest.raises(FileFormatError, match="unit 'furlong'"):
+        read_dxf(silent, units="furlong")
+
+
+def test_blocks_splines_and_ellipses_are_shapes(tmp_path: Path) -> None:
+    """A block is drawn where it is inserted, scaled and turned; text draws nothing."""
+    document = ezdxf.new(units=MM)
+    block = document.blocks.new("bolt")
+    block.add_circle((0, 0), 1)
+    space = document.modelspace()
+    for x in (0, 10):
+        space.add_blockref("bolt", (x, 0), dxfattribs={"xscale": 2, "yscale": 2})
+    space.add_ellipse((0, 20), (5, 0), 0.5)
+    t = np.linspace(0, 2 * np.pi, 13)
+    space.add_spline(np.column_stack([3 * np.cos(t), 40 + 3 * np.sin(t), 0 * t]).tolist())
+    space.add_text("no edge")
+
+    found = areas(read_dxf(saved(document, tmp_path)))
+    assert found == pytest.approx([4 * np.pi, 4 * np.pi, 9 * np.pi, 12.5 * np.pi], rel=5e-3)
+
+
+def test_layers_choose(tmp_path: Path) -> None:
+    """Construction lines stay out; a layer that is not there is named with those that are."""
+    document = plate()
+    document.layers.add("construction")
+    document.modelspace().add_line((-50, 0), (50, 0), dxfattribs={"layer": "construction"})
+    path = saved(document, tmp_path)
+
+    with pytest.raises(FileFormatError, match=r"open: nothing goes on at \(50.000, 0.000\) mm.*layers"):
+        read_dxf(path)
+    assert len(read_dxf(path, ["0"])) == 3
+    with pytest.raises(FileFormatError, match=r"no layer 'parts', there are .*construction"):
+        read_dxf(path, ["parts"])
+    document.layers.get("construction").off()
+    assert len(read_dxf(saved(document, tmp_path))) == 3
+
+
+def test_what_is_no_flat_closed_drawing_is_named(tmp_path: Path) -> None:
+    """Empty, in space, a foreign file: the reason, and what was expected."""
+    with pytest.raises(FileFormatError, match="no closed outline"):
+        read_dxf(saved(ezdxf.new(units=MM), tmp_path))
+    spatial = ezdxf.new(units=MM)
+    spatial.modelspace().add_line((0, 0, 0), (1, 0, 5))
+    with pytest.raises(FileFormatError, match="not flat"):
+        read_dxf(saved(spatial, tmp_path))
+    (tmp_path / "foreign.dxf").write_bytes(b"\x89PNG\r\n")
+    with pytest.raises(FileFormatError, match="not a DXF drawing"):
+        read_dxf(tmp_path / "foreign.dxf")
+    with pytest.raises(FileFormatError, match="cannot read a drawing"):
+        read_dxf(tmp_path / "missing.dxf")
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_a_damaged_drawing_is_an_outline_or_a_clear_error(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Bytes cut out or changed anywhere never give another error."""
+    folder = tmp_path_factory.mktemp("dxf")
+    whole = plate_bytes()
+    start = data.draw(st.integers(0, len(whole) - 1))
+    length = data.draw(st.integers(0, 400))
+    junk = data.draw(st.binary(max_size=20))
+    (folder / "bad.dxf").write_bytes(whole[:start] + junk + whole[start + length :])
+    try:
+        outlines = read_dxf(folder / "bad.dxf")
+    except FileFormatError as error:
+        assert "bad.dxf" in str(error)
+    else:
+        assert all(np.isfinite(outline).all() for outline in outlines)
+
+
+def test_a_contour_is_text(tmp_path: Path) -> None:
+    """Points a line, empty lines between outlines, comments; a bad line is named by its number."""
+    path = tmp_path / "part.csv"
+    path.write_text("# plate\n0,0\n10,0\n10;5\n0,5\n0,0\n\n\n2,2\n4,2\n4,4 # corner\n")
+    assert areas(read_contour(path)) == pytest.approx([2, 50])
+    for text, expected in (
+        ("0,0\n1\n", "line 2: expected x,y"),
+        ("0,0\n\n1,nan\n", "line 3: expected finite"),
+        ("", "no closed outline"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FileFormatError, match=expected):
+            read_contour(path)
