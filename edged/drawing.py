@@ -32,6 +32,17 @@ GAP_MM = 0.02
 MAX_POINTS = 500_000
 MAX_ENTITIES = 50_000
 SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
+# what the parser raises for damaged files, by fuzzing it
+_DAMAGE = (
+    DXFError,
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 
@@ -52,19 +63,24 @@ def read_dxf(path: Path, layers: Sequence[str] = (), units: str | None = None) -
     path = Path(path)
     read_bytes(path, "a drawing")  # exists, and has a sane size
     try:
-        document = readfile(path)
-    except (DXFError, OSError, ValueError, UnicodeDecodeError) as error:
+        chains = _read_chains(path, layers, units)
+    except _DAMAGE as error:
         raise FileFormatError(f"{path}: not a DXF drawing that can be read: {error}") from error
+    return _outlines(chains, str(path))
+
+
+def _read_chains(path: Path, layers: Sequence[str], units: str | None) -> list[Chain]:
+    document = readfile(path)
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
         raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(known)}")
     scale = _scale(document, path, units)
-    chains = []
+    chains: list[Chain] = []
     for entity in _entities(document, layers, path):
         chains += _chains(entity, scale, path)
         if sum(len(chain.points) for chain in chains) > MAX_POINTS:
             raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the drawing of one part")
-    return _outlines(chains, str(path))
+    return chains
 
 
 def read_contour(path: Path) -> list[FloatArray]:
@@ -135,10 +151,7 @@ def _entities(document: DxfDocument, layers: Sequence[str], path: Path) -> list[
 
 
 def _chains(entity: DXFGraphic, scale: float, path: Path) -> list[Chain]:
-    try:
-        outline = dxfpath.make_path(entity)
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(f"{path}: {entity}: {error}") from error
+    outline = dxfpath.make_path(entity)
     chains = []
     for part in outline.sub_paths():
         points = np.array([tuple(p) for p in part.flattening(FLATTENING_MM / scale)], np.float64)
