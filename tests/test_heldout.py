@@ -15,6 +15,7 @@ from edged.report import calibration_report
 from edged.vision.boards import Chessboard, Missed
 from edged.vision.calibration import calibrate_stereo
 from edged.vision.heldout import hold_out
+from edged.vision.opencvcheck import plain_opencv
 
 BOARD = Chessboard(11, 8, 4.0)
 RIG = make_rig()
@@ -53,6 +54,25 @@ def test_three_views_leave_nothing_to_hold_out() -> None:
     assert hold_out(calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")) == ()
 
 
+def test_known_lengths_are_single_distances_of_the_board() -> None:
+    """Every row and column gives its whole, half and one step, true and measured within the noise."""
+    held = hold_out(calibrate_stereo(VIEWS, SIZE, SIZE, "division"))
+    lengths = held[0].lengths_mm
+    columns, rows, pitch = BOARD.columns, BOARD.rows, BOARD.pitch_mm
+    assert len(lengths) == 3 * (columns + rows) + 2
+    steps = {round(float(true / pitch), 3) for true in lengths[:, 0]}
+    assert {1.0, columns - 1.0, rows - 1.0, columns // 2 * 1.0, rows // 2 * 1.0} <= steps
+    assert 0 < np.abs(lengths[:, 1] - lengths[:, 0]).max() < 0.05
+
+
+def test_three_views_still_make_a_report() -> None:
+    """Nothing can be held out of the minimum, and the page says so."""
+    calibration = calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")
+    page = calibration_report(calibration, (), VIEWS[:3], quality_figures(calibration, (), [BOARD]))
+    assert "Too few views to hold any out" in page
+    assert "nan" not in page
+
+
 class _Page(HTMLParser):
     """Checks that every element is closed where it must be, and collects the text."""
 
@@ -81,7 +101,9 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     views = [*VIEWS[:3], spoiled, *VIEWS[4:]]
     calibration = calibrate_stereo(views, SIZE, SIZE, "division")
     held = hold_out(calibration)
-    page = calibration_report(calibration, held, views, quality_figures(calibration, held, [BOARD]))
+    quality = quality_figures(calibration, held, [BOARD])
+    plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
+    page = calibration_report(calibration, held, views, quality, {"place": "cell 7"}, plain)
     parsed = _Page()
     parsed.feed(page)
     assert parsed.open == []
@@ -90,8 +112,13 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     for text in (
         "too dark & blurred",
         calibration.rig.calibration_id,
-        "Held-out views",
-        "σZ at Z",
+        "Known lengths: measured minus true",
+        "σZ in µm",
+        "Table 1",
+        "Table 2",
+        "The view that would help most",
+        "cv2.stereoCalibrate",
+        "cell 7",
         "view_07",
     ):
         assert text in parsed.text

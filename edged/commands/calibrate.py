@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
@@ -17,6 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from edged import __version__
 from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.report import calibration_report
@@ -26,6 +28,7 @@ from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
 from edged.vision.detection import detect_board, remeasure_board
 from edged.vision.heldout import HeldOutView, hold_out
+from edged.vision.opencvcheck import plain_opencv
 from edged.vision.rectification import make_rectification
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -69,13 +72,29 @@ def calibrate(
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
     quality = quality_figures(calibration, held, boards)
-    page = calibration_report(calibration, held, views, quality) if report else None
+    page = _page(directory, calibration, held, views, quality) if report else None
     kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_atomically(report, page.encode())
     _print(console, calibration, quality, output, report, kept)
     return 0
+
+
+def _page(
+    directory: Path,
+    calibration: Calibration,
+    held: Sequence[HeldOutView],
+    views: Sequence[StereoView],
+    quality: Mapping[str, Any],
+) -> str:
+    about = {
+        "pictures": str(directory.resolve()),
+        "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}",
+    }
+    sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
+    plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
+    return calibration_report(calibration, held, views, quality, about, plain)
 
 
 def find_pairs(directory: Path) -> list[ImagePair]:

@@ -51,6 +51,11 @@ class LensFreedom:
     square_pixels: bool
     distortion: tuple[str, ...]
 
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return 3 + (not self.square_pixels) + len(self.distortion)
+
     def selection(self, camera: CameraModel) -> FloatArray:
         """(P, F) matrix from free unknowns to the camera's parameters fx, fy, cx, cy, distortion."""
         names = ("fx", "fy", "cx", "cy", *DISTORTION_NAMES[camera.model])
@@ -162,6 +167,21 @@ def residuals(state: BundleState, left: Observations, right: Observations) -> tu
     return left.pixels - state.left.project(in_left), right.pixels - state.right.project(in_right)
 
 
+def rig_information(
+    state: BundleState,
+    left: Observations,
+    right: Observations,
+    freedom_left: LensFreedom,
+    freedom_right: LensFreedom,
+) -> FloatArray:
+    """What each view alone says of the rig, its board pose free: information (V, G, G).
+
+    The G unknowns are those that `adjust` would free, in its order.
+    """
+    selections = freedom_left.selection(state.left), freedom_right.selection(state.right)
+    return _information(state, left, right, selections)[0]
+
+
 def relation_information(
     state: BundleState, left: Observations, right: Observations
 ) -> tuple[FloatArray, FloatArray]:
@@ -171,11 +191,20 @@ def relation_information(
     the view's own best change of right_from_left is information^-1 @ gradient.
     """
     nothing = np.zeros((4 + len(state.left.distortion), 0)), np.zeros((4 + len(state.right.distortion), 0))
+    return _information(state, left, right, nothing)
+
+
+def _information(
+    state: BundleState, left: Observations, right: Observations, selections: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Information (V, G, G) and gradient (V, G) of each view, its pose eliminated."""
+    unknowns = selections[0].shape[1] + selections[1].shape[1] + 6
     views = len(state.left_from_board)
-    information, gradient = np.empty((views, 6, 6)), np.empty((views, 6))
+    information, gradient = np.empty((views, unknowns, unknowns)), np.empty((views, unknowns))
     for view in range(views):
         alone = replace(state, left_from_board=state.left_from_board[view : view + 1])
-        normal = _normal_equations(alone, _of_view(left, view), _of_view(right, view), nothing, robust=True)
+        seen = _of_view(left, view), _of_view(right, view)
+        normal = _normal_equations(alone, *seen, selections, robust=True)
         gain = np.linalg.solve(normal.poses[0], normal.coupling[0].T)
         information[view] = normal.rig - normal.coupling[0] @ gain
         gradient[view] = normal.rig_right - gain.T @ normal.poses_right[0]

@@ -26,7 +26,7 @@ from edged.vision.bundle import (
     adjust,
     relation_information,
 )
-from edged.vision.camera import DISTORTION_NAMES, LensModel, StereoRig, calibration_identity
+from edged.vision.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig, calibration_identity
 from edged.vision.geometry import apply
 from edged.vision.rectification import row_difference_px
 from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
@@ -283,6 +283,13 @@ def _worst_view(solution: _Solution) -> tuple[int, float, float] | None:
     medians = np.array([np.median(length[view == i]) for i in range(len(problem.views))])
     index, typical = int(np.argmax(medians)), float(np.median(medians))
     return (index, float(medians[index]), typical) if medians[index] > _BAD_VIEW * typical else None
+
+
+def freedom_of(camera: CameraModel) -> LensFreedom:
+    """What was estimated of a camera, read off its values."""
+    names = DISTORTION_NAMES[camera.model]
+    free = tuple(n for n, v in zip(names, camera.distortion, strict=True) if n != "k3" or v != 0.0)
+    return LensFreedom(camera.fx == camera.fy, free)
 
 
 def _release(solution: _Solution) -> _Solution:

@@ -13,16 +13,17 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.bundle import BundleState, LensFreedom, adjust, adjust_poses
+from edged.vision.bundle import BundleState, adjust, adjust_poses
 from edged.vision.calibration import (
     Calibration,
     epipolar_errors_px,
     fit_of_view,
+    freedom_of,
     marks_in_both,
     observations,
     with_model_error,
 )
-from edged.vision.camera import DISTORTION_NAMES, CameraModel, StereoRig
+from edged.vision.camera import StereoRig
 from edged.vision.geometry import fit_rigid
 from edged.vision.triangulation import triangulate_raw
 
@@ -37,6 +38,8 @@ class HeldOutView:
     scale : measured size of the board over its true size.
     flatness_mm : rms distance of the measured marks from a plane.
     length_mm, length_error_mm : the longest distance on the board, and measured - true of it.
+    lengths_mm (K, 2) : true and measured; of every row and column the whole, the half and one step, and both
+    diagonals, as far as they were seen.
     """
 
     name: str
@@ -46,6 +49,7 @@ class HeldOutView:
     flatness_mm: float
     length_mm: float
     length_error_mm: float
+    lengths_mm: FloatArray
 
 
 def hold_out(calibration: Calibration) -> tuple[HeldOutView, ...]:
@@ -76,18 +80,11 @@ def _calibrated_without(calibration: Calibration, rest: list[int]) -> StereoRig:
         for side, error in zip(("left", "right"), calibration.model_error_px, strict=True)
     )
     try:
-        result = adjust(state, left, right, _freedom(rig.left), _freedom(rig.right))
+        result = adjust(state, left, right, freedom_of(rig.left), freedom_of(rig.right))
     except np.linalg.LinAlgError as error:
         raise CalibrationError("one view less, and the equations are singular: take more views") from error
     found = result.state
     return replace(rig, left=found.left, right=found.right, right_from_left=found.right_from_left)
-
-
-def _freedom(camera: CameraModel) -> LensFreedom:
-    """What was estimated of a camera, read off its values."""
-    names = DISTORTION_NAMES[camera.model]
-    free = tuple(n for n, v in zip(names, camera.distortion, strict=True) if n != "k3" or v != 0.0)
-    return LensFreedom(camera.fx == camera.fy, free)
 
 
 def _measure(calibration: Calibration, rig: StereoRig, index: int) -> HeldOutView:
@@ -113,6 +110,24 @@ def _measure(calibration: Calibration, rig: StereoRig, index: int) -> HeldOutVie
         _flatness_mm(measured),
         true_length,
         float(np.linalg.norm(measured[last] - measured[first])) - true_length,
+        _lengths_mm(known, measured),
+    )
+
+
+def _lengths_mm(known: FloatArray, measured: FloatArray) -> FloatArray:
+    """True and measured distance (K, 2) of marks on each row and column, and on both diagonals."""
+    x, y = known[:, 0].round(6), known[:, 1].round(6)
+    ends = {(int(np.argmin(d)), int(np.argmax(d))) for d in (x + y, x - y)}
+    for line, along in ((y, x), (x, y)):
+        for value in np.unique(line):
+            members = np.flatnonzero(line == value)
+            members = members[np.argsort(along[members])]
+            ends |= {
+                (int(members[0]), int(members[k])) for k in (-1, len(members) // 2, min(1, len(members) - 1))
+            }
+    pairs = np.array(sorted(pair for pair in ends if pair[0] != pair[1]), dtype=np.int64).reshape(-1, 2)
+    return np.column_stack(
+        [np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) for points in (known, measured)]
     )
 
 

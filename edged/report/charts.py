@@ -1,0 +1,184 @@
+"""Charts as inline SVG: what a calibration report needs, readable on paper and in black and white."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from itertools import pairwise
+
+import numpy as np
+
+from edged.domain import FloatArray
+
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # room for axes, px
+_HALF = 480.0  # two of these stand side by side, on screen and on A4
+_MAX_NAMES, _MAX_LETTERS = 12, 10  # along an axis
+# from light to dark, even steps of lightness: reads in grey, too (after ColorBrewer's "Blues")
+_RAMP = ("#f0f6fc", "#cfe2f3", "#a6cbe6", "#73aed6", "#418bc3", "#1f66a8", "#0b3f78")
+INK, GREY, ACCENT, WARN = "#1b1f24", "#424a53", "#1f66a8", "#b3541e"
+
+
+@dataclass(slots=True)
+class Chart:
+    """A picture with two axes in the data's units; y grows downwards if its range is (high, low).
+
+    x, y : (from, to) of the data.  equal : same scale on both axes, as for images.
+    names : of the unit steps along x, in place of numbers.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    x_label: str
+    y_label: str
+    width: float = 460.0
+    height: float = 270.0
+    equal: bool = False
+    names: Sequence[str] = ()
+    _marks: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.equal:
+            inner = self.width - _LEFT - _RIGHT
+            self.height = inner * abs(self.y[1] - self.y[0]) / abs(self.x[1] - self.x[0]) + _TOP + _BOTTOM
+
+    def to_x(self, value: float) -> float:
+        """Place on the paper."""
+        return _LEFT + (value - self.x[0]) / (self.x[1] - self.x[0]) * (self.width - _LEFT - _RIGHT)
+
+    def to_y(self, value: float) -> float:
+        """Place on the paper."""
+        bottom = self.height - _BOTTOM
+        return bottom + (value - self.y[0]) / (self.y[1] - self.y[0]) * (_TOP - bottom)
+
+    def points(self, xy: FloatArray, colour: str = ACCENT, radius: float = 2.0, hollow: bool = False) -> None:
+        """Small circles at (N, 2)."""
+        look = f'fill="none" stroke="{colour}"' if hollow else f'fill="{colour}" fill-opacity=".75"'
+        self._marks += [
+            f'<circle cx="{self.to_x(u):.1f}" cy="{self.to_y(v):.1f}" r="{radius}" {look}/>' for u, v in xy
+        ]
+
+    def strokes(self, starts: FloatArray, ends: FloatArray, colour: str = ACCENT, width: float = 0.8) -> None:
+        """Short lines from (N, 2) to (N, 2), as one path."""
+        path = "".join(
+            f"M{self.to_x(a):.1f} {self.to_y(b):.1f}L{self.to_x(c):.1f} {self.to_y(d):.1f}"
+            for (a, b), (c, d) in zip(starts, ends, strict=True)
+        )
+        self._marks.append(f'<path d="{path}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
+
+    def line(self, xy: FloatArray, colour: str = INK, dashed: bool = False) -> None:
+        """A polyline through (N, 2)."""
+        path = " ".join(f"{self.to_x(u):.1f},{self.to_y(v):.1f}" for u, v in xy)
+        dash = ' stroke-dasharray="5 4"' if dashed else ""
+        self._marks.append(
+            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.2"{dash}/>'
+        )
+
+    def rectangle(self, x: tuple[float, float], y: tuple[float, float], colour: str) -> None:
+        """A filled box."""
+        (u, w), (v, z) = sorted(map(self.to_x, x)), sorted(map(self.to_y, y))
+        self._marks.append(
+            f'<rect x="{u:.1f}" y="{v:.1f}" width="{w - u:.1f}" height="{z - v:.1f}" fill="{colour}"/>'
+        )
+
+    def text(self, x: float, y: float, words: str, colour: str = INK) -> None:
+        """Words centred at a place of the data."""
+        self._marks.append(
+            f'<text x="{self.to_x(x):.1f}" y="{self.to_y(y) + 3.5:.1f}" text-anchor="middle" fill="{colour}">'
+            f"{escape(words)}</text>"
+        )
+
+    def figure(self, caption: str) -> str:
+        """The chart with axes, as HTML."""
+        size = f'width="{self.width:.0f}" height="{self.height:.0f}"'
+        kind = "half" if self.width <= _HALF else "whole"
+        view = f'viewBox="0 0 {self.width:.0f} {self.height:.0f}"'
+        return (
+            f'<figure class="{kind}"><svg xmlns="http://www.w3.org/2000/svg" {view} {size} role="img">'
+            f"{self._axes()}{''.join(self._marks)}</svg><figcaption>{escape(caption)}</figcaption></figure>"
+        )
+
+    def _axes(self) -> str:
+        left, right, bottom = _LEFT, self.width - _RIGHT, self.height - _BOTTOM
+        middle_x, middle_y = 0.5 * (left + right), 0.5 * (_TOP + bottom)
+        parts = [
+            f'<rect x="{left}" y="{_TOP}" width="{right - left:.1f}" height="{bottom - _TOP:.1f}" '
+            'fill="#fff" stroke="#8c959f"/>',
+            _words(middle_x, self.height - 6, self.x_label),
+            f'<g transform="translate(13 {middle_y:.1f}) rotate(-90)">{_words(0, 0, self.y_label)}</g>',
+        ]
+        for value in () if self.names else ticks(*self.x):
+            u = self.to_x(value)
+            parts.append(f'<path d="M{u:.1f} {bottom:.1f}v4" stroke="#8c959f"/>')
+            parts.append(_words(u, bottom + 16, label(value)))
+        every = max(1, -(-len(self.names) // _MAX_NAMES))
+        for i, name in list(enumerate(self.names))[::every]:
+            short = name if len(name) <= _MAX_LETTERS else f"…{name[1 - _MAX_LETTERS :]}"
+            parts.append(_words(self.to_x(i + 0.5), bottom + 16, short))
+        for value in ticks(*self.y):
+            v = self.to_y(value)
+            parts.append(f'<path d="M{left} {v:.1f}h-4" stroke="#8c959f"/>')
+            parts.append(_words(left - 7, v + 4, label(value), "end"))
+        return "".join(parts)
+
+
+def _words(x: float, y: float, text: str, anchor: str = "middle") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{GREY}">{escape(text)}</text>'
+
+
+def ticks(start: float, end: float, about: int = 5) -> list[float]:
+    """Round values (1, 2 or 5 times a power of ten apart) between two ends, in either order."""
+    low, high = min(start, end), max(start, end)
+    if not high > low:
+        return [low]
+    raw = (high - low) / about
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * next(m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1 - 1e-9))
+    first = int(np.ceil(low / step - 1e-9))
+    return [float(n * step) for n in range(first, int(np.floor(high / step + 1e-9)) + 1)]
+
+
+def label(value: float) -> str:
+    """A tick's number without noise digits."""
+    return f"{value:.6g}".replace("-", "−")
+
+
+def symmetric_limit(values: FloatArray) -> float:
+    """A round limit that holds all values and their negatives."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if not largest > 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(largest))
+    return float(next(m for m in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if m * power >= largest) * power)
+
+
+def colour(share: float) -> str:
+    """Of a value between the smallest (0) and the largest (1) of a map."""
+    return _RAMP[min(int(share * len(_RAMP)), len(_RAMP) - 1)]
+
+
+def field_map(
+    chart: Chart, x_edges: FloatArray, y_edges: FloatArray, values: FloatArray, text: Callable[[float], str]
+) -> None:
+    """A map of values (rows, columns) with their numbers; NaN stays empty."""
+    known = values[np.isfinite(values)]
+    low, span = (float(known.min()), float(np.ptp(known))) if known.size else (0.0, 0.0)
+    for row, y in enumerate(pairwise(y_edges)):
+        for column, x in enumerate(pairwise(x_edges)):
+            value = values[row, column]
+            if np.isfinite(value):
+                share = (value - low) / span if span > 0 else 0.5
+                chart.rectangle(x, y, colour(share))
+                chart.text(sum(x) / 2, sum(y) / 2, text(float(value)), "#fff" if share > 0.55 else INK)
+
+
+def bars(names: Sequence[str], values: FloatArray, axis: str, parts: FloatArray | None = None) -> Chart:
+    """Vertical bars with their names. parts (N,) : a line across each bar, for a second value."""
+    highest = values if parts is None else np.concatenate([values, parts])
+    top = 1.05 * float(max(highest.max(), 1e-12))
+    chart = Chart((0.0, float(len(names))), (0.0, top), "view", axis, 940.0, 230.0, names=names)
+    for i, value in enumerate(values):
+        chart.rectangle((i + 0.15, i + 0.85), (0.0, float(value)), _RAMP[3])
+        if parts is not None:
+            chart.line(np.array([[i + 0.15, parts[i]], [i + 0.85, parts[i]]]), WARN)
+    return chart

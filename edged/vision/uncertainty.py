@@ -1,0 +1,43 @@
+"""What the uncertainty of a calibration does to a measured point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.camera import StereoRig
+from edged.vision.geometry import skew
+from edged.vision.projection import project_with_jacobians
+
+
+def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
+    """(N, 3, P): how a triangulated point moves per unit of each of `rig.parameter_names`, in mm.
+
+    points_mm (N, 3), rig frame. To first order: the image stays, the rig changes, the point follows.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    rotated = points @ rig.right_from_left[:3, :3].T
+    _, left_by_point, left_by_lens = project_with_jacobians(rig.left, points)
+    in_right = rotated + rig.right_from_left[:3, 3]
+    _, right_by_point, right_by_lens = project_with_jacobians(rig.right, in_right)
+    lenses = left_by_lens.shape[2], right_by_lens.shape[2]
+    by_rig = np.zeros((len(points), 4, sum(lenses) + 6))
+    by_rig[:, :2, : lenses[0]] = left_by_lens
+    by_rig[:, 2:, lenses[0] : -6] = right_by_lens
+    by_rig[:, 2:, -6:-3] = -right_by_point @ skew(rotated)
+    by_rig[:, 2:, -3:] = right_by_point
+    by_point = np.concatenate([left_by_point, right_by_point @ rig.right_from_left[:3, :3]], axis=1)
+    transposed = by_point.transpose(0, 2, 1)
+    return -np.linalg.solve(transposed @ by_point, transposed @ by_rig)
+
+
+def calibration_covariance(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
+    """Covariance (N, 3, 3) in mm² that the rig's own covariance gives to triangulated points (N, 3).
+
+    The errors of neighbouring points are nearly the same: distances between them are far more certain.
+    Zero for a rig of unknown covariance.
+    """
+    if rig.covariance is None:
+        return np.zeros((len(points_mm), 3, 3))
+    shift = shift_by_parameters(rig, points_mm)
+    return np.asarray(shift @ rig.covariance @ shift.transpose(0, 2, 1))
