@@ -6,6 +6,7 @@ that what runs here is not only well formed. It knows what `FB_EDGED` uses, not 
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
 from typing import Any
@@ -22,6 +23,15 @@ RANGES = {
     "DWORD": (0, 2**32 - 1),
     "TIME": (0, 2**32 - 1),  # ms
 }
+
+
+@functools.cache
+def parse(source: str) -> list[Any]:
+    """Declarations of a source; raises what blark says about a mistake. Seconds, so it is kept."""
+    parsed = parse_source_code(source)
+    if parsed.exception is not None:
+        raise parsed.exception
+    return list(parsed.transform().items)
 
 
 class Timer:
@@ -44,14 +54,11 @@ class Program:
     """Parsed source: makes instances of its function blocks."""
 
     def __init__(self, source: str, clock_ms: Callable[[], float]) -> None:
-        parsed = parse_source_code(source)
-        if parsed.exception is not None:
-            raise parsed.exception
         self.clock_ms = clock_ms
         self.types: dict[str, list[tuple[str, str]]] = {}
         self.functions: dict[str, ast.Function] = {}
         self.blocks: dict[str, ast.FunctionBlock] = {}
-        for item in parsed.transform().items:
+        for item in parse(source):
             if isinstance(item, ast.DataTypeDeclaration):
                 self.types[str(item.declaration.name)] = [
                     (str(declared.variable.name), str(element.init.spec.type))

@@ -117,7 +117,7 @@ class EdgedCell:
 
     def _check(self, constants: dict[str, float]) -> None:
         if constants["MAGIC"] != MAGIC:
-            raise CellError(f"MAGIC is {int(constants['MAGIC']):#06x}: not an edged cell, or another base address")
+            raise CellError(f"not an edged cell, or another base address: MAGIC is {constants['MAGIC']}")
         if constants["MAP_VERSION"] != MAP_VERSION:
             raise CellError(f"the cell's map is version {constants['MAP_VERSION']}, this is {MAP_VERSION}")
         if constants["PROBE_U32"] != 0x01020304:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from edged.registers.schema import INT32_MIN, Block, Kind, Number, WordOrder
 
@@ -17,41 +19,81 @@ _EMPTY: dict[Kind, Number] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How a block travels, prepared once: every read of every client encodes.
+
+    names, empty : of each register. order : which word goes where when the low one comes first.
+    crc_at : byte of the CRC16 register, None without one.
+    """
+
+    struct: struct.Struct
+    names: tuple[str, ...]
+    empty: tuple[Number, ...]
+    order: tuple[int, ...]
+    crc_at: int | None
+
+
+@functools.cache
+def _form(block: Block) -> _Form:
+    order: list[int] = []
+    crc_at = None
+    for register in block.registers:
+        start, words = register.address - block.address, register.kind.words
+        order += range(start + words - 1, start - 1, -1)
+        if register.name.endswith("CRC16"):
+            crc_at = 2 * start
+    return _Form(
+        struct.Struct(">" + "".join(register.kind.value for register in block.registers)),
+        tuple(register.name for register in block.registers),
+        tuple(_EMPTY[register.kind] for register in block.registers),
+        tuple(order),
+        crc_at,
+    )
+
+
 def encode(block: Block, values: Mapping[str, Number], order: WordOrder = "high") -> bytes:
     """Words of a block, big-endian as they travel; a value that is not given is 0, INT32_MIN or NaN.
 
     A CRC16 register is computed here. Raises `OverflowError` for a value that its register cannot
     hold: nothing is ever wrapped.
     """
-    out = bytearray()
-    swap = order == "low" and not block.high_first
-    for register in block.registers:
-        if register.name.endswith("CRC16"):
-            out += crc16(out).to_bytes(2, "big")
-            continue
-        value = values.get(register.name, _EMPTY[register.kind])
-        try:
-            data = struct.pack(">" + register.kind.value, value)
-        except struct.error as error:
-            raise OverflowError(f"{register.name}: {value} does not fit {register.kind.name}") from error
-        if swap and len(data) > 2:
-            data = b"".join(data[i : i + 2] for i in range(len(data) - 2, -1, -2))
-        out += data
-    return bytes(out)
+    form = _form(block)
+    try:
+        data = form.struct.pack(*map(values.get, form.names, form.empty))
+    except struct.error as error:
+        raise _misfit(block, values) from error
+    if order == "low" and not block.high_first:
+        data = _reordered(data, form.order)
+    if form.crc_at is not None:
+        crc = crc16(data[: form.crc_at]).to_bytes(2, "big")
+        data = data[: form.crc_at] + crc + data[form.crc_at + 2 :]
+    return data
 
 
 def decode(block: Block, words: Sequence[int], order: WordOrder = "high") -> dict[str, Number]:
     """Values of a block by name: the inverse of `encode`, for clients and tests."""
-    values: dict[str, Number] = {}
+    form = _form(block)
+    data = struct.pack(f">{block.words}H", *words)
+    if order == "low" and not block.high_first:
+        data = _reordered(data, form.order)
+    return dict(zip(form.names, form.struct.unpack(data), strict=True))
+
+
+def _reordered(data: bytes, order: Sequence[int]) -> bytes:
+    """The words of each register turned round; twice gives the words back."""
+    return b"".join(data[2 * i : 2 * i + 2] for i in order)
+
+
+def _misfit(block: Block, values: Mapping[str, Number]) -> OverflowError:
+    """Which value it is that does not fit."""
     for register in block.registers:
-        start = register.address - block.address
-        part = list(words[start : start + register.kind.words])
-        if order == "low" and not block.high_first:
-            part.reverse()
-        (values[register.name],) = struct.unpack(
-            ">" + register.kind.value, struct.pack(f">{len(part)}H", *part)
-        )
-    return values
+        value = values.get(register.name, _EMPTY[register.kind])
+        try:
+            struct.pack(">" + register.kind.value, value)
+        except struct.error:
+            return OverflowError(f"{register.name}: {value} does not fit {register.kind.name}")
+    return OverflowError(f"{block.name}: a value does not fit")
 
 
 def _crc_of_byte(byte: int) -> int:

@@ -102,9 +102,9 @@ class Register:
     help: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Registers without gaps between them.
+    """Registers without gaps between them; each is one object, which is equal to itself only.
 
     high_first : the word order setting does not apply, the high word comes first.
     """

@@ -38,6 +38,14 @@ VERDICTS = {
 }
 """What a result means for the handshake; every other code is a part that no robot may use."""
 
+COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
+UR_STATUS = tuple(
+    (register.name.removeprefix("UR_"), 2 * register.address)
+    for register in reg.UR.registers
+    if register.name.removeprefix("UR_") in ("STATUS_BITS", "DONE_SEQ", "HEARTBEAT")
+)
+"""Words of the block ur that repeat the status: name there, byte of the map."""
+
 DEFINED = bytes(
     any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
     for address in range(MAP_END)
@@ -61,6 +69,8 @@ class CellRegisters:
         self._image = bytearray(2 * MAP_END)
         self._encoded: tuple[int, int, bool] | None = None
         self._held: tuple[object, object] = (None, None)
+        self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
+        self._exposed = (0, 0.0)  # the latest cycle whose images are in memory, and since when
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self.clients = 0
 
@@ -81,10 +91,7 @@ class CellRegisters:
         valid = hs.is_valid(self._state, now_s)
         status = self._status_values(now_s, valid)
         self._place(reg.STATUS, status)
-        start = 2 * reg.COMMAND.address
-        self._image[start : start + 2 * reg.COMMAND.words] = struct.pack(
-            f">{reg.COMMAND.words}H", *self._command
-        )
+        COMMAND_WORDS.pack_into(self._image, 2 * reg.COMMAND.address, *self._command)
         result = self._state.result
         shown = (id(result), id(self._last), valid)  # _held keeps both alive: no id is used twice
         if shown != self._encoded:
@@ -106,19 +113,19 @@ class CellRegisters:
             values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
         for block in (reg.RESULT, reg.UR, reg.FLOAT):
             self._place(block, values)
+        rows = len(result.payload.poses) if result is not None else 0
         for index, block in enumerate(reg.TABLE):
-            row: dict[str, reg.Number] = {}
-            if result is not None:
-                row = reg.row_values(result.payload, index, result.sequence, valid=valid)
-            self._place(block, row)
+            if result is not None and index < rows:
+                self._place(block, reg.row_values(result.payload, index, result.sequence, valid=valid))
+            elif index < self._filled_rows or not self._is_placed:
+                self._place(block, {})
+        self._filled_rows, self._is_placed = rows, True
         config, calibration = (last.config, last.calibration) if last is not None else (0, 0)
         self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, config, calibration))
 
     def _place_ur_status(self, status: dict[str, reg.Number]) -> None:
-        for register in reg.UR.registers:
-            name = register.name.removeprefix("UR_")
-            if name in ("STATUS_BITS", "DONE_SEQ", "HEARTBEAT"):
-                struct.pack_into(">H", self._image, 2 * register.address, int(status[name]))
+        for name, start in UR_STATUS:
+            struct.pack_into(">H", self._image, start, int(status[name]))
 
     def _status_values(self, now_s: float, valid: bool) -> dict[str, reg.Number]:
         state, cell = self._state, self._cell
@@ -152,21 +159,21 @@ class CellRegisters:
         verdict = state.result.verdict if state.result is not None else None
         passed = verdict is hs.Verdict.PASSED and hs.is_fresh(state, now_s)
         simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
-        raised = {
-            reg.StatusBit.READY: ready,
-            reg.StatusBit.ACK: state.answer is hs.Answer.ACK,
-            reg.StatusBit.NACK: state.answer is hs.Answer.NACK,
-            reg.StatusBit.BUSY: busy,
-            reg.StatusBit.EXPOSURE_DONE: state.exposure_done,
-            reg.StatusBit.RESULT_VALID: valid,
-            reg.StatusBit.OK: valid or passed,
-            reg.StatusBit.NOK: verdict in (hs.Verdict.BAD, hs.Verdict.FAULT),
-            reg.StatusBit.ERROR: cell is not None and (cell.state == "FAULT" or bool(cell.error)),
-            reg.StatusBit.OVERRUN: state.overrun,
-            reg.StatusBit.CAM_FAULT: cell is not None and cell.state == "FAULT" and not cell.cameras_ok,
-            reg.StatusBit.SIMULATED: simulated,
-        }
-        return sum(bit for bit, is_up in raised.items() if is_up)
+        raised = (
+            (reg.StatusBit.READY, ready),
+            (reg.StatusBit.ACK, state.answer is hs.Answer.ACK),
+            (reg.StatusBit.NACK, state.answer is hs.Answer.NACK),
+            (reg.StatusBit.BUSY, busy),
+            (reg.StatusBit.EXPOSURE_DONE, state.exposure_done),
+            (reg.StatusBit.RESULT_VALID, valid),
+            (reg.StatusBit.OK, valid or passed),
+            (reg.StatusBit.NOK, verdict in (hs.Verdict.BAD, hs.Verdict.FAULT)),
+            (reg.StatusBit.ERROR, cell is not None and (cell.state == "FAULT" or bool(cell.error))),
+            (reg.StatusBit.OVERRUN, state.overrun),
+            (reg.StatusBit.CAM_FAULT, cell is not None and cell.state == "FAULT" and not cell.cameras_ok),
+            (reg.StatusBit.SIMULATED, simulated),
+        )
+        return sum(int(bit) for bit, is_up in raised if is_up)
 
     # --- writing -----------------------------------------------------------------------------
 
@@ -241,7 +248,8 @@ class CellRegisters:
         match event:
             case Snapshot():
                 self._take_snapshot(event, now_s)
-            case ExposureDone(_, command):
+            case ExposureDone(cycle, command):
+                self._exposed = (cycle, now_s)
                 self._step(hs.Exposed(_ticket(command)), now_s)
             case JobChanged(_, _, command):
                 ticket = _ticket(command)
@@ -263,9 +271,12 @@ class CellRegisters:
         result = reg.measured(snapshot, self._settings.convention)
         self._last = result
         verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
-        # both stamps are UTC of one machine; if the clock was set in between, a negative latency is 0
-        # and one that is too long makes the result stale, which is the safe side
+        # both stamps are UTC of one machine. If the clock was set in between, the latency is too long, and
+        # the result stale, or too short: then it counts from when the images were in memory
         exposed_s = now_s - result.latency_us * 1e-6
+        cycle, in_memory_s = self._exposed
+        if cycle == snapshot.cycle:
+            exposed_s = min(exposed_s, in_memory_s)
         ticket = _ticket(snapshot.command)
         self._step(hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result), now_s)
 
