@@ -116,6 +116,69 @@ class Circle3D:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Edge3D:
+    """A measured straight edge in the rig frame.
+
+    start_mm, end_mm (3,) : the taught ends, laid on the measured line; no edge has an end of its own.
+    covariance (2, 2) of (shift across the edge in its face in mm, angle in its face in rad).
+    """
+
+    name: str
+    start_mm: FloatArray
+    end_mm: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot3D:
+    """A measured slot in the rig frame: two half circles joined by straight edges.
+
+    centre_mm (3,), direction (3,) unit along it, length_mm over all, width_mm, covariance (5, 5) of
+    (centre x, y, z, length, width) in mm².
+    """
+
+    name: str
+    centre_mm: FloatArray
+    direction: FloatArray
+    length_mm: float
+    width_mm: float
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corner3D:
+    """Where two straight edges meet, rig frame: position_mm (3,), covariance (3, 3) in mm²."""
+
+    name: str
+    position_mm: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One measured size of a part.
+
+    unit : "mm" or "deg", of value, sigma, nominal and tolerance.  value, sigma : NaN when the features it
+    needs were not seen.  nominal, tolerance : None where the job has none.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    value: float
+    sigma: float
+    nominal: float | None = None
+    tolerance: float | None = None
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether it is within its tolerance; what was not seen is not; None without a tolerance."""
+        if self.tolerance is None:
+            return None
+        return abs(self.value - (self.nominal or 0.0)) <= self.tolerance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """One located part.
 
@@ -125,6 +188,8 @@ class Target:
     covariance (6, 6): of (x, y, z in mm, rotation vector in rad), rig frame, small rotation
     applied on the left (rig axes).
     epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
+    free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
+    rotation about it is not known; None where the part has no such axis.
     """
 
     job: str
@@ -134,6 +199,11 @@ class Target:
     circles: tuple[Circle3D, ...]
     epipolar_rms_px: float
     reject: Reject = Reject.NONE
+    edges: tuple[Edge3D, ...] = ()
+    slots: tuple[Slot3D, ...] = ()
+    corners: tuple[Corner3D, ...] = ()
+    measurements: tuple[Measurement, ...] = ()
+    free_axis: FloatArray | None = None
 
     @property
     def position_mm(self) -> FloatArray:
@@ -146,12 +216,21 @@ class Target:
         return np.sqrt(np.diag(self.covariance)[:3])
 
 
+@dataclass(frozen=True, slots=True)
+class Dismissed:
+    """What the left image showed and could not be measured, and why."""
+
+    match: Match
+    reject: Reject
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
     """What the pipeline says of one pair: pure result, no time, no identity."""
 
     status: Status
     targets: tuple[Target, ...] = ()
+    dismissed: tuple[Dismissed, ...] = ()
 
 
 class CommandKind(enum.IntEnum):

@@ -1,7 +1,8 @@
 """A job as a folder: `job.toml` for people, `shape.npz` for the machine.
 
-job.toml holds what an integrator may edit: number, limits, search parameters, the circles and
-their names. The shape model beside it is checksummed and never edited.
+job.toml holds what an integrator may edit: number, limits, search parameters, the features and their names,
+which of them is the reference, and what is to be measured. The shape model beside it is checksummed and never
+edited.
 """
 
 from __future__ import annotations
@@ -18,9 +19,21 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from edged.errors import FileFormatError
 from edged.store import load_arrays, read_bytes, save_arrays, write_atomically
-from edged.vision.job import CircleFeature, Job, Limits
+from edged.vision.job import (
+    MEASURES,
+    CircleFeature,
+    CornerFeature,
+    EdgeFeature,
+    Job,
+    Limits,
+    MeasurementKind,
+    MeasurementSpec,
+    SlotFeature,
+    crossing,
+)
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams
+from edged.vision.sizes import nominal_size
 
 SHAPE_KIND = "edged-shape"
 SHAPE_VERSION = 1
@@ -30,6 +43,9 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+MIN_LENGTH_MM = 1e-3
 
 
 class _Limits(_Section):
@@ -68,11 +84,71 @@ class _Search(_Section):
         return self
 
 
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+MAX_FEATURES = 256
+"""Of each kind; a job is written by people and by teaching, neither of which comes near."""
+
+
 class _Circle(_Section):
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+    name: Name
     centre_mm: Vector
     radius_mm: float = Field(gt=0)
     polarity: Literal[-1, 1]
+
+
+class _Edge(_Section):
+    name: Name
+    start_mm: Vector
+    end_mm: Vector
+    polarity: Literal[-1, 1]
+
+    @model_validator(mode="after")
+    def _has_length(self) -> _Edge:
+        if math.dist(self.start_mm, self.end_mm) < MIN_LENGTH_MM:
+            raise ValueError(f"start_mm and end_mm must be at least {MIN_LENGTH_MM} mm apart")
+        if abs(self.start_mm[2] - self.end_mm[2]) > MIN_LENGTH_MM:
+            raise ValueError("start_mm and end_mm must be at one height (z): an edge lies in a face")
+        return self
+
+
+class _Slot(_Section):
+    name: Name
+    centre_mm: Vector
+    angle_deg: float = Field(ge=-360, le=360)
+    length_mm: float = Field(gt=0)
+    width_mm: float = Field(gt=0)
+    polarity: Literal[-1, 1]
+
+    @model_validator(mode="after")
+    def _is_long(self) -> _Slot:
+        if self.length_mm <= self.width_mm:
+            raise ValueError(f"length_mm {self.length_mm} must exceed width_mm {self.width_mm}")
+        return self
+
+
+class _Corner(_Section):
+    name: Name
+    edges: Annotated[list[str], Field(min_length=2, max_length=2)]
+
+
+class _Measurement(_Section):
+    name: Name
+    kind: MeasurementKind
+    of: Annotated[list[str], Field(max_length=2)] = Field(default_factory=list)
+    nominal_mm: float | None = None
+    tolerance_mm: float | None = Field(None, gt=0)
+    nominal_deg: float | None = None
+    tolerance_deg: float | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _in_its_unit(self) -> _Measurement:
+        lengths, angles = (self.nominal_mm, self.tolerance_mm), (self.nominal_deg, self.tolerance_deg)
+        used, foreign, unit = (angles, lengths, "deg") if self.kind == "angle" else (lengths, angles, "mm")
+        if any(value is not None for value in foreign):
+            raise ValueError(f"a measurement of kind {self.kind!r} takes nominal_{unit} and tolerance_{unit}")
+        if used[1] is not None and used[0] is None and self.kind != "flatness":
+            raise ValueError(f"tolerance_{unit} needs nominal_{unit}")
+        return self
 
 
 class _JobFile(_Section):
@@ -86,15 +162,35 @@ class _JobFile(_Section):
     ]
     limits: _Limits
     search: _Search
-    circle: Annotated[list[_Circle], Field(min_length=1, max_length=256)]
+    witness: str | None = None
+    circle: Annotated[list[_Circle], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    edge: Annotated[list[_Edge], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    corner: Annotated[list[_Corner], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    measurement: Annotated[list[_Measurement], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _consistent(self) -> _JobFile:
-        names = [circle.name for circle in self.circle]
+        kinds = [
+            *((circle.name, "circle") for circle in self.circle),
+            *((edge.name, "edge") for edge in self.edge),
+            *((slot.name, "slot") for slot in self.slot),
+            *((corner.name, "corner") for corner in self.corner),
+        ]
+        names = [name for name, _ in kinds]
         if len(set(names)) != len(names):
-            raise ValueError(f"two circles have one name: {names}")
-        if self.reference not in names:
-            raise ValueError(f"reference {self.reference!r} is none of the circles {names}")
+            raise ValueError(f"two features have one name: {names}")
+        if not (self.circle or self.slot or len(self.edge) > 1):
+            raise ValueError(
+                "a job needs a circle, a slot or two edges: nothing else tells where a part lies"
+            )
+        self._check_corners()
+        places = [name for name, kind in kinds if kind != "edge"]
+        if self.reference not in places:
+            raise ValueError(
+                f"reference {self.reference!r} is none of the circles, slots and corners {places}"
+            )
+        self._check_measurements(dict(kinds))
         pose = np.array(self.rig_from_part)
         rigid = (
             np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
@@ -103,6 +199,35 @@ class _JobFile(_Section):
         if not rigid or not np.array_equal(pose[3], [0, 0, 0, 1]) or pose[2, 3] <= 0:
             raise ValueError("rig_from_part is not a pose in front of the camera")
         return self
+
+    def _check_corners(self) -> None:
+        edges = {edge.name: _edge_feature(edge) for edge in self.edge}
+        for corner in self.corner:
+            unknown = [name for name in corner.edges if name not in edges]
+            if unknown:
+                raise ValueError(f"corner {corner.name!r}: {unknown[0]!r} is none of the edges {list(edges)}")
+            if not np.isfinite(crossing(*(edges[name] for name in corner.edges))).all():
+                raise ValueError(f"corner {corner.name!r}: its edges {corner.edges} are parallel")
+
+    def _check_measurements(self, kinds: dict[str, str]) -> None:
+        names = [one.name for one in self.measurement]
+        if len(set(names)) != len(names):
+            raise ValueError(f"two measurements have one name: {names}")
+        if self.witness is not None and self.witness not in names:
+            raise ValueError(f"witness {self.witness!r} is none of the measurements {names}")
+        for one in self.measurement:
+            wanted = MEASURES[one.kind]
+            if len(one.of) != len(wanted) or len(set(one.of)) != len(one.of):
+                raise ValueError(
+                    f"measurement {one.name!r}: of must name {len(wanted)} features, got {one.of}"
+                )
+            for name, allowed in zip(one.of, wanted, strict=True):
+                if kinds.get(name) not in allowed:
+                    raise ValueError(
+                        f"measurement {one.name!r}: {name!r} is no {' or '.join(allowed)} of this job"
+                    )
+            if one.name == self.witness and (one.kind in ("angle", "flatness") or not one.nominal_mm):
+                raise ValueError(f"witness {one.name!r} must be a length with nominal_mm: it tells the scale")
 
 
 def load_job(folder: Path) -> Job:
@@ -165,7 +290,35 @@ def load_job(folder: Path) -> Job:
             scale_y_max=None if search.scale_y is None else search.scale_y[1],
             sub_pixel=search.sub_pixel,
         ),
+        edges=tuple(_edge_feature(edge) for edge in file.edge),
+        slots=tuple(
+            SlotFeature(
+                slot.name,
+                np.array(slot.centre_mm),
+                math.radians(slot.angle_deg),
+                slot.length_mm,
+                slot.width_mm,
+                slot.polarity,
+            )
+            for slot in file.slot
+        ),
+        corners=tuple(CornerFeature(one.name, (one.edges[0], one.edges[1])) for one in file.corner),
+        measurements=tuple(_measurement_spec(one) for one in file.measurement),
+        witness=file.witness,
     )
+
+
+def _edge_feature(edge: _Edge) -> EdgeFeature:
+    return EdgeFeature(edge.name, np.array(edge.start_mm), np.array(edge.end_mm), edge.polarity)
+
+
+def _measurement_spec(one: _Measurement) -> MeasurementSpec:
+    nominal, tolerance = one.nominal_mm, one.tolerance_mm
+    if one.kind == "angle":
+        nominal, tolerance = (
+            None if value is None else math.radians(value) for value in (one.nominal_deg, one.tolerance_deg)
+        )
+    return MeasurementSpec(one.name, one.kind, tuple(one.of), nominal, tolerance)
 
 
 def job_folders(folder: Path) -> list[Path]:
@@ -229,7 +382,10 @@ def _to_toml(job: Job) -> str:
         "version = 1",
         f'name = "{job.name}"',
         f"number = {job.number}   # how the PLC calls it",
-        f'reference = "{job.reference}"   # the circle whose centre is the reported position',
+        f'reference = "{job.reference}"   # the circle, slot or corner whose place is the reported position',
+        f'witness = "{job.witness}"   # the measurement whose size is known: tells when the rig drifts'
+        if job.witness
+        else '# witness = "l"   # a measurement whose size is known: tells when the rig drifts',
         "# pose at teaching: x_rig = rig_from_part x_part, mm",
         "rig_from_part = [",
         *(f"    {_numbers(row)}," for row in job.rig_from_part),
@@ -257,6 +413,11 @@ def _to_toml(job: Job) -> str:
         f'sub_pixel = "{search.sub_pixel}"   # none, rigid, similarity, stretch, affine or projective',
         f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
     ]
+    return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
+
+
+def _features_to_toml(job: Job) -> list[str]:
+    lines: list[str] = []
     for circle in job.circles:
         lines += [
             "",
@@ -266,4 +427,69 @@ def _to_toml(job: Job) -> str:
             f"radius_mm = {circle.radius_mm!r}",
             f"polarity = {circle.polarity}",
         ]
-    return "\n".join(lines) + "\n"
+    for slot in job.slots:
+        lines += [
+            "",
+            "[[slot]]   # part frame, mm; length over all; angle of its long axis, from x to y",
+            f'name = "{slot.name}"',
+            f"centre_mm = {_numbers(slot.centre_mm)}",
+            f"angle_deg = {math.degrees(slot.angle_rad)!r}",
+            f"length_mm = {slot.length_mm!r}",
+            f"width_mm = {slot.width_mm!r}",
+            f"polarity = {slot.polarity}",
+        ]
+    for edge in job.edges:
+        lines += [
+            "",
+            "[[edge]]   # part frame, mm; polarity 1: brighter at 90 degrees from its direction, from x to y",
+            f'name = "{edge.name}"',
+            f"start_mm = {_numbers(edge.start_mm)}",
+            f"end_mm = {_numbers(edge.end_mm)}",
+            f"polarity = {edge.polarity}",
+        ]
+    for corner in job.corners:
+        lines += [
+            "",
+            "[[corner]]   # where two edges meet",
+            f'name = "{corner.name}"',
+            f'edges = ["{corner.edges[0]}", "{corner.edges[1]}"]',
+        ]
+    return lines
+
+
+def _measurements_to_toml(job: Job) -> list[str]:
+    """The measurements; for a job without any, some that its features allow, as comments to choose from."""
+    if job.measurements:
+        return [line for spec in job.measurements for line in ["", *_measurement_to_toml(spec)]]
+    kinds: dict[MeasurementKind, tuple[str, ...]] = {}
+    if job.circles:
+        kinds["radius"] = (job.reference_circle.name,)
+    if len(job.circles) > 1:
+        far = max(
+            job.circles[1:], key=lambda c: float(np.linalg.norm(c.centre_mm - job.circles[0].centre_mm))
+        )
+        other = max(job.circles, key=lambda c: float(np.linalg.norm(c.centre_mm - far.centre_mm)))
+        kinds["distance"] = (far.name, other.name)
+    if job.slots:
+        kinds["width"] = kinds["length"] = (job.slots[0].name,)
+    if job.corners:
+        kinds["angle"] = job.corners[0].edges
+    kinds["flatness"] = ()
+    lines = ["", "# What to measure; a part out of tolerance is not good. Take out the # of what you want:"]
+    for kind, of in kinds.items():
+        nominal = nominal_size(job, kind, of)
+        spec = MeasurementSpec(kind, kind, of, nominal, math.radians(0.1) if kind == "angle" else 0.05)
+        lines += ["#", *(f"# {line}" for line in _measurement_to_toml(spec))]
+    return lines
+
+
+def _measurement_to_toml(spec: MeasurementSpec) -> list[str]:
+    of = ", ".join(f'"{name}"' for name in spec.of)
+    lines = ["[[measurement]]", f'name = "{spec.name}"', f'kind = "{spec.kind}"']
+    lines += [f"of = [{of}]"] if spec.of else []
+    unit, scale = ("deg", math.degrees(1)) if spec.kind == "angle" else ("mm", 1.0)
+    if spec.nominal is not None and spec.kind != "flatness":
+        lines.append(f"nominal_{unit} = {spec.nominal * scale!r}")
+    if spec.tolerance is not None:
+        lines.append(f"tolerance_{unit} = {spec.tolerance * scale!r}")
+    return lines

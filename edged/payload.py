@@ -19,10 +19,15 @@ from edged.domain import (
     CellState,
     Circle3D,
     Command,
+    Corner3D,
+    Dismissed,
+    Edge3D,
     FloatArray,
     Match,
+    Measurement,
     Outcome,
     Reject,
+    Slot3D,
     Snapshot,
     Status,
     Target,
@@ -46,6 +51,11 @@ def target_to_json(target: Target, robot_from_rig: FloatArray | None) -> Json:
         **_pose(target.rig_from_part, target.covariance),
         "match": _match(target.match),
         "circles": [_circle(circle) for circle in target.circles],
+        "edges": [_edge(edge) for edge in target.edges],
+        "slots": [_slot(slot) for slot in target.slots],
+        "corners": [_corner(corner) for corner in target.corners],
+        "measurements": [_measurement(one) for one in target.measurements],
+        "free_axis": None if target.free_axis is None else _numbers(target.free_axis),
         "epipolar_rms_px": _number(target.epipolar_rms_px),
         "reject": reject_names(target.reject),
     }
@@ -71,6 +81,7 @@ def outcome_to_json(
         "calibration": calibration,
         "timing_ms": _timing(timing_ms),
         "targets": [target_to_json(target, robot_from_rig) for target in outcome.targets],
+        "dismissed": [_dismissed(one) for one in outcome.dismissed],
     }
 
 
@@ -191,6 +202,60 @@ def _circle(circle: Circle3D) -> Json:
         "radius_mm": _number(circle.radius_mm),
         "sigma_radius_mm": _number(sigmas_mm[3]),
         "sigma_centre_mm": _numbers(sigmas_mm[:3]),
+    }
+
+
+def _edge(edge: Edge3D) -> Json:
+    across_mm, angle_rad = _sigmas(edge.covariance)
+    return {
+        "name": edge.name,
+        "start_mm": _numbers(edge.start_mm),
+        "end_mm": _numbers(edge.end_mm),
+        "sigma_across_mm": _number(across_mm),
+        "sigma_angle_deg": _number(math.degrees(angle_rad)),
+    }
+
+
+def _slot(slot: Slot3D) -> Json:
+    sigmas_mm = _sigmas(slot.covariance)
+    return {
+        "name": slot.name,
+        "centre_mm": _numbers(slot.centre_mm),
+        "direction": _numbers(slot.direction),
+        "length_mm": _number(slot.length_mm),
+        "width_mm": _number(slot.width_mm),
+        "sigma_centre_mm": _numbers(sigmas_mm[:3]),
+        "sigma_length_mm": _number(sigmas_mm[3]),
+        "sigma_width_mm": _number(sigmas_mm[4]),
+    }
+
+
+def _corner(corner: Corner3D) -> Json:
+    return {
+        "name": corner.name,
+        "position_mm": _numbers(corner.position_mm),
+        "sigma_mm": _numbers(_sigmas(corner.covariance)),
+    }
+
+
+def _measurement(one: Measurement) -> Json:
+    return {
+        "name": one.name,
+        "kind": one.kind,
+        "unit": one.unit,
+        "value": _number(one.value),
+        "sigma": _number(one.sigma),
+        "nominal": None if one.nominal is None else _number(one.nominal),
+        "tolerance": None if one.tolerance is None else _number(one.tolerance),
+        "ok": one.ok,
+    }
+
+
+def _dismissed(one: Dismissed) -> Json:
+    return {
+        "match": _match(one.match),
+        "score": _number(one.match.score),
+        "reject": reject_names(one.reject),
     }
 
 

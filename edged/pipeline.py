@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from edged.domain import FramePair, Outcome, Reject, Status
+import numpy as np
+
+from edged.domain import Dismissed, FramePair, Match, Outcome, Reject, Status
 from edged.errors import ImageError
 from edged.vision.camera import StereoRig
+from edged.vision.features import measure_part
 from edged.vision.job import Job
-from edged.vision.measurement import Images, Measured, measure
+from edged.vision.measurement import Images, Measured
 from edged.vision.rectification import Rectification, make_rectification
-from edged.vision.shape.search import find_shapes
+from edged.vision.shape.search import ShapeMatch, find_shapes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,28 +46,45 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
     return judge(inspect(pair, job, rig, lap))
 
 
-def inspect(
-    pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
-) -> list[Measured]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """All that was seen: every part that was measured, and what was found and could not be."""
+
+    measured: tuple[Measured, ...]
+    dismissed: tuple[Dismissed, ...]
+
+
+def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
     """`locate` with the evidence: every part that was found, with the edges it stands on."""
     images = _rectified(pair, rig)
     lap("rectify")
     matches = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
     lap("find")
-    measured = [measure(images, rig.rectification, job, match) for match in matches]
+    measured, dismissed = [], []
+    for match in matches:
+        result = measure_part(images, rig.rectification, job, match)
+        if isinstance(result, Measured):
+            measured.append(result)
+        else:
+            dismissed.append(Dismissed(_in_raw(match, rig.rectification), result))
     lap("measure")
-    return [one for one in measured if one is not None]
+    return Inspection(tuple(measured), tuple(dismissed))
 
 
-def judge(measured: list[Measured]) -> Outcome:
+def judge(inspection: Inspection) -> Outcome:
     """OK when at least one part is good; the good ones come first, each group by score."""
-    if not measured:
-        return Outcome(Status.NO_TARGET)
+    if not inspection.measured:
+        return Outcome(Status.NO_TARGET, dismissed=inspection.dismissed)
     targets = sorted(
-        (one.target for one in measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
+        (one.target for one in inspection.measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
     )
     good = targets[0].reject == Reject.NONE
-    return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets))
+    return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets), inspection.dismissed)
+
+
+def _in_raw(match: ShapeMatch, rectification: Rectification) -> Match:
+    x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
+    return Match(float(x), float(y), match.angle_rad, match.scale_x, match.scale_y, match.score)
 
 
 def _rectified(pair: FramePair, rig: PreparedRig) -> Images:

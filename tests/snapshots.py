@@ -7,9 +7,13 @@ import numpy as np
 from edged.domain import (
     Circle3D,
     Command,
+    Corner3D,
+    Edge3D,
     FloatArray,
     Match,
+    Measurement,
     Reject,
+    Slot3D,
     Snapshot,
     Status,
     Target,
@@ -40,6 +44,16 @@ def make_target(reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Target:
         circles=(circle,),
         epipolar_rms_px=0.05,
         reject=reject,
+        edges=(Edge3D("e0", np.array([x_mm, 0.0, 200.0]), np.array([x_mm, 9.0, 200.0]), 1e-6 * np.eye(2)),),
+        slots=(
+            Slot3D("s0", np.array([x_mm, 1.0, 200.0]), np.array([1.0, 0.0, 0.0]), 9.0, 4.0, 1e-6 * np.eye(5)),
+        ),
+        corners=(Corner3D("k0", np.array([x_mm, 2.0, 200.0]), 1e-6 * np.eye(3)),),
+        measurements=(
+            Measurement("l", "distance", "mm", 42.01, 0.002, 42.0, 0.05),
+            Measurement("square", "angle", "deg", np.nan, np.nan, 90.0, 0.1),
+            Measurement("width", "width", "mm", 4.0, 0.001),
+        ),
     )
 
 

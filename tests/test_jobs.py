@@ -153,7 +153,7 @@ def test_people_may_edit_limits(folder: Path) -> None:
         (r"^max_rms_px = .*$", "max_rms_px = -1", r"limits\.max_rms_px"),
         (r"^max_rms_px = .*$", 'max_rms_px = "wide"', r"limits\.max_rms_px"),
         (r"^radius_mm = .*$", "radius_mm = 0", r"circle\.0\.radius_mm"),
-        (r"^name = \"c1\"$", 'name = "c0"', "two circles"),
+        (r"^name = \"c1\"$", 'name = "c0"', "two features"),
         (r"^polarity = -1$", "polarity = 0", r"circle\.0\.polarity"),
         (r"^centre_mm = .*$", "centre_mm = [1, 2]", r"circle\.0\.centre_mm"),
         (r"^    \[1\.0, 0\.0, 0\.0,", "    [1.1, 0.0, 0.0,", "rig_from_part"),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from schema_check import load_schema, violations
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import CellState, Command, CommandKind, Outcome, Reject, Status
+from edged.domain import CellState, Command, CommandKind, Dismissed, Match, Outcome, Reject, Status
 from edged.payload import (
     encode,
     message,
@@ -55,7 +55,12 @@ def test_state_fits_the_published_schema():
 
 def test_locate_fits_the_published_schema():
     """`edged locate --json` prints what the schema calls `locate`, rejected targets included."""
-    outcome = Outcome(Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),))
+    match = Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.7)
+    outcome = Outcome(
+        Status.LOW_QUALITY,
+        (make_target(Reject.SIGMA_LIMIT),),
+        (Dismissed(match, Reject.LEFT_RIGHT_MISMATCH),),
+    )
     document = outcome_to_json(outcome, calibration="cal", timing_ms={"find": 1.0})
     assert [] == violations(json.loads(encode(document)), SCHEMA["$defs"]["locate"], SCHEMA)
     assert ["SIGMA_LIMIT"] == document["targets"][0]["reject"]

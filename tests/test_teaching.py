@@ -9,8 +9,8 @@ import pytest
 from cells import Flange, flange, pictures, pose, region_around, scene
 
 from edged.errors import ImageError, TeachError
-from edged.sim.scene import Box, Disc, Hole, Part, Surface
-from edged.vision.geometry import apply
+from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
+from edged.vision.geometry import apply, invert
 from edged.vision.job import Job
 from edged.vision.rectification import Rectification, make_rectification
 from edged.vision.teaching import Region, teach
@@ -129,12 +129,52 @@ def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectificati
         teach(flat.right, flat.left, rectification, flat.region, "x")
 
 
-def test_a_part_without_circles_is_refused(rectification: Rectification, flat: Flange) -> None:
-    """A plate with square holes has no circle to measure."""
-    plate = Part("plate", Box(0, 0, 22, 16), Surface(0.6), (Hole("window", Box(2, 1, 6, 5)),))
+def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectification, flat: Flange) -> None:
+    """A plate with a window: eight edges and eight corners where the drawing has them, to 15 µm; one is the
+    reference and the origin."""
+    plate = Part("plate", Box(0, 0, 22, 16), Surface(0.6), (Hole("window", Box(2, 1, 9, 7)),))
     left, right = pictures(flat.rig, scene((plate, pose())))
-    with pytest.raises(TeachError, match="no circle"):
-        teach(left, right, rectification, flat.region, "x")
+    job = teach(left, right, rectification, flat.region, "plate")
+    assert not job.circles
+    assert (len(job.edges), len(job.corners)) == (8, 8)
+    assert job.kind_of(job.reference) == "corner"
+    np.testing.assert_allclose(job.place_of(job.reference), 0.0, atol=1e-9)
+    drawn = [(x, y) for x in (-11.0, 11.0) for y in (-8.0, 8.0)]
+    drawn += [(2.0 + x, 1.0 + y) for x in (-4.5, 4.5) for y in (-3.5, 3.5)]
+    part_from_rig = invert(pose())
+    for corner in job.corners:
+        x, y, z = apply(part_from_rig, apply(job.rig_from_part, job.place_of(corner.name)))
+        assert min(math.hypot(x - u, y - v) for u, v in drawn) < 0.015
+        assert abs(z) < 0.05
+    np.testing.assert_allclose(job.rig_from_part[:3, :3], np.eye(3), atol=5e-3)
+
+
+def test_slots_notches_and_corners_are_learnt_beside_the_circles(
+    rectification: Rectification, flat: Flange
+) -> None:
+    """A disc with a slot, a square window and a hole: each is what the drawing says, named and signed."""
+    holes = (
+        Hole("slot", Slot(4.0, -5.0, 8.0, 3.0, 0.4)),
+        Hole("window", Box(-5.0, 4.0, 6.0, 5.0, 0.0, 0.2)),
+        Hole("bore", Disc(5.0, 5.0, 3.0)),
+    )
+    part = Part("disc", Disc(0, 0, 13.0), Surface(0.6, 0.05), holes)
+    left, right = pictures(flat.rig, scene((part, pose())))
+    job = teach(left, right, rectification, flat.region, "disc")
+    assert [circle.name for circle in job.circles] == ["c0", "c1"]
+    (slot,) = job.slots
+    assert (slot.name, slot.polarity) == ("s0", 1)
+    np.testing.assert_allclose((slot.length_mm, slot.width_mm), (8.0, 3.0), atol=0.01)
+    np.testing.assert_allclose(slot.centre_mm[:2], (4.0, -5.0), atol=0.01)
+    assert slot.angle_rad == pytest.approx(0.4, abs=0.002)
+    assert len(job.edges) == len(job.corners) == 4
+    np.testing.assert_allclose([edge.length_mm for edge in job.edges], [6.0, 6.0, 5.0, 5.0], atol=0.25)
+    middle = np.mean([job.place_of(corner.name) for corner in job.corners], axis=0)
+    np.testing.assert_allclose(middle[:2], (-5.0, 4.0), atol=0.01)
+    for edge in job.edges:  # the part is brighter than what is seen through its window
+        along = edge.end_mm - edge.start_mm
+        outwards = job.place_of(edge.name)[:2] - middle[:2]
+        assert edge.polarity * float(outwards @ (-along[1], along[0])) > 0
 
 
 def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> None:

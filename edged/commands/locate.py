@@ -43,10 +43,10 @@ def locate(
         timing_ms[stage] = round((now_s - last_s) * 1e3, 3)
         last_s = now_s
 
-    measured = inspect(pair, taught, prepared, lap)
-    outcome = judge(measured)
+    inspection = inspect(pair, taught, prepared, lap)
+    outcome = judge(inspection)
     if overlay is not None:
-        _write_picture(overlay, draw_pair(pair.left.image, pair.right.image, measured))
+        _write_picture(overlay, draw_pair(pair.left.image, pair.right.image, inspection.measured))
     if as_json:
         print(
             json.dumps(

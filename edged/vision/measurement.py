@@ -15,6 +15,7 @@ from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, rotation_matrix, transform
 from edged.vision.job import CircleFeature, Job
+from edged.vision.planefit import CurveFit
 from edged.vision.rectification import Rectification, row_difference_px
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import Plane, find_plane
@@ -53,10 +54,11 @@ class Images:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A target and the edges it stands on (for pictures)."""
+    """A target and the edges it stands on (for pictures): of its circles, and of its other features."""
 
     target: Target
     fits: tuple[CircleFit, ...]
+    curves: tuple[CurveFit, ...] = ()
 
 
 def measure(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Measured | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import CameraModel
+from edged.vision.camera import CameraModel, StereoRig
 
 
 def project_with_jacobians(
@@ -37,6 +37,29 @@ def project_with_jacobians(
     by_parameter[:, 0, 2] = by_parameter[:, 1, 3] = 1.0
     by_parameter[:, :, 4:] = by_lens * focal[:, None]
     return pixels, by_point, by_parameter
+
+
+def shifts_by_calibration(
+    rig: StereoRig, points_mm: FloatArray, normals_left: FloatArray, normals_right: FloatArray
+) -> FloatArray:
+    """(2 N, Q): how edges move against the projected curve, along its normals, per unit of each parameter.
+
+    points_mm (N, 3) rig frame; normals (N, 2) in the raw images; left samples first. The parameters are those
+    of `rig.parameter_names`.
+    """
+    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
+    turned = points_mm @ rotation.T
+    _, _, by_left = project_with_jacobians(rig.left, points_mm)
+    _, by_point, by_right = project_with_jacobians(rig.right, turned + translation)
+    left = np.einsum("ni,niq->nq", normals_left, by_left)
+    right = np.einsum("ni,niq->nq", normals_right, by_right)
+    along = np.einsum("ni,nij->nj", normals_right, by_point)
+    # a small rotation w on the left of R moves a point by w x (R X): a . (w x b) = w . (b x a)
+    right = np.hstack([right, np.cross(turned, along), along])
+    shifts = np.zeros((2 * len(points_mm), left.shape[1] + right.shape[1]))
+    shifts[: len(points_mm), : left.shape[1]] = -left
+    shifts[len(points_mm) :, left.shape[1] :] = -right
+    return shifts
 
 
 def _division(u: FloatArray, v: FloatArray, kappa: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""From one stereo pair and a region to a job: shape model, circles, part frame."""
+"""From one stereo pair and a region to a job: shape model, circles and other features, part frame."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.curves import Curve
 from edged.vision.ellipses import ImageEllipse, find_ellipses
 from edged.vision.facefit import fit_circle, fit_face
-from edged.vision.geometry import apply, invert
-from edged.vision.job import CircleFeature, Job, Limits
+from edged.vision.featureteaching import (
+    FoundFeatures,
+    TeachingView,
+    find_edge_face,
+    find_features,
+    outline_mask,
+    part_frame,
+)
+from edged.vision.geometry import apply, invert, transform
+from edged.vision.job import CircleFeature, Job, Limits, crossing
 from edged.vision.rectification import Rectification
 from edged.vision.shape.model import create_model
 from edged.vision.shape.search import SearchParams
@@ -57,12 +66,57 @@ def teach(
                 f"{side} image: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for "
                 f"{camera.width}x{camera.height}"
             )
-    mask = _mask(region, rectification)
-    rectified_left, rectified_right = rectification.left_image(left), rectification.right_image(right)
-    ellipses = find_ellipses(rectified_left, mask)
+    view = TeachingView(
+        rectification,
+        left,
+        right,
+        rectification.left_image(left),
+        rectification.right_image(right),
+        _mask(region, rectification),
+    )
+    ellipses = find_ellipses(view.rectified_left, view.mask)
+    try:
+        circles = _circles(view, ellipses)
+    except TeachError:
+        edges = _from_edges(view)
+        if edges is None:
+            raise
+        return _job(view, name, number, *edges)
+    rig_from_part = _part_frame(circles[0])
+    features = tuple(
+        CircleFeature(
+            fit.circle.name,
+            apply(invert(rig_from_part), fit.circle.centre_mm),
+            fit.circle.radius_mm,
+            fit.polarity,
+        )
+        for fit in circles
+    )
+    curves = [
+        Curve(
+            one.name,
+            "circle",
+            np.append(one.centre_mm[:2], one.radius_mm),
+            one.polarity,
+            height_mm=float(one.centre_mm[2]),
+        )
+        for one in features
+    ]
+    found, _ = find_features(view, rig_from_part, curves)
+    return _job(view, name, number, rig_from_part, features[0].name, found, features)
+
+
+def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[CircleFit]:
+    """The circles of the face, measured together, largest first."""
     if not ellipses:
-        raise TeachError("no circle found inside the region: a job needs at least one that both cameras see")
-    face, reference = _reference(left, right, rectified_left, rectified_right, rectification, ellipses)
+        raise TeachError(
+            "no circle found inside the region, and no face with straight edges: a job needs a feature that "
+            "both cameras see"
+        )
+    rectification, left, right = view.rectification, view.left, view.right
+    face, reference = _reference(
+        left, right, view.rectified_left, view.rectified_right, rectification, ellipses
+    )
     others = _others(left, right, rectification, ellipses, face, reference)
     fits = _named([reference, *others])
     together = fit_face(
@@ -75,29 +129,50 @@ def teach(
     )
     if together is not None:
         fits = [together.first, *(fit for fit in together.others if fit is not None)]
-    rig_from_part = _part_frame(fits[0])
+    return fits
+
+
+def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | None:
+    """Pose, reference and features of a part without circles: its longest slot, or else a corner."""
+    amid = find_edge_face(view, _common_depths(view.rectification))
+    if amid is None:
+        return None
+    found, amid = find_features(view, amid)
+    if found.slots:
+        reference, place = found.slots[0].name, found.slots[0].centre_mm
+    elif found.corners:
+        reference = found.corners[0].name
+        edges = {edge.name: edge for edge in found.edges}
+        place = crossing(*(edges[name] for name in found.corners[0].edges))
+    else:
+        return None
+    return amid @ transform(np.eye(3), place), reference, found.moved(-place)
+
+
+def _job(
+    view: TeachingView,
+    name: str,
+    number: int,
+    rig_from_part: FloatArray,
+    reference: str,
+    found: FoundFeatures,
+    circles: tuple[CircleFeature, ...] = (),
+) -> Job:
+    rectification = view.rectification
     depth = float(rig_from_part[2, 3])
-    features = tuple(
-        CircleFeature(
-            fit.circle.name,
-            apply(invert(rig_from_part), fit.circle.centre_mm),
-            fit.circle.radius_mm,
-            fit.polarity,
-        )
-        for fit in fits
-    )
-    origin = rectification.rectify_points("left", rectification.rig.left.project(rig_from_part[None, :3, 3]))[
-        0
-    ]
-    limits = Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE)))
+    if circles:
+        place = rectification.rig.left.project(rig_from_part[None, :3, 3])
+        shape = create_model(view.rectified_left, view.mask, rectification.rectify_points("left", place)[0])
+    else:  # its origin amid the part: from a corner, overlapping matches would look far apart
+        shape = create_model(view.rectified_left, outline_mask(view))
     return Job(
         name=name,
         number=number,
-        shape=create_model(rectified_left, mask, origin),
-        circles=features,
-        reference=features[0].name,
+        shape=shape,
+        circles=circles,
+        reference=reference,
         rig_from_part=rig_from_part,
-        limits=limits,
+        limits=Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE))),
         search=SearchParams(
             scale_min=1 / (1 + DEPTH_SHARE),
             scale_max=1 / (1 - DEPTH_SHARE),
@@ -105,6 +180,9 @@ def teach(
             # a dark part on a bright table inverts its outline, but not the shadow in its holes
             polarity="local",
         ),
+        edges=found.edges,
+        slots=found.slots,
+        corners=found.corners,
     )
 
 
@@ -269,10 +347,4 @@ def _named(fits: list[CircleFit]) -> list[CircleFit]:
 
 def _part_frame(reference: CircleFit) -> FloatArray:
     """Origin in the centre, z away from the cameras, x the rig's x axis projected into the face."""
-    z = -reference.circle.normal
-    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
-    x /= np.linalg.norm(x)
-    rig_from_part = np.eye(4)
-    rig_from_part[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    rig_from_part[:3, 3] = reference.circle.centre_mm
-    return rig_from_part
+    return part_frame(reference.circle.normal, reference.circle.centre_mm)

@@ -1,0 +1,227 @@
+"""Outlines in a plane: circles, straight edges and slots, and how both cameras see them.
+
+A curve lives in a face: a plane with an origin and axes u, v, normal (away from the cameras, as z of a part
+frame). What moves it in an image is only its motion across itself, so each sample carries one number per
+parameter: the speed of the curve along its own normal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.camera import StereoRig
+from edged.vision.geometry import apply
+from edged.vision.projection import project_with_jacobians
+
+Kind = Literal["circle", "edge", "slot"]
+PARAMETERS: dict[Kind, tuple[str, ...]] = {
+    "circle": ("x", "y", "radius"),
+    "edge": ("x", "y", "angle"),
+    "slot": ("x", "y", "angle", "length", "width"),
+}
+PLANE_PARAMETERS = 3
+"""Height of the plane over the face, and its slopes along u and v."""
+MIN_RADIUS_MM = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Face:
+    """A plane in the rig frame: origin (3,), axes (3, 3) with rows u, v, normal (right-handed)."""
+
+    origin: FloatArray
+    axes: FloatArray
+
+    @property
+    def normal(self) -> FloatArray:
+        """(3,) unit; the third axis."""
+        return np.asarray(self.axes[2])
+
+    def to_rig(self, points: FloatArray) -> FloatArray:
+        """Points (N, 3) of the rig frame for points (N, 2) in the face, or (N, 3) with a height over it."""
+        return np.asarray(self.origin + points @ self.axes[: points.shape[-1]])
+
+    def from_rig(self, points_mm: FloatArray) -> FloatArray:
+        """Points (N, 3) in the axes of the face: u, v, height."""
+        return np.asarray((points_mm - self.origin) @ self.axes.T)
+
+    def moved(self, plane: FloatArray) -> Face:
+        """The face after a step of height and slopes; the axes stay as near to the old ones as they can."""
+        height, slope_u, slope_v = plane
+        u, v, n = self.axes
+        normal = n - slope_u * u - slope_v * v
+        normal = normal / np.linalg.norm(normal)
+        across = u - (u @ normal) * normal
+        across = across / np.linalg.norm(across)
+        return Face(self.origin + height * n, np.stack([across, np.cross(normal, across), normal]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One outline in the face.
+
+    parameters : as named in `PARAMETERS`, mm and rad. Of an edge x, y are its middle and angle its direction
+    (u to v); of a slot x, y are its centre, angle its long axis, length is over all.
+    polarity : +1 brighter along the normal, -1 darker, 0 not known. The normal points outwards; of an edge
+    it is the direction turned by 90° from u to v.
+    length_mm : of an edge; its ends are no result of a fit.
+    height_mm : of its plane along the face's normal; kept.
+    """
+
+    name: str
+    kind: Kind
+    parameters: FloatArray
+    polarity: int
+    length_mm: float = 0.0
+    height_mm: float = 0.0
+
+    @property
+    def closed(self) -> bool:
+        """Whether it ends where it begins."""
+        return self.kind != "edge"
+
+    @property
+    def direction(self) -> FloatArray:
+        """(2,) unit: of an edge, or a slot's long axis."""
+        angle = float(self.parameters[2])
+        return np.array([math.cos(angle), math.sin(angle)])
+
+    @property
+    def perimeter_mm(self) -> float:
+        """Length of the outline."""
+        if self.kind == "circle":
+            return float(2 * math.pi * self.parameters[2])
+        if self.kind == "edge":
+            return self.length_mm
+        length, width = self.parameters[3:]
+        return float(2 * (length - width) + math.pi * width)
+
+    @property
+    def free(self) -> int:
+        """Unknowns of a fit: an edge cannot be moved along itself."""
+        return 2 if self.kind == "edge" else len(self.parameters)
+
+    def lift(self) -> FloatArray:
+        """(P, free): the parameters by the unknowns of a fit."""
+        if self.kind != "edge":
+            return np.eye(len(self.parameters))
+        x, y = self.direction
+        return np.array([[-y, 0.0], [x, 0.0], [0.0, 1.0]])
+
+    def moved(self, delta: FloatArray) -> Curve | None:
+        """After a step of its unknowns; None when there is nothing left of it."""
+        parameters = self.parameters + self.lift() @ delta
+        if not np.isfinite(parameters).all() or (parameters[2:][-1] < MIN_RADIUS_MM and self.kind != "edge"):
+            return None
+        if self.kind == "slot" and parameters[3] < parameters[4]:
+            return None
+        return replace(self, parameters=parameters)
+
+    def outline(self, share: FloatArray, margin_mm: float = 0.0) -> Outline:
+        """Samples at shares (N,) in [0, 1) of the outline; an edge keeps a margin from its ends."""
+        if self.kind == "circle":
+            return _circle(self, share)
+        return _edge(self, share, margin_mm) if self.kind == "edge" else _slot(self, share)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """points, normals (N, 2) in the face; speed (N, free): motion along the normal by the unknowns."""
+
+    points: FloatArray
+    normals: FloatArray
+    speed: FloatArray
+
+
+def _circle(curve: Curve, share: FloatArray) -> Outline:
+    x, y, radius = curve.parameters
+    phase = 2 * np.pi * share
+    normals = np.column_stack([np.cos(phase), np.sin(phase)])
+    return Outline((x, y) + radius * normals, normals, np.column_stack([normals, np.ones(len(share))]))
+
+
+def _edge(curve: Curve, share: FloatArray, margin_mm: float) -> Outline:
+    direction = curve.direction
+    along = (share - 0.5) * max(curve.length_mm - 2 * margin_mm, 0.0)
+    normal = np.array([-direction[1], direction[0]])
+    points = curve.parameters[:2] + along[:, None] * direction
+    return Outline(points, np.tile(normal, (len(share), 1)), np.column_stack([np.ones(len(share)), along]))
+
+
+def _slot(curve: Curve, share: FloatArray) -> Outline:
+    """Around from the middle of the right end: arc, upper line, left arc, lower line, arc."""
+    x, y, _, length, width = curve.parameters
+    half, radius = 0.5 * (length - width), 0.5 * width
+    way = share * curve.perimeter_mm
+    quarter = 0.5 * np.pi * radius
+    first, second = way < quarter, way < quarter + 2 * half
+    third, fourth = way < 3 * quarter + 2 * half, way < 3 * quarter + 4 * half
+    on_line = (~first & second) | (~third & fourth)
+    phase = np.select(
+        [first, second, third, fourth],
+        [
+            way / radius,
+            np.full_like(way, 0.5 * np.pi),
+            (way - 2 * half) / radius,
+            np.full_like(way, 1.5 * np.pi),
+        ],
+        (way - 4 * half) / radius,
+    )
+    middle = np.select(
+        [first, second, third, fourth],
+        [half, half - (way - quarter), -half, -half + (way - 3 * quarter - 2 * half)],
+        half,
+    )
+    normals = np.column_stack([np.cos(phase), np.sin(phase)])
+    points = radius * normals
+    points[:, 0] += middle
+    swing = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
+    by_length = np.where(on_line, 0.0, 0.5 * np.abs(normals[:, 0]))
+    turn = np.stack([curve.direction, [-curve.direction[1], curve.direction[0]]])
+    turned = normals @ turn
+    return Outline(
+        points @ turn + (x, y), turned, np.column_stack([turned, swing, by_length, 0.5 - by_length])
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Samples of a curve in one raw image.
+
+    pixels (N, 2); normals (N, 2) unit, along the curve's normal; design (N, 3 + free): motion along the
+    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame.
+    """
+
+    pixels: FloatArray
+    normals: FloatArray
+    design: FloatArray
+    points_mm: FloatArray
+
+
+def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -> Seen:
+    """Project samples of a curve into a raw image."""
+    u, v, n = face.axes
+    flat = np.column_stack([outline.points, np.full(len(outline.points), curve.height_mm)])
+    points = face.to_rig(flat)
+    if side == "left":
+        pixels, by_point, _ = project_with_jacobians(rig.left, points)
+    else:
+        pixels, by_point, _ = project_with_jacobians(rig.right, apply(rig.right_from_left, points))
+        by_point = by_point @ rig.right_from_left[:3, :3]
+    across = outline.normals @ np.stack([u, v])
+    along = np.column_stack([-outline.normals[:, 1], outline.normals[:, 0]]) @ np.stack([u, v])
+    tangent = np.einsum("nij,nj->ni", by_point, along)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    outward = np.einsum("nij,nj->ni", by_point, across)
+    normals *= np.where(np.sum(normals * outward, axis=1) < 0, -1.0, 1.0)[:, None]
+    by_space = np.einsum("ni,nij->nj", normals, by_point)
+    up, out = by_space @ n, np.sum(by_space * across, axis=1)
+    design = np.column_stack(
+        [up, up * outline.points[:, 0], up * outline.points[:, 1], out[:, None] * outline.speed]
+    )
+    return Seen(pixels, normals, design, points)

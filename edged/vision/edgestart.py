@@ -1,0 +1,74 @@
+"""Where a part without circles lies: its plane from the rows of its edges, its pose from the match."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+from edged.vision.curves import Curve
+from edged.vision.edges import edges_along_normals
+from edged.vision.geometry import apply, fit_rigid
+from edged.vision.job import Job
+from edged.vision.measurement import Images
+from edged.vision.rectification import Rectification
+from edged.vision.shape.search import ShapeMatch
+from edged.vision.startplane import find_plane
+
+DEPTH_MARGIN = 0.06
+"""The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
+SAMPLES = 240
+REACH_PX = 4.0
+BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is as near
+
+
+def start_pose(
+    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, curves: Sequence[Curve]
+) -> FloatArray | None:
+    """rig_from_part (4, 4) of the face of these curves; None when the right image does not show it."""
+    part = _samples(curves)
+    points = predicted(rectification, job, match, part[:, 0])
+    ahead = predicted(rectification, job, match, part[:, 1])
+    normals = ahead - points
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+    part, points, normals = part[seen], points[seen], normals[seen]
+    # each edge has its own sign: turned so that all are brighter along their normals
+    _, slopes = edges_along_normals(images.rectified_left, points, normals, REACH_PX, 0)
+    normals = normals * np.where(np.nan_to_num(slopes) < 0, -1.0, 1.0)[:, None]
+    depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
+    depth /= float(np.sqrt(match.scale_x * match.scale_y))
+    low, high = depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)
+    plane = find_plane(
+        rectification, images.rectified_left, images.rectified_right, points, normals, 1, (low, high)
+    )
+    if plane is None:
+        return None
+    pixels = rectification.raw_points("left", points)
+    rays = np.column_stack([rectification.rig.left.normalise(pixels), np.ones(len(pixels))])
+    try:
+        return fit_rigid(part[:, 0], plane.meet(rays)).to_from_from
+    except CalibrationError:  # all on one line, or behind the camera
+        return None
+
+
+def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
+    """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
+    taught = rectification.rig.left.project(apply(job.rig_from_part, points_mm))
+    return np.asarray(match.apply(rectification.rectify_points("left", taught) - job.shape.origin_px))
+
+
+def _samples(curves: Sequence[Curve]) -> FloatArray:
+    """(N, 2, 3): points of the curves, part frame, and a point ahead of each along its normal."""
+    total = sum(curve.perimeter_mm for curve in curves)
+    samples = []
+    for curve in curves:
+        count = max(int(SAMPLES * curve.perimeter_mm / total), 8)
+        share = (np.arange(count) + 0.5) / count
+        outline = curve.outline(share, BORDER_SHARE * curve.perimeter_mm)
+        flat = np.stack([outline.points, outline.points + 0.1 * outline.normals], axis=1)
+        height = np.full((count, 2, 1), curve.height_mm)
+        samples.append(np.concatenate([flat, height], axis=2))
+    return np.concatenate(samples)

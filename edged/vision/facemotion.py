@@ -1,0 +1,113 @@
+"""How a part lies in its measured face: taught features laid onto the measured ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.curves import Curve
+from edged.vision.job import EdgeFeature, Job, SlotFeature
+from edged.vision.planefit import PlaneFit
+
+TAUGHT_SIGMA_MM = 0.003
+"""What a feature's taught place is worth: the precision of one measurement of a machined edge."""
+TUKEY = 4.685
+ROUNDS = 8
+
+Evidence = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def edge_curve(edge: EdgeFeature, free_polarity: bool, sign: int = 1) -> Curve:
+    """A taught edge as a curve of the part's face."""
+    middle = 0.5 * (edge.start_mm + edge.end_mm)
+    parameters = np.array([middle[0], middle[1], edge.angle_rad])
+    polarity = 0 if free_polarity else sign * edge.polarity
+    return Curve(edge.name, "edge", parameters, polarity, edge.length_mm, float(middle[2]))
+
+
+def slot_curve(slot: SlotFeature, free_polarity: bool, sign: int = 1) -> Curve:
+    """A taught slot as a curve of the part's face."""
+    x, y, height = slot.centre_mm
+    parameters = np.array([x, y, slot.angle_rad, slot.length_mm, slot.width_mm])
+    return Curve(slot.name, "slot", parameters, 0 if free_polarity else sign * slot.polarity, 0.0, height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """How the part lies in the fitted face against where the face's axes put it.
+
+    shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn).
+    """
+
+    shift: FloatArray
+    turn: float
+    covariance: FloatArray
+
+    def apply(self, point: FloatArray) -> FloatArray:
+        """(2,) where a taught point lies."""
+        cosine, sine = math.cos(self.turn), math.sin(self.turn)
+        return np.asarray(np.array([[cosine, -sine], [sine, cosine]]) @ point + self.shift)
+
+
+def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
+    """The motion in the face that lays the taught features onto the measured ones; robust.
+
+    A feature that lies elsewhere (another edge beside it, a worn corner) loses its weight as a whole.
+    None when the features leave the rotation open.
+    """
+    evidence = _evidence(job, fit)
+    motion, weights, far = np.zeros(3), np.ones(len(evidence)), np.zeros(len(evidence))
+    normal = np.zeros((3, 3))
+    for _ in range(ROUNDS):
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        for (gap, design, inverse), weight in zip(evidence, weights, strict=True):
+            normal += weight * design.T @ inverse @ design
+            right += weight * design.T @ inverse @ gap
+        scale = np.sqrt(np.diag(normal))
+        if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e10:
+            return None
+        motion = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        misfits = [gap - design @ motion for gap, design, _ in evidence]
+        far = np.array(
+            [
+                math.sqrt(r @ inverse @ r / len(r))
+                for r, (_, _, inverse) in zip(misfits, evidence, strict=True)
+            ]
+        )
+        spread = max(1.4826 * float(np.median(far)), 1.0)
+        weights = np.clip(1 - (far / (TUKEY * spread)) ** 2, 0, None) ** 2
+    freedom = sum(len(gap) for gap, _, _ in evidence) - 3
+    chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in evidence])) / max(freedom, 1)
+    return Motion(motion[:2], float(motion[2]), np.asarray(np.linalg.inv(normal) * max(chi2, 1.0)))
+
+
+def _evidence(job: Job, fit: PlaneFit) -> list[Evidence]:
+    """For each curve: measured minus taught, its derivative by (shift, turn), and its inverse covariance."""
+    taught = {circle.name: np.append(circle.centre_mm[:2], 0.0) for circle in job.circles}
+    taught |= {slot.name: np.append(slot.centre_mm[:2], slot.angle_rad) for slot in job.slots}
+    taught |= {edge.name: edge_curve(edge, True).parameters for edge in job.edges}
+    evidence: list[Evidence] = []
+    for one in fit.fits:
+        curve = one.curve
+        where = fit.place(curve.name)
+        if where is None or curve.name not in taught:
+            continue
+        x, y, angle = taught[curve.name]
+        rows = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        sizes = {"circle": 2, "slot": 3, "edge": 3}
+        project = np.eye(3)[: sizes[curve.kind]]
+        lever = curve.perimeter_mm / math.sqrt(12)
+        if curve.kind == "edge":
+            project = np.array([[-math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+        gap = curve.parameters[:3] - taught[curve.name]
+        gap[2] = (gap[2] + math.pi / 2) % math.pi - math.pi / 2
+        spread = np.zeros((3, 3))
+        known = fit.covariance[where, where][: sizes[curve.kind], : sizes[curve.kind]]
+        spread[: len(known), : len(known)] = known
+        spread += np.diag([TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM / lever]) ** 2
+        inverse = np.asarray(np.linalg.inv(project @ spread @ project.T), dtype=np.float64)
+        evidence.append((project @ gap, project @ rows, inverse))
+    return evidence

@@ -1,0 +1,238 @@
+"""All features of a part: straight edges, slots and corners beside its circles, and what follows from them.
+
+The circles come measured, with the plane of the face (see `measurement`); a part without circles gets its
+plane from the rows of its edges (see `edgestart`). Then every curve of the face is measured in one fit, and
+from it come the pose, the features in the rig frame, and the sizes with their tolerances.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain import FloatArray, Match, Measurement, Reject, Target
+from edged.vision.curves import PLANE_PARAMETERS, Curve, Face
+from edged.vision.edgestart import start_pose
+from edged.vision.facemotion import Motion, edge_curve, find_motion, slot_curve
+from edged.vision.geometry import transform
+from edged.vision.inrig import lifted, with_features
+from edged.vision.job import Job
+from edged.vision.measurement import EACH_EDGE_ITSELF, Images, Measured, about_z, measure
+from edged.vision.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
+from edged.vision.quality import reject_reasons
+from edged.vision.rectification import Rectification
+from edged.vision.shape.search import ShapeMatch
+from edged.vision.sizes import measure_sizes, place
+
+NEAR_PARAMS = PlaneFitParams(reach_px=(3.0, 2.0))
+FAR_PARAMS = PlaneFitParams(reach_px=(8.0, 5.0, 3.0, 2.0))
+"""From a match's pose: a pixel of disparity is 1/500 of the depth, and moves both edges by half as much."""
+MIN_LEVEL = 0.7  # an edge less steep in the image has a row of its own
+UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
+CONCENTRIC = 0.15  # share of the reference radius within which a circle says nothing about the rotation
+
+
+def measure_part(
+    images: Images, rectification: Rectification, job: Job, match: ShapeMatch
+) -> Measured | Reject:
+    """Measure one found part with all its features; the reason when it cannot be measured at all."""
+    if not job.circles:
+        return _from_edges(images, rectification, job, match)
+    main = replace(job, reference=job.reference_circle.name)
+    measured = measure(images, rectification, main, match)
+    return (
+        Reject.LEFT_RIGHT_MISMATCH if measured is None else _completed(images, rectification, job, measured)
+    )
+
+
+# --- parts with circles ----------------------------------------------------------------------------
+
+
+def _completed(images: Images, rectification: Rectification, job: Job, measured: Measured) -> Measured:
+    """A part whose circles are measured, with its other features and its sizes."""
+    fit = None
+    if job.edges or job.slots or any(spec.kind == "distance" for spec in job.measurements):
+        fit = _fit_beside(images, rectification, job, measured)
+    target = measured.target
+    if fit is not None and (job.edges or job.slots):
+        target = _turned(job, fit, target)
+    target = replace(target, measurements=measure_sizes(job, fit, target.circles))
+    if fit is not None:
+        target = with_features(target, job, fit)
+    if _is_round(job):
+        axis = target.rig_from_part[:3, 2]
+        covariance = target.covariance.copy()
+        covariance[3:, 3:] += UNKNOWN_TURN**2 * np.outer(axis, axis)
+        target = replace(target, free_axis=axis, covariance=covariance)
+    if job.kind_of(job.reference) not in ("circle", None):
+        target = _referred(job, fit, target)
+    return replace(
+        measured,
+        target=replace(target, reject=target.reject | size_reasons(target.measurements)),
+        curves=() if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle"),
+    )
+
+
+def _fit_beside(
+    images: Images, rectification: Rectification, job: Job, measured: Measured
+) -> PlaneFit | None:
+    """One fit of the measured circles and the edges and slots where the pose puts them."""
+    part = _part_pose(job, measured.target)
+    face = Face(part[:3, 3], part[:3, :3].T)
+    curves = []
+    for one in measured.fits:
+        x, y, height = face.from_rig(one.circle.centre_mm)
+        parameters = np.array([x, y, one.circle.radius_mm])
+        curves.append(Curve(one.circle.name, "circle", parameters, one.polarity, height_mm=height))
+    free = job.search.polarity != "same"
+    curves += [edge_curve(edge, free) for edge in job.edges]
+    curves += [slot_curve(slot, free) for slot in job.slots]
+    return fit_plane(rectification.rig, (images.left, images.right), face, curves, NEAR_PARAMS)
+
+
+def _part_pose(job: Job, target: Target) -> FloatArray:
+    """(4, 4) rig_from_part with the origin of the job's own coordinates, not the reference point's."""
+    rotation = target.rig_from_part[:3, :3]
+    return transform(rotation, target.position_mm - rotation @ job.reference_circle.centre_mm)
+
+
+def _turned(job: Job, fit: PlaneFit, target: Target) -> Target:
+    """The target with its rotation about the normal from all features together."""
+    motion = find_motion(job, fit)
+    if motion is None:
+        return target
+    rotation = target.rig_from_part[:3, :3] @ about_z(motion.turn)
+    normal = target.rig_from_part[:3, 2]
+    covariance = target.covariance.copy()
+    known = normal @ covariance[3:, 3:] @ normal
+    covariance[3:, 3:] += (motion.covariance[2, 2] - known) * np.outer(normal, normal)
+    return replace(target, rig_from_part=transform(rotation, target.position_mm), covariance=covariance)
+
+
+def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
+    """The target with its position in a slot or a corner instead of a circle."""
+    point = None if fit is None else place(job, fit, job.reference)
+    if fit is None or point is None:
+        offset = target.rig_from_part[:3, :3] @ (job.place_of(job.reference) - job.reference_circle.centre_mm)
+        pose = transform(target.rig_from_part[:3, :3], target.position_mm + offset)
+        return replace(target, rig_from_part=pose, reject=target.reject | Reject.FEW_EDGES)
+    face = fit.face
+
+    def in_rig(parameters: FloatArray) -> FloatArray:
+        return lifted(face, parameters, point(parameters))
+
+    position, spread = derived(fit, in_rig)
+    covariance = target.covariance.copy()
+    covariance[:3, :3], covariance[:3, 3:], covariance[3:, :3] = spread, 0.0, 0.0
+    return replace(
+        target, rig_from_part=transform(target.rig_from_part[:3, :3], position), covariance=covariance
+    )
+
+
+def _is_round(job: Job) -> bool:
+    """Whether the part looks the same from all sides of its axis."""
+    centre = job.reference_circle.centre_mm
+    reach = CONCENTRIC * job.reference_circle.radius_mm
+    concentric = all(np.linalg.norm(circle.centre_mm - centre) < reach for circle in job.circles)
+    return job.shape.round and concentric and not job.edges and not job.slots
+
+
+# --- parts without circles -------------------------------------------------------------------------
+
+
+def _from_edges(
+    images: Images, rectification: Rectification, job: Job, match: ShapeMatch
+) -> Measured | Reject:
+    """A part of which only edges and slots are known."""
+    free = job.search.polarity in EACH_EDGE_ITSELF
+    sign = -1 if match.inverted and not free else 1
+    curves = [edge_curve(edge, free, sign) for edge in job.edges]
+    curves += [slot_curve(slot, free, sign) for slot in job.slots]
+    pose = start_pose(images, rectification, job, match, curves)
+    if pose is None:
+        return Reject.LEFT_RIGHT_MISMATCH
+    face = Face(pose[:3, 3], pose[:3, :3].T)
+    fit = fit_plane(rectification.rig, (images.left, images.right), face, curves, FAR_PARAMS)
+    motion = None if fit is None else find_motion(job, fit)
+    if fit is None or motion is None:
+        return Reject.FEW_EDGES
+    target = _target_from(rectification, job, match, fit, motion)
+    support = _mean_support(curves, fit)
+    rms_px = float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits])))
+    reject = reject_reasons(job.limits, target, support, rms_px)
+    if match.ambiguous:
+        reject |= Reject.AMBIGUOUS_ROTATION
+    target = replace(target, reject=reject | size_reasons(target.measurements))
+    return Measured(target, (), fit.fits)
+
+
+def _target_from(
+    rectification: Rectification, job: Job, match: ShapeMatch, fit: PlaneFit, motion: Motion
+) -> Target:
+    face = fit.face
+    reference = job.place_of(job.reference)[:2]
+    point = place(job, fit, job.reference)
+
+    def pose(parameters: FloatArray) -> FloatArray:
+        in_face = motion.apply(reference) if point is None else point(parameters)
+        slope_u, slope_v = parameters[1:PLANE_PARAMETERS]
+        tilt = slope_v * face.axes[0] - slope_u * face.axes[1]
+        return np.concatenate([lifted(face, parameters, in_face), tilt])
+
+    values, covariance = derived(fit, pose)
+    if point is None:  # hidden: it lies where the others say
+        arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
+        in_rig = face.axes[:2].T @ arm
+        covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T
+    covariance[3:, 3:] += motion.covariance[2, 2] * np.outer(face.normal, face.normal)
+    origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
+    target = Target(
+        job=job.name,
+        match=Match(
+            float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
+        ),
+        rig_from_part=transform(face.axes.T @ about_z(motion.turn), values[:3]),
+        covariance=covariance,
+        circles=(),
+        epipolar_rms_px=_row_mismatch_px(fit, rectification),
+    )
+    return with_features(replace(target, measurements=measure_sizes(job, fit, ())), job, fit)
+
+
+def _mean_support(curves: list[Curve], fit: PlaneFit) -> float:
+    """Share of all edges that the camera which sees less of them shows."""
+    lengths = {curve.name: curve.perimeter_mm for curve in curves}
+    seen = sum(one.support * lengths[one.curve.name] for one in fit.fits)
+    return float(np.min(seen) / sum(lengths.values()))
+
+
+def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
+    """Rms row difference of the edges that have a row of their own; NaN where there are none.
+
+    The plane takes up what differs along the rows, not across them.
+    """
+    differences = []
+    for one in fit.fits:
+        if one.curve.kind != "edge":
+            continue
+        known = np.isfinite(one.points[0]).all(axis=1)
+        ends = rectification.rectify_points("left", one.points[0][known][[0, -1]])
+        along = ends[1] - ends[0]
+        level = abs(float(along[0])) / float(np.linalg.norm(along))
+        if level > MIN_LEVEL:
+            differences.append(one.mismatch_px / level)
+    return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
+
+
+# --- common ----------------------------------------------------------------------------------------
+
+
+def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
+    """What the sizes speak against a part: out of tolerance, or not to be seen."""
+    reject = Reject.NONE
+    for one in measurements:
+        if one.ok is False:
+            reject |= Reject.TOLERANCE if math.isfinite(one.value) else Reject.FEW_EDGES
+    return reject

@@ -1,0 +1,325 @@
+"""Straight edges, slots and corners of a part, found in the contours of one stereo pair (teaching)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.vision.contours import Contour, find_contours, pieces
+from edged.vision.curves import Curve, Face
+from edged.vision.edges import edges_along_normals
+from edged.vision.geometry import transform
+from edged.vision.job import CornerFeature, EdgeFeature, SlotFeature
+from edged.vision.planefit import CurveFit, PlaneFit, PlaneFitParams, fit_plane
+from edged.vision.rectification import Rectification
+from edged.vision.slots import fit_slot
+from edged.vision.startplane import Plane, find_plane
+
+BAND_PX = 7
+"""Around a circle that is already a feature: its own edge and the other edge of its chamfer."""
+STEP_SIGMA_PX = 2.5
+"""Across it the outline of something is still a step; a machining mark has averaged out."""
+MIN_STEP_SHARE = 0.4
+"""Of the strong steps in the region; a line of texture is weaker."""
+MIN_EDGE_PX = 24.0
+"""An edge keeps 5 px from its corners at both ends and has to show at least a dozen samples."""
+MIN_SUPPORT = 0.75
+MAX_RMS_PX = 0.5
+MAX_MISMATCH_PX = 0.3
+"""Left against right: beyond it an edge lies off the face."""
+MAX_FEATURES = 16
+TWIN_MM = 0.5
+"""Parallel edges nearer than this are the two sides of a chamfer: one feature."""
+CORNER_GAP_PX = 12.0
+MIN_CORNER_RAD = math.radians(20)
+PLANE_POINTS = 800
+PARAMS = PlaneFitParams(reach_px=(3.0, 2.0), min_support=0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundFeatures:
+    """Features in the part frame: edges and slots, longest first, corners in reading order."""
+
+    edges: tuple[EdgeFeature, ...]
+    slots: tuple[SlotFeature, ...]
+    corners: tuple[CornerFeature, ...]
+
+    def moved(self, shift_mm: FloatArray) -> FoundFeatures:
+        """All places shifted by a vector (3,)."""
+        return replace(
+            self,
+            edges=tuple(
+                replace(edge, start_mm=edge.start_mm + shift_mm, end_mm=edge.end_mm + shift_mm)
+                for edge in self.edges
+            ),
+            slots=tuple(replace(slot, centre_mm=slot.centre_mm + shift_mm) for slot in self.slots),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TeachingView:
+    """What is taught from: raw images, the rectified ones, and the region (h, w) in the left of these."""
+
+    rectification: Rectification
+    left: Image
+    right: Image
+    rectified_left: Image
+    rectified_right: Image
+    mask: Image
+
+
+def find_features(
+    view: TeachingView, rig_from_part: FloatArray, circles: Sequence[Curve] = ()
+) -> tuple[FoundFeatures, FloatArray]:
+    """Edges, slots and corners in the face of a part, verified in both images.
+
+    rig_from_part (4, 4) : of the face, and of the circles in it that are features already.
+    Returns the features, and the (4, 4) pose of the frame they are given in: that of the fit.
+    """
+    face = Face(rig_from_part[:3, 3], rig_from_part[:3, :3].T)
+    fit = _fitted(view, face, circles)
+    if fit is None:
+        return FoundFeatures((), (), ()), rig_from_part
+    return _as_features(view, fit), transform(fit.face.axes.T, fit.face.origin)
+
+
+def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatArray | None:
+    """rig_from_part (4, 4) of a face that shows no circle, its origin amid its edges; None if there is none.
+
+    depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
+    """
+    contours = _strong(view, find_contours(view.rectified_left, view.mask))
+    if not contours:
+        return None
+    points = np.concatenate([contour.points for contour in contours])
+    normals = np.concatenate([contour.normals for contour in contours])
+    chosen = np.arange(0, len(points), max(1, len(points) // PLANE_POINTS))
+    plane = find_plane(
+        view.rectification,
+        view.rectified_left,
+        view.rectified_right,
+        points[chosen],
+        normals[chosen],
+        1,
+        depth_mm,
+    )
+    if plane is None:
+        return None
+    space = _on_plane(view, plane, points[chosen])
+    centre = np.median(space[np.isfinite(space).all(axis=1)], axis=0)
+    start = part_frame(plane.normal, centre)
+    fit = _fitted(view, Face(centre, start[:3, :3].T), ())
+    if fit is None or sum(1 if one.curve.kind == "edge" else 3 for one in fit.fits) < 3:
+        return None
+    corners = np.concatenate([one.curve.outline(np.linspace(0, 1, 16)).points for one in fit.fits])
+    return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
+
+
+def outline_mask(view: TeachingView) -> Image:
+    """The region (h, w) uint8 reduced to the neighbourhood of its outlines, without table and texture."""
+    mask = np.zeros_like(view.mask)
+    for contour in _strong(view, find_contours(view.rectified_left, view.mask)):
+        pixels = np.rint(contour.points).astype(np.int32)
+        cv2.polylines(mask, [pixels], contour.closed, 255, 2 * BAND_PX + 1)
+    return np.asarray(np.minimum(mask, view.mask))
+
+
+def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
+    """rig_from_part (4, 4): z against a normal towards the cameras, x the rig's x axis projected."""
+    z = -normal
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    x /= np.linalg.norm(x)
+    return transform(np.column_stack([x, np.cross(z, x), z]), origin)
+
+
+def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
+    """The circles and all candidates that both images agree on, in one fit."""
+    contours = _strong(view, find_contours(view.rectified_left, _without(view, face, circles)))
+    candidates = _slots(view, face, contours)
+    beside = [contour for contour in contours if not _within(view, face, contour, candidates)]
+    candidates += _edges(view, face, beside)
+    for _ in range(4):
+        if not candidates:
+            return None
+        fit = fit_plane(
+            view.rectification.rig, (view.left, view.right), face, [*circles, *candidates], PARAMS
+        )
+        if fit is None:
+            return None
+        good = {one.curve.name for one in fit.fits if _is_clear(one)}
+        kept = [curve for curve in candidates if curve.name in good]
+        if len(kept) == len(candidates):
+            return fit
+        candidates = kept
+    return None
+
+
+def _is_clear(fit: CurveFit) -> bool:
+    return bool(
+        fit.support.min() >= MIN_SUPPORT
+        and fit.rms_px <= MAX_RMS_PX
+        and abs(fit.mismatch_px) <= MAX_MISMATCH_PX
+    )
+
+
+def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
+    """The contours that outline something: a step between two plateaus, as strong as the others."""
+    if not contours:
+        return []
+    steps = []
+    for contour in contours:
+        _, slopes = edges_along_normals(
+            view.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
+        )
+        steps.append(np.nan_to_num(slopes))
+    needed = MIN_STEP_SHARE * float(np.percentile(np.concatenate(steps), 90))
+    return [
+        contour for contour, step in zip(contours, steps, strict=True) if float(np.median(step)) >= needed
+    ]
+
+
+def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
+    """The region without the bands around the circles."""
+    mask = view.mask.copy()
+    for circle in circles:
+        ring = circle.outline(np.linspace(0, 1, 200)).points
+        raw = view.rectification.rig.left.project(
+            face.to_rig(np.column_stack([ring, np.full(200, circle.height_mm)]))
+        )
+        pixels = np.rint(view.rectification.rectify_points("left", raw)).astype(np.int32)
+        cv2.polylines(mask, [pixels], True, 0, BAND_PX)
+    return mask
+
+
+def _on_plane(view: TeachingView, plane: Plane, rectified_px: FloatArray) -> FloatArray:
+    raw = view.rectification.raw_points("left", rectified_px)
+    rays = np.column_stack([view.rectification.rig.left.normalise(raw), np.ones(len(raw))])
+    return plane.meet(rays)
+
+
+def _in_face(view: TeachingView, face: Face, rectified_px: FloatArray) -> FloatArray:
+    """(N, 2) in the face of points in the rectified left image."""
+    plane = Plane(face.normal, float(face.normal @ face.origin))
+    return face.from_rig(_on_plane(view, plane, rectified_px))[:, :2]
+
+
+def _slots(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curve]:
+    """Slots among the contours, longest first; named for the fit."""
+    found: list[Curve] = []
+    for contour in contours:
+        points = _in_face(view, face, contour.points)
+        slot = fit_slot(points) if np.isfinite(points).all() else None
+        if slot is None:
+            continue
+        ahead = _in_face(view, face, contour.points + contour.normals)
+        outward = np.sum((ahead - points) * (points - slot[:2]), axis=1)
+        found.append(Curve(f"slot{len(found)}", "slot", slot, 1 if np.median(outward) > 0 else -1))
+    found.sort(key=lambda curve: -curve.parameters[3])
+    return found[:MAX_FEATURES]
+
+
+def _within(view: TeachingView, face: Face, contour: Contour, slots: list[Curve]) -> bool:
+    """Whether a contour is that of one of the slots."""
+    middle = np.median(_in_face(view, face, contour.points), axis=0)
+    return any(
+        np.linalg.norm(middle - slot.parameters[:2]) < 0.3 * slot.parameters[4] and len(contour.points) > 0
+        for slot in slots
+    )
+
+
+def _edges(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curve]:
+    """Straight pieces of the contours, longest first; directed so that they are brighter on their normals."""
+    found: list[Curve] = []
+    for contour, piece in pieces(contours):
+        if piece.kind != "line" or piece.length_px < MIN_EDGE_PX:
+            continue
+        middle = 0.5 * (piece.start + piece.end)
+        bright = np.median(contour.normals[piece.indices], axis=0)
+        start, end, here, ahead = _in_face(
+            view, face, np.stack([piece.start, piece.end, middle, middle + bright])
+        )
+        along = end - start
+        if (ahead - here) @ (-along[1], along[0]) < 0:
+            start, end, along = end, start, -along
+        length = float(np.linalg.norm(along))
+        parameters = np.array([*(0.5 * (start + end)), math.atan2(along[1], along[0])])
+        if np.isfinite(parameters).all() and length > 0:
+            found.append(Curve(f"edge{len(found)}", "edge", parameters, 1, length))
+    found.sort(key=lambda curve: -curve.length_mm)
+    distinct: list[Curve] = []
+    for edge in found:
+        if not any(_twins(edge, other) for other in distinct):
+            distinct.append(edge)
+    return distinct[:MAX_FEATURES]
+
+
+def _twins(edge: Curve, longer: Curve) -> bool:
+    """Whether an edge runs along another one."""
+    across = np.array([-longer.direction[1], longer.direction[0]])
+    gap = edge.parameters[:2] - longer.parameters[:2]
+    parallel = abs(float(edge.direction @ across)) < 0.1
+    beside = abs(float(gap @ longer.direction)) < 0.5 * (longer.length_mm + edge.length_mm)
+    return parallel and beside and abs(float(gap @ across)) < TWIN_MM
+
+
+def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
+    """The fitted curves under their names."""
+    slots = [one.curve for one in fit.fits if one.curve.kind == "slot"]
+    edges = [one.curve for one in fit.fits if one.curve.kind == "edge"]
+    slots.sort(key=_order(lambda curve: float(curve.parameters[3])))
+    edges.sort(key=_order(lambda curve: curve.length_mm))
+    named = [replace(curve, name=f"e{k}") for k, curve in enumerate(edges)]
+    origin_z = float(fit.face.origin[2])
+    gap_mm = CORNER_GAP_PX * origin_z / view.rectification.rig.left.fx
+    return FoundFeatures(
+        tuple(_edge_feature(curve) for curve in named),
+        tuple(_slot_feature(curve, f"s{k}") for k, curve in enumerate(slots)),
+        _corners(named, gap_mm),
+    )
+
+
+def _order(size: Callable[[Curve], float]) -> Callable[[Curve], tuple[float, float, float]]:
+    """By falling size; equal ones in reading order, so that names are repeatable."""
+    return lambda curve: (
+        -round(size(curve), 1),
+        round(float(curve.parameters[1]), 1),
+        round(float(curve.parameters[0]), 1),
+    )
+
+
+def _ends(curve: Curve) -> npt.NDArray[np.float64]:
+    half = 0.5 * curve.length_mm * curve.direction
+    return np.stack([curve.parameters[:2] - half, curve.parameters[:2] + half])
+
+
+def _edge_feature(curve: Curve) -> EdgeFeature:
+    start, end = np.column_stack([_ends(curve), np.zeros(2)])
+    return EdgeFeature(curve.name, start, end, curve.polarity)
+
+
+def _slot_feature(curve: Curve, name: str) -> SlotFeature:
+    x, y, angle, length, width = (float(value) for value in curve.parameters)
+    upright = (angle + math.pi / 2) % math.pi - math.pi / 2  # both ends look the same
+    return SlotFeature(name, np.array([x, y, 0.0]), upright, length, width, curve.polarity)
+
+
+def _corners(edges: list[Curve], gap_mm: float) -> tuple[CornerFeature, ...]:
+    """Where an end of one edge lies near an end of another one that runs elsewhere."""
+    found = []
+    for one, two in itertools.combinations(edges, 2):
+        sine = abs(float(one.direction @ (-two.direction[1], two.direction[0])))
+        if sine < math.sin(MIN_CORNER_RAD):
+            continue
+        normals = np.stack([(-edge.direction[1], edge.direction[0]) for edge in (one, two)])
+        offsets = [normals[k] @ edge.parameters[:2] for k, edge in enumerate((one, two))]
+        tip = np.linalg.solve(normals, offsets)
+        if all(np.linalg.norm(_ends(edge) - tip, axis=1).min() < gap_mm for edge in (one, two)):
+            found.append((float(round(tip[1], 1)), float(round(tip[0], 1)), one.name, two.name))
+    return tuple(CornerFeature(f"k{k}", (one, two)) for k, (_, _, one, two) in enumerate(sorted(found)))

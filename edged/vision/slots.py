@@ -1,0 +1,75 @@
+"""Is a contour a slot? Two half circles joined by straight edges, fitted to points of a face (teaching)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.domain import FloatArray
+
+MIN_POINTS = 40
+MIN_STRETCH = 1.15
+"""Length over width; what is rounder is a circle."""
+TOLERANCE = 0.03
+"""Of the width: a rectangle's corners lie 0.2 of it outside."""
+MIN_INSIDE = 0.9
+MIN_COVERAGE = 0.75
+STEPS = 12
+BINS = 40
+
+
+def fit_slot(points: FloatArray) -> FloatArray | None:
+    """(x, y, angle, length, width) of the slot through points (N, 2), mm; None when they are none's.
+
+    Most points have to lie on it, and most of its outline has to have some.
+    """
+    if len(points) < MIN_POINTS:
+        return None
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    spans = np.ptp((points - centre) @ axes.T, axis=0)
+    middle = (
+        centre
+        + 0.5 * (((points - centre) @ axes.T).min(axis=0) + ((points - centre) @ axes.T).max(axis=0)) @ axes
+    )
+    slot = np.array([*middle, math.atan2(axes[0, 1], axes[0, 0]), *spans])
+    if not spans[1] > 0 or spans[0] < MIN_STRETCH * spans[1]:
+        return None
+    for _ in range(STEPS):
+        distance = slot_distance(points, slot)
+        scale = max(1.4826 * float(np.median(np.abs(distance))), 1e-6)
+        weights = np.clip(1 - (distance / (4.685 * scale)) ** 2, 0, None) ** 2
+        units = 1e-6 * np.eye(5)
+        design = np.column_stack(
+            [(slot_distance(points, slot + u) - slot_distance(points, slot - u)) / 2e-6 for u in units]
+        )
+        normal = (design * weights[:, None]).T @ design
+        if np.linalg.cond(normal) > 1e12:
+            return None
+        slot = slot - np.linalg.solve(normal, (design * weights[:, None]).T @ distance)
+        if not (np.isfinite(slot).all() and slot[4] > 0 and slot[3] > MIN_STRETCH * slot[4]):
+            return None
+    good = np.abs(slot_distance(points, slot)) < TOLERANCE * slot[4]
+    around = _around(points[good], slot)
+    covered = len(np.unique((around * BINS).astype(int))) / BINS
+    return slot if good.mean() >= MIN_INSIDE and covered >= MIN_COVERAGE else None
+
+
+def slot_distance(points: FloatArray, slot: FloatArray) -> FloatArray:
+    """Signed distances (N,) of points (N, 2) from a slot's outline, positive outside."""
+    local = _local(points, slot)
+    half = 0.5 * (slot[3] - slot[4])
+    beyond = np.maximum(np.abs(local[:, 0]) - half, 0.0)
+    return np.asarray(np.hypot(beyond, local[:, 1]) - 0.5 * slot[4])
+
+
+def _local(points: FloatArray, slot: FloatArray) -> FloatArray:
+    cosine, sine = math.cos(slot[2]), math.sin(slot[2])
+    return np.asarray((points - slot[:2]) @ np.array([[cosine, -sine], [sine, cosine]]))
+
+
+def _around(points: FloatArray, slot: FloatArray) -> FloatArray:
+    """(N,) in [0, 1): where around the outline points lie, measured on a circle drawn out with it."""
+    local = _local(points, slot) / (slot[3], slot[4])
+    return np.asarray(np.arctan2(local[:, 1], local[:, 0]) / (2 * np.pi) % 1.0)
