@@ -7,7 +7,7 @@ half of two results: sequence head and tail and the CRC of a block belong to one
 `values` turns a snapshot into values.
 """
 
-from edged.registers.codec import crc16, decode, encode
+from edged.registers.codec import CRC_START, crc16, decode, encode
 from edged.registers.layout import (
     ADDRESS,
     AXES,
@@ -56,6 +56,7 @@ __all__ = [
     "BLOCKS",
     "COMMAND",
     "CONSTANTS",
+    "CRC_START",
     "FLOAT",
     "INT32_MAX",
     "INT32_MIN",

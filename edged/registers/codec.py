@@ -106,9 +106,11 @@ def _crc_of_byte(byte: int) -> int:
 _CRC_TABLE = tuple(_crc_of_byte(byte) for byte in range(256))
 
 
-def crc16(data: bytes | bytearray) -> int:
-    """CRC-16/MODBUS (start 0xFFFF)."""
-    crc = 0xFFFF
+CRC_START = 0xFFFF
+
+
+def crc16(data: bytes | bytearray, crc: int = CRC_START) -> int:
+    """CRC-16/MODBUS; crc : of what came before, to go on with it."""
     for byte in data:
         crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
     return crc

@@ -21,13 +21,14 @@ from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
 from edged.errors import ListenError
-from edged.registers import crc16
+from edged.registers import CRC_START, crc16
 
 log = logging.getLogger(__name__)
 
 MAX_FRAME_BYTES = 256
 MIN_FRAME_BYTES = 4
 BROADCAST = 0
+PUBLIC_FUNCTIONS = {*range(1, 25), 43}  # "MODBUS Application Protocol V1.1b3", section 5.1
 PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
 
 
@@ -37,25 +38,29 @@ def split_frames(data: bytes) -> list[bytes]:
     Mostly it is one frame. A busy machine can hand over a request to another slave, the answer and the
     next request in one piece: the CRC of a frame followed by its own checksum is 0, so its end shows.
     """
-    if len(data) >= MIN_FRAME_BYTES and len(data) <= MAX_FRAME_BYTES and crc16(data) == 0:
+    if MIN_FRAME_BYTES <= len(data) <= MAX_FRAME_BYTES and crc16(data) == 0:
         return [data]
     frames: list[bytes] = []
     start = 0
     while start + MIN_FRAME_BYTES <= len(data):
-        end = next(
-            (
-                end
-                for end in range(start + MIN_FRAME_BYTES, min(len(data), start + MAX_FRAME_BYTES) + 1)
-                if crc16(data[start:end]) == 0
-            ),
-            None,
-        )
+        # a line full of noise must not cost more than a few ms: most noise is no function code
+        end = _frame_end(data, start) if data[start + 1] & 0x7F in PUBLIC_FUNCTIONS else None
         if end is None:
             start += 1
         else:
             frames.append(data[start:end])
             start = end
     return frames
+
+
+def _frame_end(data: bytes, start: int) -> int | None:
+    """Where the shortest frame that begins here ends; None when nothing here has a good CRC."""
+    crc = CRC_START
+    for end in range(start + 1, min(len(data), start + MAX_FRAME_BYTES) + 1):
+        crc = crc16(data[end - 1 : end], crc)
+        if crc == 0 and end - start >= MIN_FRAME_BYTES:
+            return end
+    return None
 
 
 class RtuServer:
@@ -149,7 +154,7 @@ class RtuServer:
             return
         self._input += data
         # noise without a pause must not fill the memory; the end is where a request for us would be
-        del self._input[: -4 * MAX_FRAME_BYTES]
+        del self._input[: -3 * MAX_FRAME_BYTES]
         if self._timer is not None:
             self._timer.cancel()
         self._timer = asyncio.get_running_loop().call_later(self._settings.silence_s, self._silence)

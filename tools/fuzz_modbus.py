@@ -1,0 +1,348 @@
+#!/usr/bin/env python3
+"""Throw hostile Modbus frames at a cell, over TCP and over a serial line, and see what is left of it.
+
+Run it with the project's Python: `.venv/bin/python tools/fuzz_modbus.py --frames 1000000`. The cell runs in a
+process of its own with a serial line on a pseudo terminal. Sent are random bytes, mutated requests of every
+function, thousands of pipelined ones, connections that dribble, that say nothing, that are torn down or never
+read; a thousand connects at once. Meanwhile a good client reads the result block and checks every answer.
+Exit code 1 if the good client was ever not served, or memory, log or descriptors have grown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import pty
+import random
+import select
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tty
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+GOOD_CLIENT = "127.0.0.9"  # has reserved connections, as a PLC should
+IDLE_S = 1.0
+MAX_CLIENTS = 32
+RTU_SHARE = 0.01  # of the frames; a serial line needs a silence after each
+FLAT_BYTES, FLAT_LOG_BYTES, FLAT_FILES = 6 << 20, 64 << 10, 2
+SERVER = """
+import logging, sys, time
+from ipaddress import ip_address
+logging.basicConfig(level=logging.INFO)
+from edged.adapters.modbus import ModbusSettings, SerialSettings
+from livecell import LiveCell
+serial = SerialSettings(sys.argv[1], parity="none", gap_s=0.004)
+settings = ModbusSettings(port=0, serial=serial, idle_s=float(sys.argv[2]), max_clients=int(sys.argv[3]),
+                          reserved={ip_address(sys.argv[4]): 2})
+with LiveCell(settings, period_s=0.05) as cell:
+    print(cell.port, flush=True)
+    sys.stdin.read()
+"""
+
+
+class Server:
+    """The cell in its own process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.master, slave = pty.openpty()
+        tty.setraw(self.master)
+        tty.setraw(slave)
+        os.set_blocking(self.master, False)
+        self._slave = slave
+        self.log = folder / "log.txt"
+        arguments = [os.ttyname(slave), str(IDLE_S), str(MAX_CLIENTS), GOOD_CLIENT]
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", SERVER, *arguments],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env={**os.environ, "PYTHONPATH": sys.path[0]},
+            )
+        assert self.process.stdout is not None
+        self.port = int(self.process.stdout.readline())
+
+    def connect(self, source: str = "127.0.0.1") -> socket.socket:
+        """A connection of a client."""
+        line = socket.create_connection(("127.0.0.1", self.port), timeout=10, source_address=(source, 0))
+        line.setblocking(False)
+        return line
+
+    def footprint(self) -> tuple[int, int, int]:
+        """Resident bytes, open files, bytes of log."""
+        place = Path(f"/proc/{self.process.pid}")
+        pages = int((place / "statm").read_text().split()[1])
+        return (
+            pages * os.sysconf("SC_PAGE_SIZE"),
+            len(list((place / "fd").iterdir())),
+            self.log.stat().st_size,
+        )
+
+    def stop(self) -> int:
+        """End it in order; its exit code."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.close()
+        self.process.stdout.close()
+        os.close(self.master)
+        os.close(self._slave)
+        return self.process.wait(30)
+
+
+class GoodClient(threading.Thread):
+    """Reads the result block every 20 ms and checks head, tail and CRC."""
+
+    def __init__(self, server: Server) -> None:
+        super().__init__()
+        self._line = server.connect(GOOD_CLIENT)
+        self._line.settimeout(10)
+        self.times_ms: list[float] = []
+        self.problems: list[str] = []
+        self.done = threading.Event()
+
+    def run(self) -> None:
+        """Until `done`, or until it is not served."""
+        from edged.registers import crc16
+
+        with self._line:
+            while not self.done.wait(0.02):
+                start_s = time.monotonic()
+                try:
+                    self._line.sendall(struct.pack(">HHHBBHH", 7, 0, 6, 1, 3, 300, 48))
+                    answer = b""
+                    while len(answer) < 105:
+                        part = self._line.recv(105 - len(answer))
+                        if not part:
+                            raise ConnectionError("closed")
+                        answer += part
+                except OSError as error:
+                    self.problems.append(f"not served: {error!r}")
+                    return
+                words = answer[9:]
+                if crc16(words[:92]) != int.from_bytes(words[92:94], "big") or words[:2] != words[94:]:
+                    self.problems.append(f"half of two results: {words.hex()}")
+                self.times_ms.append((time.monotonic() - start_s) * 1e3)
+
+
+def requests() -> list[bytes]:
+    """Good request PDUs of every function, the handshake among them."""
+    return [
+        *(struct.pack(">BHH", function, 300, 48) for function in (1, 2, 3, 4)),
+        struct.pack(">BHH", 3, 600, 120),
+        struct.pack(">BHH", 5, 16 * 105, 0xFF00),
+        struct.pack(">BHH", 6, 103, 7),
+        struct.pack(">BHHBB", 15, 16 * 105, 1, 1, 1),
+        struct.pack(">BHHB3H", 16, 100, 3, 6, 1, 0, 7),
+        struct.pack(">BHHB3H", 16, 100, 3, 6, 2, 2, 8),
+        struct.pack(">BHHHHB3H", 23, 200, 16, 100, 3, 6, 3, 0, 9),
+        bytes((0x2B, 0x0E, 1, 0)),
+        bytes((8, 0, 0, 0, 0)),
+    ]
+
+
+class Fuzzer:
+    """Everything hostile; counts frames by kind."""
+
+    def __init__(self, server: Server, dice: random.Random) -> None:
+        self.server, self.dice = server, dice
+        self.requests = requests()
+        self.sent: Counter[str] = Counter()
+        self.idle: list[socket.socket] = []
+
+    def mutated(self) -> bytes:
+        """A request with wrong bytes, mostly below a header that is right."""
+        dice, pdu = self.dice, bytearray(self.dice.choice(self.requests))
+        for _ in range(dice.randrange(4)):
+            pdu[dice.randrange(len(pdu))] = dice.randrange(256)
+        if dice.random() < 0.1:
+            pdu = pdu[: dice.randrange(1, len(pdu) + 1)] + dice.randbytes(dice.randrange(20))
+        return bytes(pdu)
+
+    def frame(self) -> bytes:
+        """Modbus/TCP around it; one header in 500 is wrong too."""
+        dice, pdu = self.dice, self.mutated()
+        header = bytearray(
+            struct.pack(">HHHB", dice.randrange(65536), 0, len(pdu) + 1, dice.choice((1, 1, 1, 0, 9)))
+        )
+        if dice.random() < 0.002:
+            header[dice.randrange(7)] = dice.randrange(256)
+        return bytes(header) + pdu
+
+    def flood(self, frames: int) -> None:
+        """One connection: pipelined frames until it is closed. One in ten never reads its answers."""
+        reads = self.dice.random() > 0.1
+        with self._connected() as line:
+            for _ in range(frames // 100):
+                data = b"".join(self.frame() for _ in range(100))
+                self.sent["pipelined"] += 100
+                if line is None or not self._push(line, data, reads):
+                    return
+
+    def noise(self) -> None:
+        """Random bytes."""
+        with self._connected() as line:
+            self.sent["random"] += 1
+            if line is not None:
+                self._push(line, self.dice.randbytes(self.dice.randrange(1, 600)), reads=True)
+
+    def torn(self, count: int) -> None:
+        """Connections that are reset in the middle of a frame."""
+        for _ in range(count):
+            with self._connected() as line:
+                self.sent["torn"] += 1
+                if line is not None:
+                    line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    self._push(line, self.frame()[: self.dice.randrange(1, 8)], reads=False)
+
+    def silent(self, count: int) -> None:
+        """Connections that say nothing and stay until the cell closes them."""
+        for line in self.idle:
+            line.close()
+        self.idle = []
+        for _ in range(count):
+            self.sent["silent"] += 1
+            with contextlib.suppress(OSError):
+                self.idle.append(self.server.connect())
+
+    def dribble(self) -> None:
+        """One byte more on every connection that is still there."""
+        for line in self.idle:
+            self.sent["dribbled"] += 1
+            with contextlib.suppress(OSError):
+                line.send(b"\0")
+
+    def serial(self, frames: int) -> None:
+        """Frames on the serial line: damaged, for others, for everybody, noise, without pauses."""
+        for _ in range(frames):
+            self.sent["serial"] += 1
+            body = bytes((self.dice.choice((1, 1, 0, 9)),)) + self.mutated()
+            data = (
+                body + struct.pack("<H", _crc(body)) if self.dice.random() < 0.8 else self.dice.randbytes(200)
+            )
+            with contextlib.suppress(BlockingIOError):
+                os.write(self.server.master, data)
+            if self.dice.random() < 0.8:
+                time.sleep(0.006)
+            with contextlib.suppress(BlockingIOError):
+                os.read(self.server.master, 65536)
+
+    @contextlib.contextmanager
+    def _connected(self):  # type: ignore[no-untyped-def]
+        try:
+            line = self.server.connect()
+        except OSError:  # the backlog is full, or it was closed while we connected
+            yield None
+            return
+        with line:
+            yield line
+
+    def _push(self, line: socket.socket, data: bytes, reads: bool) -> bool:
+        """Send, reading what comes; False when the cell has closed, or takes no more."""
+        while data:
+            readable, writable, _ = select.select(
+                [line] if reads else [], [line], [], 0.5 if not reads else 5.0
+            )
+            try:
+                if readable and not line.recv(65536):
+                    return False
+                if writable:
+                    data = data[line.send(data) :]
+            except BlockingIOError:
+                continue
+            except OSError:
+                return False
+            if not readable and not writable:
+                return False
+        return True
+
+
+def _crc(data: bytes) -> int:
+    from edged.registers import crc16
+
+    return crc16(data)
+
+
+def attack(fuzzer: Fuzzer, frames: int) -> None:
+    """So many frames, of all kinds."""
+    end = fuzzer.sent.total() + frames
+    fuzzer.torn(min(1000, frames // 20))
+    while fuzzer.sent.total() < end:
+        fuzzer.silent(fuzzer.dice.randrange(2 * MAX_CLIENTS) if fuzzer.dice.random() < 0.2 else 0)
+        for _ in range(5):
+            fuzzer.flood(2000)
+            fuzzer.noise()
+            fuzzer.dribble()
+        fuzzer.torn(5)
+        fuzzer.serial(int(10_000 * RTU_SHARE))
+    fuzzer.silent(0)
+
+
+def line_answers(server: Server) -> bool:
+    """Whether the serial line still works: a good request, a good answer."""
+    request = bytes((1, 3, 0, 0, 0, 1))
+    request += struct.pack("<H", _crc(request))
+    for _ in range(10):
+        time.sleep(0.05)
+        with contextlib.suppress(BlockingIOError):
+            os.read(server.master, 65536)
+        os.write(server.master, request)
+        ready, _, _ = select.select([server.master], [], [], 1.0)
+        if ready:
+            time.sleep(0.02)
+            if os.read(server.master, 100).startswith(bytes((1, 3, 2, 0x45, 0x44))):
+                return True
+    return False
+
+
+def main(frames: int, seed: int) -> int:
+    """Attack, then judge."""
+    with tempfile.TemporaryDirectory() as folder:
+        server = Server(Path(folder))
+        good = GoodClient(server)
+        good.start()
+        fuzzer = Fuzzer(server, random.Random(seed))
+        start_s = time.monotonic()
+        attack(fuzzer, frames // 10)  # allocators and buffers reach their size
+        before = server.footprint()
+        attack(fuzzer, frames - frames // 10)
+        duration_s = time.monotonic() - start_s
+        time.sleep(IDLE_S + 1.5)
+        after = server.footprint()
+        good.done.set()
+        good.join()
+        problems = list(good.problems)
+        if not line_answers(server):
+            problems.append("the serial line does not answer any more")
+        code = server.stop()
+    names = ("bytes of memory", "open files", "bytes of log")
+    limits = (FLAT_BYTES, FLAT_FILES, FLAT_LOG_BYTES)
+    for name, one, other, limit in zip(names, before, after, limits, strict=True):
+        print(f"{name:16} {one:12,d} -> {other:12,d}")
+        if other - one > limit:
+            problems.append(f"{name} grew by {other - one}")
+    if code:
+        problems.append(f"the cell ended with code {code}")
+    times_ms = sorted(good.times_ms)
+    print(f"{fuzzer.sent.total():,d} frames in {duration_s:.0f} s: {dict(fuzzer.sent)}")
+    print(
+        f"good client: {len(times_ms):,d} reads, p50 {times_ms[len(times_ms) // 2]:.1f} ms, "
+        f"p99 {times_ms[len(times_ms) * 99 // 100]:.1f} ms, worst {times_ms[-1]:.1f} ms"
+    )
+    print("\n".join(problems) or "no crash, no stuck connection, nothing grew, every read was good")
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    sys.exit(main(given.frames, given.seed))
