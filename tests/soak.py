@@ -277,6 +277,8 @@ class Soak:
                 await asyncio.sleep(self.dice.uniform(0.0, 10.0))
                 line, sequence = self._line(), self.dice.choice((0, sequence, 65534))
             sequence = sequence % 65535 + 1
+            if sequence == line.read(reg.STATUS)["CMD_SEQ_ECHO"]:
+                sequence = sequence % 65535 + 1  # a command runs when CMD_SEQ changes
             await self._handshake(line, sequence)
             if self.dice.random() < 0.05:
                 line.write(reg.ADDRESS["OPTIONS"], reg.Option.RELEASE)

@@ -10,7 +10,6 @@ import shutil
 import socket
 import ssl
 import struct
-import subprocess
 import tty
 from collections.abc import Callable, Coroutine
 from ipaddress import ip_address, ip_network
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from certificates import make_certificates
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from snapshots import make_snapshot
@@ -617,37 +617,6 @@ def test_a_port_in_use_is_named() -> None:
     serve(test)
 
 
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
-def test_mbpoll_reads_the_result_and_writes_a_command() -> None:
-    """An implementation of somebody else's (libmodbus) sees the same words."""
-
-    async def test(rig: Rig) -> None:
-        rig.server.announce(make_snapshot(9))
-        common = ["mbpoll", "-m", "tcp", "-p", str(rig.server.port), "-a", "1", "-1", "-q", "-t"]
-        run = asyncio.to_thread
-        read = await run(
-            subprocess.run,
-            [*common, "4", "-r", "301", "-c", "48", "127.0.0.1"],
-            capture_output=True,
-            text=True,
-            timeout=WAIT_S,
-        )
-        assert 0 == read.returncode, read.stderr
-        seen = [int(line.split()[1]) for line in read.stdout.splitlines() if line.startswith("[")]
-        assert (await rig.client.read_holding_registers(300, count=48)).registers == seen
-        write = await run(
-            subprocess.run,
-            [*common, "4", "-r", "101", "127.0.0.1", "1", "0", "7"],
-            capture_output=True,
-            text=True,
-            timeout=WAIT_S,
-        )
-        assert 0 == write.returncode, write.stderr
-        assert [7] == [command.sequence for command in rig.cell.commands]
-
-    serve(test)
-
-
 # --- RTU -------------------------------------------------------------------------------------------
 
 
@@ -768,27 +737,6 @@ def test_the_role_is_read_from_its_extension() -> None:
     assert certificate_role(b"no such extension") is None
     assert certificate_role(oid + value[:-1]) is None
     assert certificate_role(oid) is None
-
-
-def openssl(folder: Path, *arguments: str) -> None:
-    """Run openssl in a folder."""
-    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
-
-
-def make_certificates(folder: Path) -> None:
-    """An authority; a server for 127.0.0.1; clients with the roles operator and viewer."""
-    new = ["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2"]
-    openssl(folder, *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=cell")
-    role = "1.3.6.1.4.1.50316.802.1=ASN1:UTF8String:"
-    extensions = {
-        "server": "subjectAltName=IP:127.0.0.1",
-        "operator": f"{role}operator",
-        "viewer": f"{role}viewer",
-    }
-    for name, extension in extensions.items():
-        signed = ["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "basicConstraints=critical,CA:FALSE"]
-        files = ["-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}"]
-        openssl(folder, *new, *files, *signed, "-addext", extension)
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")

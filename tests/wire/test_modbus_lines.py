@@ -1,0 +1,177 @@
+"""The full handshake over every line, driven by programs of other people: pymodbus and mbpoll (libmodbus)."""
+
+from __future__ import annotations
+
+import shutil
+import ssl
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+from certificates import make_certificates
+from livecell import LiveCell
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
+from serialline import SerialCable
+
+from edged import registers as reg
+from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
+from edged.adapters.modbus.cell import CellRegisters
+from edged.domain import CommandKind
+from edged.errors import ListenError
+from edged.registers import StatusBit
+
+WAIT_S = 20.0
+
+
+class Line(Protocol):
+    """A master: reads and writes holding registers, 0-based."""
+
+    def read(self, address: int, count: int) -> list[int]:
+        """Words."""
+        ...
+
+    def write(self, address: int, words: list[int]) -> None:
+        """Write; raises when the answer is an exception."""
+        ...
+
+
+class Pymodbus:
+    """pymodbus's synchronous clients."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        assert client.connect()
+
+    def read(self, address: int, count: int) -> list[int]:
+        """Words."""
+        answer = self._client.read_holding_registers(address, count=count)
+        assert not answer.isError(), answer
+        return list(answer.registers)
+
+    def write(self, address: int, words: list[int]) -> None:
+        """Write with function 16."""
+        answer = self._client.write_registers(address, words)
+        assert not answer.isError(), answer
+
+
+class Mbpoll:
+    """mbpoll, one process for each request."""
+
+    def __init__(self, *place: str) -> None:
+        *self._mode, self._target = place
+
+    def _run(self, address: int, more: list[str], words: list[int]) -> str:
+        command = ["mbpoll", *self._mode, "-a", "1", "-1", "-q", "-o", "2", "-t", "4", "-r", str(address + 1)]
+        command += [*more, self._target, *map(str, words)]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S)
+        assert 0 == run.returncode, run.stdout + run.stderr
+        return run.stdout
+
+    def read(self, address: int, count: int) -> list[int]:
+        """Words."""
+        text = self._run(address, ["-c", str(count)], [])
+        return [int(line.split()[1]) for line in text.splitlines() if line.startswith("[")]
+
+    def write(self, address: int, words: list[int]) -> None:
+        """Write with function 6 or 16."""
+        self._run(address, [], words)
+
+
+def drive(line: Line) -> None:
+    """Two parts, from READY to the acknowledgement, as a PLC does."""
+    for sequence in (7, 8):
+        wait_for(line, lambda status: int(status["STATUS_BITS"]) & StatusBit.READY)
+        line.write(100, [CommandKind.LOCATE, 0, sequence])
+        status = wait_for(line, lambda status, wanted=sequence: status["DONE_SEQ"] == wanted)
+        bits = StatusBit(int(status["STATUS_BITS"]))
+        assert StatusBit.ACK | StatusBit.EXPOSURE_DONE | StatusBit.RESULT_VALID in bits
+        result = reg.decode(reg.RESULT, line.read(300, 48))
+        assert (sequence, 10_000, 20_000, 200_000) == tuple(
+            result[name] for name in ("SEQ_TAIL", "X", "Y", "Z")
+        )
+        line.write(103, [sequence])
+        assert reg.INT32_MIN == reg.decode(reg.RESULT, line.read(300, 48))["X"]
+    line.write(105, [reg.Option.RELEASE])
+
+
+def wait_for(line: Line, condition: Any) -> dict[str, reg.Number]:
+    """Read the status until it is so."""
+    deadline_s = time.monotonic() + WAIT_S
+    while True:
+        status = reg.decode(reg.STATUS, line.read(200, 16))
+        if condition(status):
+            return status
+        assert time.monotonic() < deadline_s, status
+
+
+@pytest.fixture
+def cable() -> Iterator[SerialCable]:
+    """A serial cable."""
+    with SerialCable() as cable:
+        yield cable
+
+
+def test_tcp_and_rtu_at_once_by_pymodbus(cable: SerialCable) -> None:
+    """One cell, a PLC on TCP, then another one on the serial line: the same registers, the same handshake."""
+    serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)  # a pseudo terminal has no parity
+    with LiveCell(ModbusSettings(port=0, serial=serial, validity_s=30.0)) as cell, ExitStack() as stack:
+        for client in (
+            ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2),
+            ModbusSerialClient(cable.ends[1], baudrate=19200, parity="N", timeout=2),
+        ):
+            stack.callback(client.close)
+            drive(Pymodbus(client))
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_tcp_and_rtu_at_once_by_mbpoll(cable: SerialCable) -> None:
+    """The same by somebody else's implementation (libmodbus)."""
+    serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
+    settings = ModbusSettings(port=0, serial=serial, validity_s=30.0, owner_s=0.01)
+    with LiveCell(settings) as cell:
+        drive(Mbpoll("-m", "tcp", "-p", str(cell.port), "127.0.0.1"))
+        drive(Mbpoll("-m", "rtu", "-b", "19200", "-P", "none", cable.ends[1]))
+
+
+@pytest.mark.parametrize(
+    ("parity", "expected", "stop_bits", "silence_s"),
+    [("even", "E", 1, 3.5 * 11 / 9600), ("odd", "O", 1, 3.5 * 11 / 9600), ("none", "N", 2, 3.5 * 11 / 9600)],
+)
+def test_parity_and_speed_reach_the_line(
+    monkeypatch: pytest.MonkeyPatch, parity: Any, expected: str, stop_bits: int, silence_s: float
+) -> None:
+    """A character has 11 bits with every parity; a frame ends after 3.5 of them."""
+    opened: list[dict[str, Any]] = []
+
+    def refuse(*_: object, **options: Any) -> None:
+        opened.append(options)
+        raise OSError("enough")
+
+    monkeypatch.setattr(rtu.serial, "Serial", refuse)
+    settings = SerialSettings("/dev/ttyUSB0", 9600, parity)
+    server = rtu.RtuServer(settings, 1, CellRegisters(ModbusSettings(), None, time.monotonic), 1)
+    with pytest.raises(ListenError, match="is it plugged in"):
+        server.start()
+    assert [(expected, stop_bits, True)] == [
+        (options["parity"], options["stopbits"], options["exclusive"]) for options in opened
+    ]
+    assert silence_s == pytest.approx(settings.silence_s)
+    assert 1.75e-3 == SerialSettings("/dev/ttyUSB0", 115200).silence_s
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_tls_by_pymodbus(tmp_path: Path) -> None:
+    """Modbus/TCP Security: the operator's certificate drives the handshake."""
+    make_certificates(tmp_path)
+    tls = TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
+    context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+    context.check_hostname = False  # pymodbus does not tell ssl whom it talks to
+    context.load_cert_chain(tmp_path / "operator.pem", tmp_path / "operator.key")
+    with LiveCell(ModbusSettings(port=0, tls=tls, validity_s=30.0)) as cell, ExitStack() as stack:
+        client = ModbusTlsClient("127.0.0.1", port=cell.port, sslctx=context, timeout=5)
+        stack.callback(client.close)
+        drive(Pymodbus(client))
