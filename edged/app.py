@@ -93,6 +93,7 @@ def load_cell(path: Path) -> LoadedCell:
         fingerprint=fingerprint(config, files),
         simulated=config.cameras.source.startswith("virtual"),
         robot_from_rig=rig.rig.robot_from_rig,
+        registration_covariance=rig.rig.registration_covariance,
     )
     return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
 

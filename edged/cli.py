@@ -9,7 +9,7 @@ Each command imports what it needs when it runs, so that `edged --help` stays qu
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -102,13 +102,17 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
     model: Annotated[str, typer.Option(help="lens model: brown or division")] = "brown",
     report: Annotated[Path | None, typer.Option(help="HTML report to write")] = None,
+    plate_shape: Annotated[
+        bool, typer.Option("--plate-shape", help="measure how the board is bent and misprinted, too")
+    ] = False,
 ) -> None:
     """Calibrate a stereo rig from pairs of pictures of a board."""
     from rich.console import Console
 
     from edged.commands.calibrate import calibrate as command
 
-    raise typer.Exit(command(directory, board, output, model, report, Console(stderr=True)))
+    console = Console(stderr=True)
+    raise typer.Exit(command(directory, board, output, model, report, console, plate_shape=plate_shape))
 
 
 @app.command()
@@ -219,6 +223,74 @@ def locate(
     from edged.commands.locate import locate as command
 
     raise typer.Exit(command(rig, job, left, right, as_json, Console(), overlay=overlay))
+
+
+register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
+app.add_typer(register, name="register")
+PosesOption = Annotated[
+    Path, typer.Option("--poses", help="lines NAME,x,y,z and orientation, as the robot shows them")
+]
+PairsArgument = Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")]
+BoardOption = Annotated[str, typer.Option("--board", help="as for calibrate")]
+
+
+@register.command("touch")
+def register_touch(
+    rig: RigOption,
+    points: Annotated[
+        Path, typer.Option(help="lines rig_x,rig_y,rig_z,robot_x,robot_y,robot_z (mm), or LOCATE.json,x,y,z")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    limit: Annotated[float, typer.Option(min=0, help="mm: of each point against all others")] = 0.5,
+    as_json: JsonOption = False,
+) -> None:
+    """From three or more points that the robot touched. 0: saved; 1: over the limit."""
+    from rich.console import Console
+
+    from edged.commands.register import touch as command
+
+    raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json)))
+
+
+@register.command("hand-eye")
+def register_hand_eye(
+    directory: PairsArgument,
+    rig: RigOption,
+    poses: PosesOption,
+    board: BoardOption,
+    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli or kawasaki")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    in_hand: Annotated[
+        bool, typer.Option("--in-hand", help="the rig is on the flange, the board is not")
+    ] = False,
+    limit: Annotated[float, typer.Option(min=0, help="mm: rms of held-out poses")] = 0.5,
+    as_json: JsonOption = False,
+) -> None:
+    """From poses of the flange, each with a view of a board that it holds. 0: saved; 1: over the limit."""
+    from rich.console import Console
+
+    from edged.commands.register import hand_eye_command as command
+
+    mount: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand" if in_hand else "eye-to-hand"
+    console = Console(stderr=as_json)
+    raise typer.Exit(command(rig, directory, poses, board, brand, mount, output, limit, as_json, console))
+
+
+@register.command("self-test")
+def register_self_test(
+    directory: PairsArgument,
+    rig: RigOption,
+    poses: PosesOption,
+    board: BoardOption,
+    brand: Annotated[str | None, typer.Option(help="whose poses these should be")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Which convention, unit and mount the poses are in: every reading is tried. 0: one stands out."""
+    from rich.console import Console
+
+    from edged.commands.register import self_test as command
+
+    raise typer.Exit(command(rig, directory, poses, board, brand, as_json, Console(stderr=as_json)))
 
 
 @app.command()

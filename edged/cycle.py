@@ -87,6 +87,7 @@ class Setup:
     fingerprint: str
     simulated: bool
     robot_from_rig: FloatArray | None
+    registration_covariance: FloatArray | None = None
 
 
 class Cycle:
@@ -282,6 +283,7 @@ class Cycle:
             error=str(error) if error is not None else "",
             error_code=error.code if error is not None else 0,
             robot_from_rig=setup.robot_from_rig,
+            registration_covariance=setup.registration_covariance,
         )
 
     # --- telling ---------------------------------------------------------------------------

@@ -293,7 +293,8 @@ class Snapshot:
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
-    robot_from_rig (4, 4), or None where the rig is not registered to a robot.
+    robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
+    of it, or None where it is not known.
     """
 
     cycle: int
@@ -311,6 +312,7 @@ class Snapshot:
     error: str = ""
     error_code: int = 0
     robot_from_rig: FloatArray | None = None
+    registration_covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from edged.domain import (
     Status,
     Target,
 )
+from edged.vision.geometry import skew
 
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning or goes away; new fields do not raise it."""
@@ -39,7 +40,9 @@ SCHEMA_VERSION = 1
 Json = dict[str, Any]
 
 
-def target_to_json(target: Target, robot_from_rig: FloatArray | None) -> Json:
+def target_to_json(
+    target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None = None
+) -> Json:
     """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
 
     `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
@@ -61,7 +64,7 @@ def target_to_json(target: Target, robot_from_rig: FloatArray | None) -> Json:
     }
     if robot_from_rig is not None:
         document["pose_robot"] = _pose(
-            robot_from_rig @ target.rig_from_part, rotate_covariance(target.covariance, robot_from_rig)
+            robot_from_rig @ target.rig_from_part, robot_covariance(target, robot_from_rig, registration)
         )
     return document
 
@@ -73,6 +76,7 @@ def outcome_to_json(
     calibration: str,
     timing_ms: Mapping[str, float],
     robot_from_rig: FloatArray | None = None,
+    registration: FloatArray | None = None,
 ) -> Json:
     """The answer of `edged locate --json`; rejected targets are listed too and say why."""
     return {
@@ -80,7 +84,7 @@ def outcome_to_json(
         "cycle": cycle,
         "calibration": calibration,
         "timing_ms": _timing(timing_ms),
-        "targets": [target_to_json(target, robot_from_rig) for target in outcome.targets],
+        "targets": [target_to_json(target, robot_from_rig, registration) for target in outcome.targets],
         "dismissed": [_dismissed(one) for one in outcome.dismissed],
     }
 
@@ -91,6 +95,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         target for target in snapshot.targets if snapshot.status is Status.OK and target.reject is Reject.NONE
     ]
     rejected = [target for target in snapshot.targets if target not in usable]
+    robot, registration = snapshot.robot_from_rig, snapshot.registration_covariance
     return {
         "status": str(snapshot.status),
         "cycle": snapshot.cycle,
@@ -103,8 +108,8 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "fingerprint": snapshot.fingerprint,
         "simulated": snapshot.simulated,
         "timing_ms": _timing(snapshot.timing_ms),
-        "targets": [target_to_json(target, snapshot.robot_from_rig) for target in usable],
-        "rejected": [target_to_json(target, snapshot.robot_from_rig) for target in rejected],
+        "targets": [target_to_json(target, robot, registration) for target in usable],
+        "rejected": [target_to_json(target, robot, registration) for target in rejected],
         "error": snapshot.error,
         "error_code": snapshot.error_code,
     }
@@ -158,6 +163,22 @@ def encode(document: Mapping[str, Any]) -> bytes:
 def reject_names(reject: Reject) -> list[str]:
     """Names of the bits that are set, lowest first."""
     return [str(bit.name) for bit in Reject if bit & reject]
+
+
+def robot_covariance(
+    target: Target, robot_from_rig: FloatArray, registration: FloatArray | None
+) -> FloatArray:
+    """(6, 6) of a target's pose in the robot's frame, with the doubt about the registration itself.
+
+    registration (6, 6) : of a small motion that follows robot_from_rig; None: taken as exact. Its rotation w
+    moves a point p by w x p, and turns every part by w.
+    """
+    covariance = rotate_covariance(target.covariance, robot_from_rig)
+    if registration is None:
+        return covariance
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = -skew((robot_from_rig @ target.rig_from_part)[:3, 3])
+    return np.asarray(covariance + jacobian @ registration @ jacobian.T)
 
 
 def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> FloatArray:

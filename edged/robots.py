@@ -150,3 +150,121 @@ def _small_turn(axis: int, angle_rad: float) -> FloatArray:
     turn[j, j] = turn[k, k] = c
     turn[j, k], turn[k, j] = -s, s
     return turn
+
+
+# --- from the robot to a transform ---------------------------------------------------------------
+
+
+class Brand(enum.StrEnum):
+    """Whose poses these are: order, angles and units as the controller shows them."""
+
+    UR = "ur"
+    KUKA = "kuka"
+    FANUC = "fanuc"
+    YASKAWA = "yaskawa"
+    ABB = "abb"
+    STAUBLI = "staubli"
+    KAWASAKI = "kawasaki"
+
+
+POSE_FIELDS: dict[Brand, str] = {
+    Brand.UR: "x y z in m, rotation vector rx ry rz in rad",
+    Brand.KUKA: "X Y Z in mm, A B C in degrees",
+    Brand.FANUC: "X Y Z in mm, W P R in degrees",
+    Brand.YASKAWA: "X Y Z in mm, Rx Ry Rz in degrees",
+    Brand.ABB: "x y z in mm, quaternion q1 q2 q3 q4 (scalar first)",
+    Brand.STAUBLI: "x y z in mm, rx ry rz in degrees",
+    Brand.KAWASAKI: "X Y Z in mm, O A T in degrees",
+}
+"""What a pose consists of; for messages."""
+
+
+def about(axis: int, angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about x (0), y (1) or z (2)."""
+    return _small_turn(axis, angle_rad)
+
+
+def matrix_fixed_xyz(w_rad: float, p_rad: float, r_rad: float) -> FloatArray:
+    """Inverse of `fixed_xyz`: R = Rz Ry Rx."""
+    return about(2, r_rad) @ about(1, p_rad) @ about(0, w_rad)
+
+
+def matrix_zyx(a_rad: float, b_rad: float, c_rad: float) -> FloatArray:
+    """Inverse of `zyx`: R = Rz(A) Ry(B) Rx(C)."""
+    return about(2, a_rad) @ about(1, b_rad) @ about(0, c_rad)
+
+
+def matrix_moving_xyz(rx_rad: float, ry_rad: float, rz_rad: float) -> FloatArray:
+    """Inverse of `moving_xyz`: R = Rx Ry Rz."""
+    return about(0, rx_rad) @ about(1, ry_rad) @ about(2, rz_rad)
+
+
+def matrix_oat(o_rad: float, a_rad: float, t_rad: float) -> FloatArray:
+    """Inverse of `oat`: R = Rz(O) Ry(A) Rz(T)."""
+    return about(2, o_rad) @ about(1, a_rad) @ about(2, t_rad)
+
+
+def matrix_rotation_vector(x_rad: float, y_rad: float, z_rad: float) -> FloatArray:
+    """Inverse of `rotation_vector_rad`."""
+    angle = math.sqrt(x_rad**2 + y_rad**2 + z_rad**2)
+    if angle < SINGULAR:
+        return np.eye(3)
+    x, y, z = x_rad / angle, y_rad / angle, z_rad / angle
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K)
+
+
+def matrix_quaternion(q1: float, q2: float, q3: float, q4: float) -> FloatArray:
+    """Inverse of `quaternion`; scalar first, any length but 0."""
+    q = np.array([q1, q2, q3, q4]) / math.sqrt(q1 * q1 + q2 * q2 + q3 * q3 + q4 * q4)
+    w, v = q[0], q[1:]
+    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.asarray(np.eye(3) + 2 * w * K + 2 * K @ K)
+
+
+_READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
+    Brand.UR: (1000.0, 1.0, matrix_rotation_vector),
+    Brand.KUKA: (1.0, math.pi / 180, matrix_zyx),
+    Brand.FANUC: (1.0, math.pi / 180, matrix_fixed_xyz),
+    Brand.YASKAWA: (1.0, math.pi / 180, matrix_fixed_xyz),
+    Brand.ABB: (1.0, 1.0, matrix_quaternion),
+    Brand.STAUBLI: (1.0, math.pi / 180, matrix_moving_xyz),
+    Brand.KAWASAKI: (1.0, math.pi / 180, matrix_oat),
+}
+
+
+def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
+    """robot_from_flange (4, 4) in mm of a pose as the controller shows it.
+
+    Raises ValueError that says what was expected: a wrong count, an impossible quaternion.
+    """
+    expected = 7 if brand is Brand.ABB else 6
+    if len(numbers) != expected or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"expected {expected} numbers ({POSE_FIELDS[brand]}), got {len(numbers)}")
+    if brand is Brand.ABB and abs(math.hypot(*numbers[3:]) - 1) > 0.01:
+        raise ValueError(f"the quaternion has the length {math.hypot(*numbers[3:]):.4f}, expected 1")
+    to_mm, to_rad, reader = _READERS[brand]
+    pose = np.eye(4)
+    pose[:3, 3] = np.array(numbers[:3]) * to_mm
+    pose[:3, :3] = reader(*(number * to_rad for number in numbers[3:]))
+    return pose
+
+
+READINGS: dict[str, tuple[int, Callable[..., FloatArray]]] = {
+    "rotation vector in rad": (3, matrix_rotation_vector),
+    "rotation vector in degrees": (3, lambda *v: matrix_rotation_vector(*np.radians(v))),
+    **{
+        f"{name} in {unit}": (3, lambda *v, f=reader, k=factor: f(*(k * x for x in v)))
+        for name, reader in (
+            ("A B C about z, new y, new x (KUKA, ABB OrientZYX)", matrix_zyx),
+            ("angles about fixed x, y, z (FANUC, Yaskawa)", matrix_fixed_xyz),
+            ("angles about x, new y, new z (Staubli)", matrix_moving_xyz),
+            ("O A T about z, new y, new z (Kawasaki)", matrix_oat),
+        )
+        for unit, factor in (("degrees", math.pi / 180), ("rad", 1.0))
+    },
+    "quaternion, scalar first (ABB)": (4, matrix_quaternion),
+    "quaternion, scalar last (ROS)": (4, lambda x, y, z, w: matrix_quaternion(w, x, y, z)),
+}
+"""Every way to read the orientation of a pose that is met in practice: numbers it takes, and the reader."""
+LENGTH_UNITS_MM = {"mm": 1.0, "m": 1000.0, "inch": 25.4}

@@ -9,6 +9,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,9 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
         "right": _camera_to_json(rig.right),
         "right_from_left": rig.right_from_left.tolist(),
         "robot_from_rig": None if rig.robot_from_rig is None else rig.robot_from_rig.tolist(),
+        "registration_covariance": None
+        if rig.registration_covariance is None
+        else rig.registration_covariance.tolist(),
         "covariance": None
         if rig.covariance is None
         else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
@@ -144,7 +148,11 @@ def load_rig(path: Path) -> StereoRig:
     identity = document.get("calibration_id")
     if not isinstance(identity, str) or not identity:
         raise FileFormatError(f"{path}: calibration_id: expected a name, got {identity!r}")
-    rig = StereoRig(left, right, right_from_left, identity, robot)
+    registration = None
+    if document.get("registration_covariance") is not None:
+        registration = reader.array("registration_covariance", (6, 6))
+        _check_covariance(registration, f"{path}: registration_covariance")
+    rig = StereoRig(left, right, right_from_left, identity, robot, None, registration)
     stored = document.get("covariance")
     if stored is None:
         return rig
@@ -152,9 +160,13 @@ def load_rig(path: Path) -> StereoRig:
     covariance = reader.sub("covariance").array("matrix", (size, size))
     if stored.get("parameters") != list(rig.parameter_names):
         raise FileFormatError(f"{path}: covariance.parameters: expected {list(rig.parameter_names)}")
-    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or (np.diag(covariance) < 0).any():
-        raise FileFormatError(f"{path}: covariance.matrix: not a covariance (symmetric, positive)")
-    return StereoRig(left, right, right_from_left, identity, robot, covariance)
+    _check_covariance(covariance, f"{path}: covariance.matrix")
+    return replace(rig, covariance=covariance)
+
+
+def _check_covariance(matrix: FloatArray, place: str) -> None:
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-30) or (np.diag(matrix) < 0).any():
+        raise FileFormatError(f"{place}: not a covariance (symmetric, positive)")
 
 
 def _camera_to_json(camera: CameraModel) -> dict[str, Any]:

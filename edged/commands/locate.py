@@ -56,6 +56,7 @@ def locate(
                     calibration=prepared.rig.calibration_id,
                     timing_ms=timing_ms,
                     robot_from_rig=prepared.rig.robot_from_rig,
+                    registration=prepared.rig.registration_covariance,
                 )
             )
         )

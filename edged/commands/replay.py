@@ -142,6 +142,7 @@ def json_of(outcome: Outcome, rig: PreparedRig) -> Json:
             published_ns=0,
             targets=outcome.targets,
             robot_from_rig=rig.rig.robot_from_rig,
+            registration_covariance=rig.rig.registration_covariance,
         )
     )
     # through text, as the recorded one went

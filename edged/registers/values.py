@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import CommandKind, FloatArray, Snapshot, Status, Target
+from edged.payload import robot_covariance
 from edged.registers.layout import AXES
 from edged.registers.schema import (
     INT32_MAX,
@@ -72,7 +73,7 @@ class Measured:
 
 def measured(snapshot: Snapshot, convention: Convention) -> Measured:
     """Express a snapshot in registers' units. Never raises for a number: out of range is a result code."""
-    poses = tuple(_pose(target, snapshot.robot_from_rig, convention) for target in snapshot.targets)
+    poses = tuple(_pose(target, snapshot, convention) for target in snapshot.targets)
     code = _code(snapshot, poses)
     good = code is ResultCode.OK
     purpose = snapshot.command.kind if snapshot.command is not None else CommandKind.LOCATE
@@ -118,13 +119,14 @@ def _fingerprint(text: str) -> int:
         return zlib.crc32(text.encode())
 
 
-def _pose(target: Target, robot_from_rig: FloatArray | None, convention: Convention) -> Pose | None:
+def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | None:
     if not (_is_sane(target.rig_from_part) and _is_sane(target.covariance)):
         return None
-    to_frame = np.eye(4) if robot_from_rig is None else robot_from_rig
-    frame_from_part = to_frame @ target.rig_from_part
-    turn = np.kron(np.eye(2), to_frame[:3, :3])  # position and small rotation turn alike
-    covariance = turn @ target.covariance @ turn.T
+    frame_from_part, covariance = target.rig_from_part, target.covariance
+    robot = snapshot.robot_from_rig
+    if robot is not None:
+        frame_from_part = robot @ frame_from_part
+        covariance = robot_covariance(target, robot, snapshot.registration_covariance)
     R = frame_from_part[:3, :3]
     exact = (*(float(x) for x in frame_from_part[:3, 3]), *ANGLES_DEG[convention](R))
     sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))

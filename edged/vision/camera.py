@@ -96,6 +96,8 @@ class StereoRig:
     covariance : (P, P) of `parameter_names`, or None if unknown. Order: for each camera
     left, right: fx, fy, cx, cy, then its distortion; then the rotation vector (rad, applied on
     the left of R) and the translation (mm) of right_from_left.
+    registration_covariance : (6, 6) of a small motion (shift mm, rotation rad) about the robot's origin that
+    follows robot_from_rig, or None if unknown.
     """
 
     left: CameraModel
@@ -104,6 +106,7 @@ class StereoRig:
     calibration_id: str
     robot_from_rig: FloatArray | None = None
     covariance: FloatArray | None = None
+    registration_covariance: FloatArray | None = None
 
     @property
     def baseline_mm(self) -> float:

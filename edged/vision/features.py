@@ -53,10 +53,11 @@ def measure_part(
 def _completed(images: Images, rectification: Rectification, job: Job, measured: Measured) -> Measured:
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
-    if job.edges or job.slots or any(spec.kind == "distance" for spec in job.measurements):
+    alone = _circles_tell_rotation(job)
+    if (not alone and (job.edges or job.slots)) or _sizes_need_all(job):
         fit = _fit_beside(images, rectification, job, measured)
     target = measured.target
-    if fit is not None and (job.edges or job.slots):
+    if fit is not None and not alone:
         target = _turned(job, fit, target)
     target = replace(target, measurements=measure_sizes(job, fit, target.circles))
     if fit is not None:
@@ -73,6 +74,24 @@ def _completed(images: Images, rectification: Rectification, job: Job, measured:
         target=replace(target, reject=target.reject | size_reasons(target.measurements)),
         curves=() if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle"),
     )
+
+
+def _circles_tell_rotation(job: Job) -> bool:
+    """Whether one circle at least lies so far from the reference that it says how the part is turned.
+
+    Holes do that better than outer edges, whose side walls one of the cameras sees.
+    """
+    reference = job.reference_circle
+    return any(
+        float(np.linalg.norm(circle.centre_mm - reference.centre_mm)) > CONCENTRIC * reference.radius_mm
+        for circle in job.circles
+    )
+
+
+def _sizes_need_all(job: Job) -> bool:
+    """Whether something is asked for that the circles by themselves do not give."""
+    kinds = {spec.kind for spec in job.measurements}
+    return bool(kinds - {"radius", "flatness"}) or job.kind_of(job.reference) != "circle"
 
 
 def _fit_beside(

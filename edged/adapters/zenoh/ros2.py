@@ -21,7 +21,7 @@ import zenoh
 
 from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
 from edged.errors import ConfigError
-from edged.payload import rotate_covariance
+from edged.payload import robot_covariance
 from edged.vision.geometry import rotation_vector
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10
@@ -69,7 +69,7 @@ def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
     pose, covariance, frame = target.rig_from_part, target.covariance, f"{cell}_rig"
     if snapshot.robot_from_rig is not None:
         pose, frame = snapshot.robot_from_rig @ pose, f"{cell}_robot"
-        covariance = rotate_covariance(covariance, snapshot.robot_from_rig)
+        covariance = robot_covariance(target, snapshot.robot_from_rig, snapshot.registration_covariance)
     if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
         return None
     turn = rotation_vector(pose[:3, :3])

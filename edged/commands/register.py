@@ -1,0 +1,319 @@
+"""`edged register`: robot_from_rig from touched points or from poses with views of a board."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError, FileFormatError, UserError
+from edged.robots import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
+from edged.store import keep_old_rig, load_image, load_rig, read_bytes, save_rig
+from edged.vision.boards import Missed, NominalBoard, StereoView, parse_board
+from edged.vision.camera import StereoRig
+from edged.vision.conventions import rank_readings
+from edged.vision.detection import detect_board
+from edged.vision.registration import HandEye, Mount, PointRegistration, hand_eye, register_points
+from edged.vision.verification import pose_of_board
+
+MAX_LINES = 10_000
+DECIDED = 3.0
+"""A reading that fits so many times better than the next is the right one."""
+
+
+def touch(
+    rig_path: Path, points: Path, output: Path, limit_mm: float, as_json: bool, console: Console
+) -> int:
+    """Register from touched points; 0 when every left-out point is within the limit, else 1."""
+    rig = load_rig(rig_path)
+    names, rig_mm, robot_mm = read_touched(points)
+    found = register_points(rig_mm, robot_mm)
+    worst = float(np.nanmax(found.left_out_mm)) if np.isfinite(found.left_out_mm).any() else math.nan
+    good = worst <= limit_mm
+    doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(names) > 3 else False
+    kept = _save(rig, output, found.robot_from_rig, found.covariance) if good else None
+    if as_json:
+        print(json.dumps(_touch_json(names, found, good, output if good else None)))
+        return 0 if good else 1
+    table = Table("point", "residual mm", "left out mm")
+    for name, residual, left_out in zip(names, found.residuals_mm, found.left_out_mm, strict=True):
+        table.add_row(name, f"{residual:.3f}", "–" if math.isnan(left_out) else f"{left_out:.3f}")
+    console.print(table)
+    console.print(f"rms {found.rms_mm:.3f} mm, scale {found.scale:.5f} ± {found.sigma_scale:.5f}")
+    if doubt:
+        console.print(
+            f"the robot's lengths differ by {100 * (found.scale - 1):+.2f} %: is the board's length right?"
+        )
+    if math.isnan(worst):
+        console.print("three points fit almost anything: touch a fourth one; nothing was saved")
+    elif not good:
+        console.print(f"a point is off by {worst:.3f} mm, the limit is {limit_mm:g} mm: nothing was saved")
+    else:
+        _tell_saved(output, kept, console)
+    return 0 if good else 1
+
+
+def hand_eye_command(
+    rig_path: Path,
+    folder: Path,
+    poses: Path,
+    board: str,
+    brand: str,
+    mount: Mount,
+    output: Path,
+    limit_mm: float,
+    as_json: bool,
+    console: Console,
+) -> int:
+    """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
+    rig, pattern = load_rig(rig_path), parse_board(board)
+    numbers = read_poses(poses)
+    maker = _brand(brand)
+    views = _views(rig, folder, pattern, list(numbers), console)
+    transforms = [_transform(maker, name, numbers[name], poses) for name in views]
+    found = hand_eye(transforms, list(views.values()), pattern.points_mm, mount)
+    held = found.held_out_mm[np.isfinite(found.held_out_mm)]
+    rms = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
+    good = rms <= limit_mm
+    kept = None
+    if good and mount == "eye-to-hand":
+        kept = _save(rig, output, found.rig, found.covariance)
+    if as_json:
+        print(json.dumps(_hand_eye_json(list(views), found, rms, good)))
+        return 0 if good else 1
+    table = Table("pose", "held out mm", "held out °", "")
+    for name, mm, rad, used in zip(views, found.held_out_mm, found.held_out_rad, found.used, strict=True):
+        table.add_row(name, f"{mm:.3f}", f"{np.degrees(rad):.4f}", "" if used else "left out as a mistake")
+    console.print(table)
+    sigma = np.sqrt(np.diag(found.covariance))
+    console.print(
+        f"rms {found.rms_mm:.3f} mm, held out {rms:.3f} mm; 1 σ {np.max(sigma[:3]):.3f} mm, "
+        f"{np.degrees(np.max(sigma[3:])):.4f}°"
+    )
+    if not good:
+        console.print(
+            f"over the limit of {limit_mm:g} mm: nothing was saved. `edged register self-test` tells whether "
+            "the poses are read the right way"
+        )
+    elif mount == "eye-in-hand":
+        console.print("flange_from_rig (mm), for the robot's program: the rig moves with the flange")
+        console.print(np.array2string(found.rig, precision=6, suppress_small=True))
+    else:
+        _tell_saved(output, kept, console)
+    return 0 if good else 1
+
+
+def self_test(
+    rig_path: Path, folder: Path, poses: Path, board: str, brand: str | None, as_json: bool, console: Console
+) -> int:
+    """Try every reading of the poses; 0 when one stands out and, if a brand is stated, it is that one's."""
+    rig, pattern = load_rig(rig_path), parse_board(board)
+    numbers = read_poses(poses)
+    views = _views(rig, folder, pattern, list(numbers), console)
+    ranked = rank_readings(
+        [numbers[name] for name in views], list(views.values()), pattern.points_mm, READINGS, LENGTH_UNITS_MM
+    )
+    best = ranked[0]
+    rival = next((one for one in ranked[1:] if one.rms_mm > 1.0001 * best.rms_mm), None)
+    stands_out = rival is None or rival.rms_mm > DECIDED * best.rms_mm
+    same = [one for one in ranked if one.rms_mm <= 1.0001 * best.rms_mm]
+    agrees = True
+    if brand is not None:
+        maker = _brand(brand)
+        transforms = [_transform(maker, name, numbers[name], poses) for name in views]
+        stated = min(
+            hand_eye(transforms, list(views.values()), pattern.points_mm, mount).rms_mm
+            for mount in ("eye-to-hand", "eye-in-hand")
+        )
+        agrees = stated <= 1.01 * best.rms_mm + 1e-9
+    if as_json:
+        rows = [
+            {"orientation": r.orientation, "length_unit": r.length_unit, "mount": r.mount, "rms_mm": r.rms_mm}
+            for r in ranked
+        ]
+        print(json.dumps({"ranked": rows, "decided": stands_out, "agrees_with_brand": agrees}))
+        return 0 if stands_out and agrees else 1
+    table = Table("orientation", "lengths", "mount", "rms mm")
+    for one in ranked[:8]:
+        table.add_row(one.orientation, one.length_unit, one.mount, f"{one.rms_mm:.3f}")
+    console.print(table)
+    if not stands_out:
+        console.print("no reading stands out: take more poses, with rotations about different axes")
+    elif len(same) > 1:
+        console.print("the first readings mean the same for these poses")
+    if brand is not None and not agrees:
+        console.print(
+            f"the poses are not as {brand} writes them ({POSE_FIELDS[_brand(brand)]}): they read as "
+            f"{best.orientation}, lengths in {best.length_unit}"
+        )
+    return 0 if stands_out and agrees else 1
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
+    """Names, rig and robot coordinates (N, 3) mm.
+
+    Lines of `rig_x,rig_y,rig_z,robot_x,robot_y,robot_z`, or `FILE.json,robot_x,robot_y,robot_z` with what
+    `edged locate --json` printed. Raises `FileFormatError` that names the line.
+    """
+    names, rig, robot = [], [], []
+    for number, cells in _lines(path):
+        place = f"{path}: line {number}"
+        if len(cells) == 4:
+            names.append(Path(cells[0]).stem)
+            rig.append(_located(path.parent / cells[0], place))
+            robot.append(_floats(cells[1:], place))
+        elif len(cells) == 6:
+            names.append(f"line {number}")
+            rig.append(_floats(cells[:3], place))
+            robot.append(_floats(cells[3:], place))
+        else:
+            raise FileFormatError(
+                f"{place}: expected rig x,y,z and robot x,y,z, or FILE.json and robot x,y,z, in mm; "
+                f"got {len(cells)} values"
+            )
+    return names, np.array(rig, np.float64).reshape(-1, 3), np.array(robot, np.float64).reshape(-1, 3)
+
+
+def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
+    """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
+    poses: dict[str, tuple[float, ...]] = {}
+    for number, cells in _lines(path):
+        place = f"{path}: line {number}"
+        if len(cells) not in (7, 8):
+            raise FileFormatError(f"{place}: expected NAME and six or seven numbers, got {len(cells)} values")
+        if cells[0] in poses:
+            raise FileFormatError(f"{place}: {cells[0]} is there twice")
+        poses[cells[0]] = tuple(_floats(cells[1:], place))
+    return poses
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    try:
+        text = read_bytes(path, "a table").decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
+    found = []
+    for number, line in enumerate(text.splitlines(), 1):
+        content = line.split("#")[0].strip()
+        if content:
+            found.append((number, [cell.strip() for cell in content.replace(";", ",").split(",")]))
+        if len(found) > MAX_LINES:
+            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
+    if not found:
+        raise FileFormatError(f"{path}: empty")
+    return found
+
+
+def _floats(cells: Sequence[str], place: str) -> list[float]:
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError as error:
+        raise FileFormatError(f"{place}: {error}") from None
+    if not all(map(math.isfinite, values)):
+        raise FileFormatError(f"{place}: expected finite numbers")
+    return values
+
+
+def _located(path: Path, place: str) -> list[float]:
+    """Position of the one good target in what `edged locate --json` printed."""
+    try:
+        document = json.loads(read_bytes(path, "a result of edged locate --json"))
+        good = [target for target in document["targets"] if not target["reject"]]
+        position = [float(value) for value in good[0]["position_mm"]]
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise FileFormatError(f"{place}: {path}: no good target of edged locate --json in it") from error
+    if len(good) != 1 or len(position) != 3:
+        raise FileFormatError(f"{place}: {path}: {len(good)} good targets, expected one")
+    return position
+
+
+def _brand(name: str) -> Brand:
+    try:
+        return Brand(name.lower())
+    except ValueError:
+        raise UserError(f"--brand {name}: expected one of {', '.join(Brand)}") from None
+
+
+def _transform(brand: Brand, name: str, numbers: tuple[float, ...], path: Path) -> FloatArray:
+    try:
+        return transform_of(brand, numbers)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {name}: {error}") from None
+
+
+def _views(
+    rig: StereoRig, folder: Path, board: NominalBoard, names: list[str], console: Console
+) -> dict[str, FloatArray]:
+    """rig_from_board of every pair that shows the board; the others are named and left out."""
+    found: dict[str, FloatArray] = {}
+    for name in names:
+        sides = []
+        for side in ("left", "right"):
+            path = folder / f"{name}_{side}.png"
+            image = load_image(path)
+            camera = rig.left if side == "left" else rig.right
+            if image.shape != (camera.height, camera.width):
+                raise UserError(f"{path}: not of the size the rig was calibrated for")
+            sides.append(detect_board(image, board))
+        pose = pose_of_board(rig, StereoView(name, board, sides[0], sides[1]))
+        if isinstance(pose, Missed):
+            console.print(f"left out {name}: {pose.reason}", markup=False)
+            continue
+        found[name] = pose[1]
+    if not found:
+        raise CalibrationError(f"{folder}: the board was seen in no pair")
+    return found
+
+
+def _save(rig: StereoRig, output: Path, robot_from_rig: FloatArray, covariance: FloatArray) -> Path | None:
+    kept = keep_old_rig(output)
+    known = covariance if np.isfinite(covariance).all() else None
+    save_rig(output, replace(rig, robot_from_rig=robot_from_rig, registration_covariance=known))
+    return kept
+
+
+def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:
+    console.print(f"robot_from_rig written to {output}" + (f"; the old rig is {kept}" if kept else ""))
+
+
+def _touch_json(
+    names: list[str], found: PointRegistration, good: bool, output: Path | None
+) -> dict[str, object]:
+    return {
+        "good": good,
+        "robot_from_rig": found.robot_from_rig.tolist(),
+        "rms_mm": found.rms_mm,
+        "scale": found.scale,
+        "sigma_scale": None if math.isnan(found.sigma_scale) else found.sigma_scale,
+        "points": [
+            {"name": n, "residual_mm": r, "left_out_mm": None if math.isnan(o) else o}
+            for n, r, o in zip(names, found.residuals_mm.tolist(), found.left_out_mm.tolist(), strict=True)
+        ],
+        "written": None if output is None else str(output),
+    }
+
+
+def _hand_eye_json(names: list[str], found: HandEye, rms_mm: float, good: bool) -> dict[str, object]:
+    key = "robot_from_rig" if found.mount == "eye-to-hand" else "flange_from_rig"
+    return {
+        "good": good,
+        key: found.rig.tolist(),
+        "covariance": found.covariance.tolist(),
+        "rms_mm": found.rms_mm,
+        "held_out_rms_mm": rms_mm if math.isfinite(rms_mm) else None,
+        "poses": [
+            {"name": n, "used": bool(u), "held_out_mm": float(m), "held_out_deg": float(np.degrees(a))}
+            for n, u, m, a in zip(names, found.used, found.held_out_mm, found.held_out_rad, strict=True)
+            if math.isfinite(m)
+        ],
+    }

@@ -1,0 +1,338 @@
+"""Where the rig stands to the robot: from touched points, or from robot poses with views of a board.
+
+Transforms are rigid (4, 4), lengths mm, rotations rad. "Flange" is the frame whose pose the robot reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.errors import CalibrationError
+from edged.vision.geometry import (
+    apply,
+    fit_rigid,
+    invert,
+    nearest_rotation,
+    rotation_matrix,
+    rotation_vector,
+    skew,
+    transform,
+)
+
+Mount = Literal["eye-to-hand", "eye-in-hand"]
+
+TWIN_SHARE = 0.005
+"""Points nearer to each other than this share of the whole spread say the same thing twice."""
+FLAT_SHARE = 0.01
+"""Less extent across the longest direction than this share: points on one line."""
+MIRROR_GAIN = 20.0
+"""A mirror image that fits so many times better is no accident."""
+MIN_POSES = 4
+MIN_TURN_RAD = np.radians(5.0)
+MIN_AXES_SPREAD = 0.05
+"""Of the rotation axes: second singular value over the first; below it they are parallel."""
+OUTLIER = 6.0
+"""Times the median residual: a pose that was mistyped or a board that was moved."""
+MIN_KEPT = 0.6
+"""With fewer in agreement there is no telling who is wrong: all are kept, and the rms says so."""
+REWEIGHTED = 12
+
+
+# --- touched points ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRegistration:
+    """robot_from_rig from points that the robot touched.
+
+    covariance (6, 6) : of a small motion (shift mm, rotation rad) about the robot's origin that follows it,
+    from the residuals.
+    residuals_mm, left_out_mm (N,) : distance of each point from the fit of all, and of all others.
+    scale : best scale of the robot's over the rig's lengths; it should be 1. sigma_scale : of it.
+    """
+
+    robot_from_rig: FloatArray
+    covariance: FloatArray
+    residuals_mm: FloatArray
+    left_out_mm: FloatArray
+    scale: float
+    sigma_scale: float
+
+    @property
+    def rms_mm(self) -> float:
+        """Of the residuals."""
+        return float(np.sqrt(np.mean(self.residuals_mm**2)))
+
+
+def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistration:
+    """Fit robot = T rig over corresponding points (N, 3), N >= 3.
+
+    Raises `CalibrationError` for too few, repeated or collinear points, for points in other units and for
+    mirrored ones: with the reason.
+    """
+    rig, robot = np.asarray(rig_mm, np.float64), np.asarray(robot_mm, np.float64)
+    if rig.ndim != 2 or rig.shape[1:] != (3,) or rig.shape != robot.shape or len(rig) < 3:
+        raise CalibrationError(
+            f"registration needs three or more points (N, 3) in both frames, got {rig.shape}, {robot.shape}"
+        )
+    if not (np.isfinite(rig).all() and np.isfinite(robot).all()):
+        raise CalibrationError("registration needs finite coordinates")
+    for name, points in (("rig", rig), ("robot", robot)):
+        _check_spread(name, points)
+    similar = fit_rigid(rig, robot, with_scale=True)
+    _check_units(similar.scale)
+    _check_hand(rig, robot)
+    fit = fit_rigid(rig, robot)
+    left_out = np.full(len(rig), np.nan)
+    if len(rig) > 3:
+        for k in range(len(rig)):
+            others = np.arange(len(rig)) != k
+            try:
+                without = fit_rigid(rig[others], robot[others]).to_from_from
+            except CalibrationError:  # the others lie on one line
+                continue
+            left_out[k] = float(np.linalg.norm(robot[k] - apply(without, rig[k])))
+    extent = float(np.sqrt(np.sum((rig - rig.mean(axis=0)) ** 2)))
+    # a fit states the shift of the rig's origin; as a motion of the whole frame it is that of the robot's
+    frame = np.eye(6)
+    frame[:3, 3:] = skew(fit.to_from_from[:3, 3])
+    return PointRegistration(
+        fit.to_from_from,
+        frame @ fit.covariance @ frame.T,
+        np.linalg.norm(fit.residuals_mm, axis=1),
+        left_out,
+        similar.scale,
+        similar.sigma_mm / extent,
+    )
+
+
+def _check_spread(name: str, points: FloatArray) -> None:
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
+    if len(twins):
+        one, two = twins[0] + 1
+        raise CalibrationError(f"points {one} and {two} are nearly the same place in the {name}'s frame")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < FLAT_SHARE * spread[0]:
+        raise CalibrationError(
+            f"the points lie on one line in the {name}'s frame: the rotation about it stays open; "
+            "touch a point beside it"
+        )
+
+
+def _check_units(scale: float) -> None:
+    units = {1000.0: "µm", 0.001: "m", 0.1: "cm", 1 / 25.4: "inches"}
+    for factor, unit in units.items():
+        if abs(scale / factor - 1) < 0.05:
+            raise CalibrationError(
+                f"the robot's lengths are {scale:.4g} times the rig's: they look like {unit}, expected mm"
+            )
+
+
+def _check_hand(rig: FloatArray, robot: FloatArray) -> None:
+    """A left-handed frame fits its mirror image; flat sets of points look the same in a mirror."""
+    if np.linalg.svd(rig - rig.mean(axis=0), compute_uv=False)[2] < 1e-3 * np.ptp(rig):
+        return
+    straight = fit_rigid(rig, robot).residuals_mm
+    mirrored = fit_rigid(rig * [1.0, 1.0, -1.0], robot).residuals_mm
+    if np.sqrt(np.mean(mirrored**2)) * MIRROR_GAIN < np.sqrt(np.mean(straight**2)):
+        raise CalibrationError(
+            "the robot's points are the rig's in a mirror: one axis has the wrong sign, or two are swapped"
+        )
+
+
+# --- hand-eye ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandEye:
+    """Rig and board in the robot's frames, from poses of the flange with views of the board.
+
+    rig : robot_from_rig (eye-to-hand) or flange_from_rig (eye-in-hand).
+    board : flange_from_board (eye-to-hand) or robot_from_board (eye-in-hand).
+    covariance (6, 6) : of a small motion (shift mm, rotation rad) that follows `rig`, from the scatter
+    between poses.  used (N,) bool : poses that were not left out as mistakes.
+    held_out_mm, held_out_rad (N,) : how far each pose is off for a fit of all others; NaN for a lost one.
+    """
+
+    mount: Mount
+    rig: FloatArray
+    board: FloatArray
+    covariance: FloatArray
+    used: npt.NDArray[np.bool_]
+    rms_mm: float
+    held_out_mm: FloatArray
+    held_out_rad: FloatArray
+
+
+def hand_eye(
+    robot_from_flange: Sequence[FloatArray],
+    rig_from_board: Sequence[FloatArray],
+    board_mm: FloatArray,
+    mount: Mount,
+    *,
+    hold_out: bool = True,
+) -> HandEye:
+    """Solve A Y = X B over poses: robot_from_flange flange_from_board = robot_from_rig rig_from_board.
+
+    For eye-in-hand A is flange_from_robot, and X is flange_from_rig. board_mm (M, 3) : marks over which the
+    mismatch is counted, so that angles weigh by what they move. hold_out : also without each pose in turn.
+    Start: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994,
+    doi:10.1109/70.326576; then one least squares over both unknowns with mistakes left out.
+    Raises `CalibrationError` for too few poses and for motions that leave something open.
+    """
+    A = np.array(robot_from_flange, np.float64)
+    B = np.array(rig_from_board, np.float64)
+    if A.shape != B.shape or A.shape[1:] != (4, 4) or len(A) < MIN_POSES:
+        raise CalibrationError(
+            f"hand-eye needs {MIN_POSES} or more poses, each with a view; got {len(A)} and {len(B)}"
+        )
+    if not (np.isfinite(A).all() and np.isfinite(B).all()):
+        raise CalibrationError("hand-eye needs finite poses")
+    if mount == "eye-in-hand":
+        A = np.array([invert(pose) for pose in A])
+    _check_motion(A)
+    span = board_mm - board_mm.mean(axis=0)
+    marks = board_mm.mean(axis=0) + span[_hull(span)]
+    X, Y = _start(A, B)
+    X, Y, used = _without_mistakes(A, B, X, Y, marks)
+    covariance = _covariance(A[used], B[used], X, Y, marks)
+    nothing = np.full(len(A), np.nan)
+    held_mm, held_rad = _held_out(A, B, X, Y, marks, used) if hold_out else (nothing, nothing)
+    rms = float(np.sqrt(np.mean(_errors_mm(A[used], B[used], X, Y, marks) ** 2)))
+    return HandEye(mount, X, Y, covariance, used, rms, held_mm, held_rad)
+
+
+def _check_motion(A: FloatArray) -> None:
+    """Rotations about two different axes are needed; a shift alone says nothing about the board's place."""
+    turns = np.array([rotation_vector(invert(A[0])[:3, :3] @ pose[:3, :3]) for pose in A[1:]])
+    angles = np.linalg.norm(turns, axis=1)
+    if angles.max() < MIN_TURN_RAD:
+        raise CalibrationError(
+            f"the flange turned by at most {np.degrees(angles.max()):.1f}°: poses that only shift leave the "
+            "board's place open; turn the wrist by 20° or more"
+        )
+    spread = np.linalg.svd(turns[angles > 0.3 * MIN_TURN_RAD], compute_uv=False)
+    if len(spread) < 2 or spread[1] < MIN_AXES_SPREAD * spread[0]:
+        raise CalibrationError(
+            "all rotations of the flange are about one axis: the place along it stays open; turn about "
+            "another axis too"
+        )
+
+
+def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Closed form from the motions between poses: M Y = Y N (F. Park and B. Martin, 1994)."""
+    first, second = np.triu_indices(len(A), 1)
+    M = np.array([invert(A[j]) @ A[i] for i, j in zip(first, second, strict=True)])
+    N = np.array([invert(B[j]) @ B[i] for i, j in zip(first, second, strict=True)])
+    alpha = np.array([rotation_vector(motion[:3, :3]) for motion in M])
+    beta = np.array([rotation_vector(motion[:3, :3]) for motion in N])
+    R = nearest_rotation(alpha.T @ beta)
+    system = (M[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    shifts = (N[:, :3, 3] @ R.T - M[:, :3, 3]).ravel()
+    t, *_ = np.linalg.lstsq(system, shifts, rcond=None)
+    Y = transform(R, np.asarray(t, np.float64))
+    each = np.array([told @ Y @ invert(seen) for told, seen in zip(A, B, strict=True)])
+    X = transform(nearest_rotation(each[:, :3, :3].mean(axis=0)), each[:, :3, 3].mean(axis=0))
+    return X, Y
+
+
+def _hull(points: FloatArray) -> FloatArray:
+    """Indices of the marks farthest out in eight directions: they carry all that a flat board can say."""
+    directions = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.arange(8) * np.pi / 4])
+    return np.unique(np.argmax(points @ directions.T, axis=0))
+
+
+def _mismatch(
+    A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals (N, M, 3) A Y m - X B m, and their Jacobian (N, M, 3, 12) by small motions after X and Y."""
+    on_flange, seen = apply(Y, marks), np.stack([apply(pose, marks) for pose in B])
+    told = np.stack([apply(pose, on_flange) for pose in A])
+    measured = apply(X, seen)
+    jacobian = np.zeros((*told.shape, 12))
+    jacobian[..., :3] = -np.eye(3)
+    jacobian[..., 3:6] = skew(measured)
+    jacobian[..., 6:9] = A[:, None, :3, :3]
+    jacobian[..., 9:12] = -A[:, None, :3, :3] @ skew(on_flange)
+    return told - measured, jacobian
+
+
+def _refine(
+    A: FloatArray,
+    B: FloatArray,
+    X: FloatArray,
+    Y: FloatArray,
+    marks: FloatArray,
+    weights: FloatArray | None = None,
+    steps: int = 15,
+) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton over both; weights (N,) : of the poses."""
+    root = np.sqrt(np.ones(len(A)) if weights is None else weights)[:, None, None]
+    for _ in range(steps):
+        residuals, jacobian = _mismatch(A, B, X, Y, marks)
+        weighted = (root[..., None] * jacobian).reshape(-1, 12)
+        solved, *_ = np.linalg.lstsq(weighted, -(root * residuals).ravel(), rcond=None)
+        step = np.asarray(solved, np.float64)
+        X, Y = _nudged(X, step[:6]), _nudged(Y, step[6:])
+        if np.abs(step).max() < 1e-12 * max(1.0, float(np.abs(X[:3, 3]).max())):
+            break
+    return X, Y
+
+
+def _without_mistakes(
+    A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Fit in which a pose weighs less the worse it agrees (Cauchy), then without those that disagree."""
+    errors = _errors_mm(A, B, X, Y, marks)
+    for _ in range(REWEIGHTED):
+        weights = 1 / (1 + (errors / max(2.0 * float(np.median(errors)), 1e-9)) ** 2)
+        X, Y = _refine(A, B, X, Y, marks, weights, steps=2)
+        errors = _errors_mm(A, B, X, Y, marks)
+    used = errors < OUTLIER * max(float(np.median(errors)), 1e-6)
+    if used.sum() < max(MIN_POSES, MIN_KEPT * len(A)):
+        used = np.ones(len(A), bool)
+    return *_refine(A[used], B[used], X, Y, marks), used
+
+
+def _nudged(pose: FloatArray, step: FloatArray) -> FloatArray:
+    """exp(step) on the left: translation, then rotation about the frame's origin."""
+    turn = rotation_matrix(step[3:])
+    return transform(nearest_rotation(turn @ pose[:3, :3]), turn @ pose[:3, 3] + step[:3])
+
+
+def _errors_mm(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray) -> FloatArray:
+    residuals, _ = _mismatch(A, B, X, Y, marks)
+    return np.asarray(np.sqrt(np.mean(np.sum(residuals**2, axis=2), axis=1)))
+
+
+def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray) -> FloatArray:
+    """From the scatter between poses: the marks of one pose share its error (cluster-robust sandwich)."""
+    residuals, jacobian = _mismatch(A, B, X, Y, marks)
+    n = len(A)
+    J, r = jacobian.reshape(n, -1, 12), residuals.reshape(n, -1)
+    bread = np.linalg.inv(np.einsum("nki,nkj->ij", J, J))
+    gradients = np.einsum("nki,nk->ni", J, r)
+    # each pose has six numbers of its own; twelve of them all went into the unknowns
+    correction = 6 * n / max(6 * n - 12, 1)
+    return np.asarray((bread @ (gradients.T @ gradients) @ bread * correction)[:6, :6])
+
+
+def _held_out(
+    A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray, used: npt.NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    mm, rad = np.full(len(A), np.nan), np.full(len(A), np.nan)
+    for k in range(len(A)):
+        others = used & (np.arange(len(A)) != k)
+        if others.sum() < MIN_POSES - 1:
+            continue
+        x, y = _refine(A[others], B[others], X, Y, marks)
+        mm[k] = _errors_mm(A[k : k + 1], B[k : k + 1], x, y, marks)[0]
+        rad[k] = np.linalg.norm(rotation_vector((A[k] @ y)[:3, :3].T @ (x @ B[k])[:3, :3]))
+    return mm, rad

@@ -1,0 +1,390 @@
+"""Rig to robot: true transforms come back, their doubt is honest, and what cannot work is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import cells
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+from snapshots import make_target, make_transform
+
+from edged.commands.register import hand_eye_command, read_poses, read_touched, self_test, touch
+from edged.domain import FloatArray
+from edged.errors import CalibrationError, FileFormatError
+from edged.payload import robot_covariance
+from edged.robots import (
+    ANGLES_DEG,
+    LENGTH_UNITS_MM,
+    READINGS,
+    Brand,
+    Convention,
+    matrix_quaternion,
+    quaternion,
+    rotation_vector_rad,
+    transform_of,
+)
+from edged.sim.cell import calibration_views
+from edged.sim.scene import chessboard_plate
+from edged.store import load_rig, save_rig
+from edged.vision.conventions import rank_readings
+from edged.vision.geometry import apply, invert, rotation_vector, transform
+from edged.vision.registration import Mount, hand_eye, register_points
+
+ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
+BOARD_MM = np.array([[x * 7.0, y * 7.0, 0.0] for y in range(6) for x in range(9)])
+
+
+def points(rng: np.random.Generator, number: int, sigma_mm: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Points of the rig, and of the robot with noise."""
+    rig = rng.uniform(-60, 60, (number, 3)) + np.array([0, 0, 200])
+    return rig, apply(ROBOT_FROM_RIG, rig) + rng.normal(0, sigma_mm, rig.shape)
+
+
+def poses(
+    rng: np.random.Generator,
+    number: int,
+    mount: Mount = "eye-to-hand",
+    sigma_mm: float = 0.0,
+    sigma_rad: float = 0.0,
+) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray]:
+    """robot_from_flange, rig_from_board, and the true X and Y of a hand-eye."""
+    X, Y = ROBOT_FROM_RIG, make_transform((0.1, -0.4, 1.2), (15.0, -8.0, 90.0))
+    told, seen = [], []
+    for _ in range(number):
+        board = transform(
+            Rotation.from_rotvec(rng.uniform(-0.6, 0.6, 3)).as_matrix(),
+            rng.uniform(-30, 30, 3) + np.array([0, 0, 220]),
+        )
+        A = X @ board @ invert(Y)
+        noise = transform(
+            Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)).as_matrix(), rng.normal(0, sigma_mm, 3)
+        )
+        seen.append(board @ noise)
+        told.append(A if mount == "eye-to-hand" else invert(A))
+    return told, seen, X, Y
+
+
+# --- touched points ----------------------------------------------------------------------------
+
+
+def test_touched_points_give_the_transform() -> None:
+    """Exact points, exact transform; the scale is 1."""
+    found = register_points(*points(np.random.default_rng(1), 5))
+
+    assert np.allclose(found.robot_from_rig, ROBOT_FROM_RIG, atol=1e-9)
+    assert found.scale == pytest.approx(1.0)
+    assert found.left_out_mm.max() < 1e-9
+
+
+def test_the_doubt_of_touched_points_is_honest() -> None:
+    """Over many draws the error, squared and in units of the stated covariance, is 1 per coordinate."""
+    rng, ratios, scales = np.random.default_rng(2), [], []
+    for _ in range(300):
+        found = register_points(*points(rng, 12, 0.2))
+        error = found.robot_from_rig @ invert(ROBOT_FROM_RIG)
+        vector = np.concatenate([error[:3, 3], rotation_vector(error[:3, :3])])
+        ratios.append(vector @ np.linalg.solve(found.covariance, vector) / 6)
+        scales.append(((found.scale - 1) / found.sigma_scale) ** 2)
+    # the variance itself is estimated from 30 residuals: F(6, 30) has the mean 30 / 28
+    assert np.mean(ratios) == pytest.approx(30 / 28, abs=0.12)
+    assert np.mean(scales) == pytest.approx(1.07, abs=0.25)
+
+
+def test_one_wrong_point_stands_out_when_left_out() -> None:
+    """A slip of the stylus by 2 mm is the largest left-out error by far."""
+    rig, robot = points(np.random.default_rng(3), 7, 0.05)
+    robot[4] += [0.0, 2.0, 0.0]
+
+    left_out = register_points(rig, robot).left_out_mm
+    assert int(np.argmax(left_out)) == 4
+    assert left_out[4] > 2 * np.sort(left_out)[-2]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda rig, robot: (rig[:2], robot[:2]), "three or more points"),
+        (lambda rig, robot: (rig, robot / 1000), "they look like m, expected mm"),
+        (lambda rig, robot: (rig, robot / 25.4), "they look like inches"),
+        (lambda rig, robot: (rig, robot * [1, -1, 1]), "in a mirror"),
+        (lambda rig, robot: (rig, robot[:, [1, 0, 2]]), "in a mirror"),
+        (lambda _, robot: (np.linspace([0, 0, 0], [9, 9, 9], 6), robot), "on one line in the rig"),
+        (lambda rig, robot: (np.vstack([rig[:5], rig[:1]]), robot), "points 1 and 6 are nearly the same"),
+        (lambda rig, robot: (rig, np.where(robot > 0, np.nan, robot)), "finite"),
+    ],
+)
+def test_points_that_cannot_be_right_are_named(change: object, expected: str) -> None:
+    """Units, mirrors, lines, repetitions: with the reason, never a transform."""
+    rig, robot = points(np.random.default_rng(4), 6, 0.1)
+    with pytest.raises(CalibrationError, match=expected):
+        register_points(*change(rig, robot))  # type: ignore[operator]
+
+
+# --- hand-eye ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mount", ["eye-to-hand", "eye-in-hand"])
+def test_hand_eye_finds_rig_and_board(mount: Mount) -> None:
+    """Both unknowns, exactly, from exact poses; for a rig on the flange too."""
+    told, seen, X, Y = poses(np.random.default_rng(5), 8, mount)
+    found = hand_eye(told, seen, BOARD_MM, mount)
+
+    assert np.allclose(found.rig, X, atol=1e-6)
+    assert np.allclose(found.board, Y, atol=1e-6)
+    assert found.rms_mm < 1e-6
+
+
+def test_the_doubt_of_hand_eye_is_honest() -> None:
+    """The scatter of the result over many draws is what each draw states."""
+    rng, errors, stated, held = np.random.default_rng(6), [], [], []
+    told, _, X, _ = poses(np.random.default_rng(7), 14)
+    for _ in range(40):
+        told, seen, X, _ = poses(rng, 14, sigma_mm=0.05, sigma_rad=0.0005)
+        found = hand_eye(told, seen, BOARD_MM, "eye-to-hand")
+        error = found.rig @ invert(X)
+        at = ROBOT_FROM_RIG @ np.array([0, 0, 220, 1.0])  # where the board was, not the robot's origin
+        errors.append((error @ at - at)[:3])
+        J = np.hstack([np.eye(3), -_skew(at[:3])])
+        stated.append(np.diag(J @ found.covariance @ J.T))
+        held.append(np.sqrt(np.mean(found.held_out_mm**2)))
+    ratio = np.mean(np.square(errors)) / np.mean(stated)
+    assert 0.6 < ratio < 1.6
+    assert np.mean(held) < 0.2
+
+
+def _skew(v: FloatArray) -> FloatArray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def test_a_mistyped_pose_is_left_out() -> None:
+    """One wrong digit does not move the result, and the pose is named."""
+    told, seen, X, _ = poses(np.random.default_rng(8), 10, sigma_mm=0.02, sigma_rad=0.0002)
+    told[3] = transform(told[3][:3, :3], told[3][:3, 3] + [10.0, 0.0, 0.0])
+
+    found = hand_eye(told, seen, BOARD_MM, "eye-to-hand")
+    assert np.flatnonzero(~found.used).tolist() == [3]
+    assert np.abs(found.rig[:3, 3] - X[:3, 3]).max() < 0.5
+    assert found.held_out_mm[3] > 5
+
+
+def test_motions_that_leave_something_open_are_refused() -> None:
+    """Shifts only, or rotations about one axis only."""
+    told, seen, X, Y = poses(np.random.default_rng(9), 6)
+    shifts = [transform(told[0][:3, :3], pose[:3, 3]) for pose in told]
+    with pytest.raises(CalibrationError, match="only shift"):
+        hand_eye(shifts, [invert(X) @ pose @ Y for pose in shifts], BOARD_MM, "eye-to-hand")
+    about_z = [
+        transform(Rotation.from_euler("z", 20 * k, degrees=True).as_matrix(), pose[:3, 3])
+        for k, pose in enumerate(told)
+    ]
+    with pytest.raises(CalibrationError, match="about one axis"):
+        hand_eye(about_z, [invert(X) @ pose @ Y for pose in about_z], BOARD_MM, "eye-to-hand")
+    with pytest.raises(CalibrationError, match="4 or more poses"):
+        hand_eye(told[:3], seen[:3], BOARD_MM, "eye-to-hand")
+
+
+# --- conventions -------------------------------------------------------------------------------
+
+
+def shown(brand: Brand, pose: FloatArray) -> tuple[float, ...]:
+    """A pose as the controller of a brand shows it."""
+    R, t = pose[:3, :3], pose[:3, 3]
+    if brand is Brand.UR:
+        return (*(t / 1000), *rotation_vector_rad(R))
+    if brand is Brand.ABB:
+        return (*t, *quaternion(R))
+    convention = {
+        Brand.KUKA: Convention.KUKA_ABC,
+        Brand.STAUBLI: Convention.STAUBLI_XYZ,
+        Brand.KAWASAKI: Convention.KAWASAKI_OAT,
+    }.get(brand, Convention.FIXED_XYZ)
+    return (*t, *ANGLES_DEG[convention](R))
+
+
+@pytest.mark.parametrize("brand", list(Brand))
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_a_brand_shows_is_read_back(brand: Brand, seed: int) -> None:
+    """Reading is the inverse of writing, for every orientation."""
+    rng = np.random.default_rng(seed)
+    pose = transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-900, 900, 3))
+
+    assert np.allclose(transform_of(brand, shown(brand, pose)), pose, atol=1e-6)
+
+
+def test_brands_agree_with_an_independent_library() -> None:
+    """scipy's Euler sequences: intrinsic upper case, extrinsic lower case."""
+    angles = (31.0, -22.0, 73.0)
+    for brand, sequence in (
+        (Brand.KUKA, "ZYX"),
+        (Brand.FANUC, "xyz"),
+        (Brand.YASKAWA, "xyz"),
+        (Brand.STAUBLI, "XYZ"),
+        (Brand.KAWASAKI, "ZYZ"),
+    ):
+        expected = Rotation.from_euler(sequence, angles, degrees=True).as_matrix()
+        assert np.allclose(transform_of(brand, (1, 2, 3, *angles))[:3, :3], expected), brand
+    q = Rotation.from_euler("xyz", angles, degrees=True).as_quat()
+    assert np.allclose(matrix_quaternion(q[3], *q[:3]), Rotation.from_quat(q).as_matrix())
+    v = np.array([0.4, -1.1, 0.7])
+    assert np.allclose(transform_of(Brand.UR, (0.1, 0, 0, *v))[:3, :3], Rotation.from_rotvec(v).as_matrix())
+    assert transform_of(Brand.UR, (0.1, 0, 0, *v))[0, 3] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("brand", "mount"),
+    [
+        (Brand.UR, "eye-to-hand"),
+        (Brand.KUKA, "eye-in-hand"),
+        (Brand.ABB, "eye-to-hand"),
+        (Brand.KAWASAKI, "eye-to-hand"),
+    ],
+)
+def test_the_self_test_finds_the_convention(brand: Brand, mount: Mount) -> None:
+    """Of all readings the true one fits, by a wide margin over those that mean something else."""
+    told, seen, _, _ = poses(np.random.default_rng(10), 6, mount, 0.02, 0.0002)
+    numbers = [shown(brand, pose) for pose in told]
+
+    ranked = rank_readings(numbers, seen, BOARD_MM, READINGS, LENGTH_UNITS_MM)
+
+    assert ranked[0].mount == mount
+    assert ranked[0].length_unit == ("m" if brand is Brand.UR else "mm")
+    word = {Brand.UR: "rotation vector in rad", Brand.ABB: "scalar first"}.get(brand, brand.value)
+    assert word in ranked[0].orientation.lower()
+    assert ranked[1].rms_mm > 3 * ranked[0].rms_mm
+
+
+def test_a_wrong_count_or_quaternion_is_named() -> None:
+    """What the brand shows is said in the message."""
+    with pytest.raises(ValueError, match=r"expected 6 numbers .*A B C in degrees"):
+        transform_of(Brand.KUKA, (1.0, 2.0))
+    with pytest.raises(ValueError, match="length 2"):
+        transform_of(Brand.ABB, (0, 0, 0, 2, 0, 0, 0))
+
+
+# --- with pictures of a board --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight rendered pairs of a board on a KUKA's flange, its poses as shown, and the rig."""
+    folder = tmp_path_factory.mktemp("handeye")
+    rig = cells.small_rig()
+    save_rig(folder / "rig.json", rig)
+    flange_from_board = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
+    lines = []
+    for number, view in enumerate(calibration_views(rig, chessboard_plate(9, 6, 4.0), 8, seed=4)):
+        for side, image in (("left", view.left), ("right", view.right)):
+            cv2.imwrite(str(folder / f"p{number}_{side}.png"), image)
+        flange = ROBOT_FROM_RIG @ view.rig_from_plate @ invert(flange_from_board)
+        lines.append(f"p{number}," + ",".join(f"{value:.4f}" for value in shown(Brand.KUKA, flange)))
+    (folder / "poses.csv").write_text("\n".join(lines))
+    return folder
+
+
+def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pictures in, robot_from_rig out, to hundredths of a millimetre at the board."""
+    output = pictured / "registered.json"
+    code = hand_eye_command(
+        pictured / "rig.json", pictured, pictured / "poses.csv", "chessboard:9x6:4.0", "kuka", "eye-to-hand",
+        output, 0.2, True, Console(stderr=True),
+    )  # fmt: skip
+    report = json.loads(capsys.readouterr().out)
+
+    assert (code, report["good"]) == (0, True)
+    saved = load_rig(output).robot_from_rig
+    assert saved is not None
+    at = np.array([0.0, 0.0, 205.0])
+    assert np.linalg.norm(apply(saved, at) - apply(ROBOT_FROM_RIG, at)) < 0.05
+
+
+def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """KUKA's angles taken for FANUC's: nothing is saved, and the self-test says how they read."""
+    arguments = pictured / "rig.json", pictured, pictured / "poses.csv", "chessboard:9x6:4.0"
+    output = pictured / "wrong.json"
+    console = Console(stderr=True)
+
+    assert hand_eye_command(*arguments, "fanuc", "eye-to-hand", output, 0.2, True, console) == 1
+    assert not output.exists()
+    capsys.readouterr()
+    assert self_test(*arguments, "fanuc", True, console) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert "KUKA" in report["ranked"][0]["orientation"]
+    assert report["decided"]
+    assert self_test(*arguments, "kuka", True, console) == 0
+
+
+# --- files and the command -----------------------------------------------------------------------
+
+
+def test_touch_saves_only_what_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A good fit goes into the rig with its covariance, the old rig is kept; a bad one changes nothing."""
+    rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
+    save_rig(rig_file, cells.small_rig())
+    before = rig_file.read_bytes()
+    rig, robot = points(np.random.default_rng(11), 6, 0.02)
+    rows = [",".join(f"{value:.6f}" for value in (*a, *b)) for a, b in zip(rig, robot, strict=True)]
+    table.write_text("# touched today\n" + "\n".join(rows[:5]) + "\n")
+
+    assert touch(rig_file, table, rig_file, 1e-4, True, Console(stderr=True)) == 1
+    assert rig_file.read_bytes() == before
+    assert touch(rig_file, table, rig_file, 0.5, True, Console(stderr=True)) == 0
+    reports = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    saved = load_rig(rig_file)
+    assert [report["good"] for report in reports] == [False, True]
+    assert saved.robot_from_rig is not None
+    assert np.abs(saved.robot_from_rig - ROBOT_FROM_RIG).max() < 0.2
+    assert saved.registration_covariance is not None
+    assert len(list(tmp_path.glob("rig.*.json"))) == 1
+    table.write_text("\n".join(rows[:3]))
+    assert touch(rig_file, table, rig_file, 0.5, True, Console(stderr=True)) == 1, (
+        "three points prove nothing"
+    )
+
+
+def test_results_of_locate_are_points(tmp_path: Path) -> None:
+    """`edged locate --json > p1.json`, then a line p1.json,x,y,z."""
+    good = {"targets": [{"reject": [], "position_mm": [1.0, 2.0, 3.0]}]}
+    (tmp_path / "p1.json").write_text(json.dumps(good))
+    (tmp_path / "bad.json").write_text(
+        json.dumps({"targets": [{"reject": ["RESIDUAL"], "position_mm": [1, 2, 3]}]})
+    )
+    table = tmp_path / "points.csv"
+    table.write_text("p1.json, 10, 20, 30\n")
+    names, rig, robot = read_touched(table)
+    assert (names, rig.tolist(), robot.tolist()) == (["p1"], [[1, 2, 3]], [[10, 20, 30]])
+    table.write_text("bad.json,1,2,3\n")
+    with pytest.raises(FileFormatError, match=r"line 1: .*bad.json: no good target"):
+        read_touched(table)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("", "empty"), ("a,1,2,3\n", "line 1: expected NAME and six"), ("a,1,2,3,4,5,x\n", "line 1: could not"),
+     ("a,1,2,3,4,5,nan\n", "finite"), ("a,1,2,3,4,5,6\na,1,2,3,4,5,6\n", "line 2: a is there twice")],
+)  # fmt: skip
+def test_a_bad_line_of_poses_is_named(tmp_path: Path, text: str, expected: str) -> None:
+    """By its number."""
+    (tmp_path / "poses.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=expected):
+        read_poses(tmp_path / "poses.csv")
+
+
+def test_the_registrations_doubt_reaches_the_result() -> None:
+    """Far from the touched points a small rotation moves the part: sigma grows with the distance."""
+    registration = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
+    near, far = make_target(x_mm=0.0), make_target(x_mm=1000.0)
+    alone = robot_covariance(far, np.eye(4), None)
+
+    assert np.allclose(alone, far.covariance)
+    grown = robot_covariance(far, np.eye(4), registration) - alone
+    assert math.sqrt(grown[1, 1] - 1e-4) == pytest.approx(1e-4 * math.hypot(1000, 200), rel=1e-3)
+    assert robot_covariance(near, np.eye(4), registration)[1, 1] - near.covariance[1, 1] < grown[1, 1]
