@@ -225,6 +225,45 @@ def locate(
     raise typer.Exit(command(rig, job, left, right, as_json, Console(), overlay=overlay))
 
 
+@app.command()
+def cameras(as_json: JsonOption = False) -> None:
+    """List the GenICam cameras that answer, and whether they can be used."""
+    from rich.console import Console
+
+    from edged.commands.cameras import cameras as command
+
+    raise typer.Exit(command(as_json, Console()))
+
+
+@app.command()
+def grab(
+    config: Annotated[Path, typer.Argument(help="configuration file: its cameras are used")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="folder for the pictures")],
+    count: Annotated[int, typer.Option(min=1, max=1000, help="pairs")] = 1,
+    name: Annotated[str, typer.Option(help="beginning of the file names")] = "pair",
+) -> None:
+    """Save pairs of pictures, for calibration and teaching."""
+    from rich.console import Console
+
+    from edged.commands.cameras import grab as command
+
+    raise typer.Exit(command(config, output, count, name, Console(stderr=True)))
+
+
+@app.command()
+def doctor(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    trigger: Annotated[bool, typer.Option(help="take test pictures")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Examine machine, network and cameras: what will bite, and the command that fixes it."""
+    from rich.console import Console
+
+    from edged.commands.doctor import doctor as command
+
+    raise typer.Exit(command(config, as_json, Console(), trigger=trigger))
+
+
 register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
 app.add_typer(register, name="register")
 PosesOption = Annotated[

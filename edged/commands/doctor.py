@@ -1,0 +1,37 @@
+"""`edged doctor`: what will bite, and the command that fixes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from edged.doctor import Verdict, examine
+
+MARKS = {
+    Verdict.OK: "[green]ok[/]  ",
+    Verdict.WARN: "[yellow]warn[/]",
+    Verdict.BAD: "[red]BAD[/] ",
+    Verdict.SKIP: "[dim]skip[/]",
+}
+
+
+def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool) -> int:
+    """Examine and tell; 0 when nothing is bad, else 1."""
+    checks = []
+    for check in examine(config, trigger=trigger):
+        checks.append(check)
+        if not as_json:
+            console.print(MARKS[check.verdict], end=" ")
+            console.print(f"{check.name}: {check.finding}", markup=False, highlight=False, soft_wrap=True)
+            if check.verdict in (Verdict.WARN, Verdict.BAD):
+                console.print(f"       then: {check.consequence}", markup=False, highlight=False)
+                console.print(f"       help: {check.remedy}", markup=False, highlight=False, soft_wrap=True)
+    bad = sum(check.verdict is Verdict.BAD for check in checks)
+    if as_json:
+        print(json.dumps({"bad": bad, "checks": [check.to_json() for check in checks]}))
+    else:
+        warned = sum(check.verdict is Verdict.WARN for check in checks)
+        console.print(f"{len(checks)} checks, {bad} bad, {warned} to look at")
+    return 1 if bad else 0

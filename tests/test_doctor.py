@@ -1,0 +1,191 @@
+"""The doctor: a healthy cell is well, each sick one is told what bites and what helps."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+from ipaddress import IPv4Interface
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from edged import doctor
+from edged.adapters.aravis import CameraInfo, aravis_missing
+from edged.commands.cameras import grab
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.doctor import doctor as command
+from edged.config import load
+from edged.doctor import Check, Interface, Verdict, examine
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual cell with cameras inside the process."""
+    folder = tmp_path_factory.mktemp("cell")
+    options = DemoOptions(modbus_port=free_port(), zenoh_port=free_port())
+    prepare_cell(folder, VirtualCell(demo_rig(), demo_part()), options, gige=False)
+    return folder
+
+
+@pytest.fixture
+def folder(taught: Path, tmp_path: Path) -> Path:
+    """A copy to make sick."""
+    return Path(shutil.copytree(taught, tmp_path / "cell"))
+
+
+def checks(config: Path, *, trigger: bool = False) -> dict[str, Check]:
+    """By name."""
+    return {check.name: check for check in examine(config, trigger=trigger)}
+
+
+def edit(folder: Path, old: str, new: str) -> Path:
+    """The configuration with something else in it."""
+    path = folder / "cell.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_a_healthy_cell_is_well(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is bad, pictures are taken, and the exit code says so; JSON carries the same."""
+    assert command(folder / "cell.toml", True, Console(), trigger=True) == 0
+    report = json.loads(capsys.readouterr().out)
+    pictures = next(check for check in report["checks"] if check["name"] == "test pictures")
+
+    assert report["bad"] == 0
+    assert pictures["verdict"] == "ok"
+    assert "5 of 5 pairs" in pictures["finding"]
+
+
+def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
+    """No finding leaves the reader alone with it."""
+    path = edit(folder, "[modbus]", '[recorder]\nfolder = "r"\nmin_free_mib = 90000000\n\n[modbus]')
+    path.write_text(
+        path.read_text().replace("[zenoh]", '[modbus.serial]\ndevice = "/dev/ttyNONE"\n\n[zenoh]')
+    )
+    found = [check for check in examine(path, trigger=False) if check.verdict in (Verdict.BAD, Verdict.WARN)]
+
+    assert {"recordings", "serial port"} <= {check.name for check in found}
+    assert all(check.consequence and check.remedy for check in found)
+
+
+def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each is a finding; nothing else is looked at."""
+    path = edit(folder, 'job = "flange"', 'job = "flnge"')
+    assert command(path, False, Console(width=200), trigger=True) == 1
+    out = capsys.readouterr().out
+    assert "BAD configuration: cell.job: no usable job 'flnge'" in " ".join(out.split())
+    assert "1 checks, 1 bad" in out
+
+
+def test_a_port_in_use_is_named(folder: Path) -> None:
+    """With the command that tells by whom."""
+    port = load(folder / "cell.toml").modbus.port
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", port))
+        server.listen()
+        check = checks(folder / "cell.toml")["Modbus port"]
+
+    assert check.verdict is Verdict.BAD
+    assert f"127.0.0.1:{port}" in check.finding
+    assert check.remedy == f"ss -ltnp 'sport = :{port}'"
+
+
+def test_pictures_of_another_size_are_named(folder: Path) -> None:
+    """A camera whose image size was changed after the calibration."""
+    (folder / "pairs").mkdir()
+    for side in ("left", "right"):
+        cv2.imwrite(str(folder / "pairs" / f"a_{side}.png"), np.zeros((480, 640), np.uint8))
+    path = edit(folder, 'source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
+    check = checks(path, trigger=True)["test pictures"]
+
+    assert check.verdict is Verdict.BAD
+    assert "(640, 480)" in check.finding
+    assert "calibrated for another size" in check.consequence
+
+
+@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
+    """With those that do: it is mostly a mistyped serial number."""
+    cameras = '[cameras.left]\ndevice = "NOT-THERE-1"\n[cameras.right]\ndevice = "NOT-THERE-2"\n\n[modbus]'
+    path = edit(folder, 'source = "virtual-inprocess"', 'source = "aravis"')
+    edit(folder, "[modbus]", cameras)
+    found = checks(path)
+
+    for side, device in (("left", "NOT-THERE-1"), ("right", "NOT-THERE-2")):
+        check = found[f"{side} camera"]
+        assert check.verdict is Verdict.BAD
+        assert check.finding.startswith(f"{device} does not answer; cameras that do: ")
+
+
+def info(serial: str, address: str, control: str = "free") -> CameraInfo:
+    """A camera as discovery tells."""
+    return CameraInfo(f"V-{serial}", "V", "M", serial, address, "GigEVision", "00:11", control)
+
+
+def test_two_cameras_at_one_address_are_found() -> None:
+    """Fresh from the box both may have the same one."""
+    found = [info("1", "10.0.0.5"), info("2", "10.0.0.5"), info("3", "10.0.0.6")]
+    (check,) = doctor._twins(found)
+    assert check.finding == "10.0.0.5 is the address of 1, 2"
+
+
+@pytest.mark.parametrize(
+    ("control", "verdict"),
+    [("free", Verdict.OK), ("controlled", Verdict.WARN), ("does not answer: network?", Verdict.BAD)],
+)
+def test_who_controls_a_camera_decides(control: str, verdict: Verdict) -> None:
+    """Free, taken by some program, or seen and out of reach."""
+    camera = info("1", "10.0.0.5", control)
+    section = load_section("1")
+    assert doctor._camera("left", section, camera, [camera]).verdict is verdict
+
+
+def load_section(device: str) -> doctor.CameraSection:
+    """A camera's part of a configuration."""
+    return doctor.CameraSection(device=device)
+
+
+def test_a_camera_outside_of_every_network_is_named() -> None:
+    """The broadcast finds it; nothing else does."""
+    port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 9000, 1000)
+    good, interface = doctor._subnet("left", info("1", "192.168.10.7"), [port])
+    bad, nowhere = doctor._subnet("left", info("1", "169.254.3.4"), [port])
+
+    assert (good.verdict, interface) == (Verdict.OK, port)
+    assert (bad.verdict, nowhere) == (Verdict.BAD, None)
+    assert "169.254.3.4" in bad.finding
+
+
+@pytest.mark.parametrize(("period_s", "verdict"), [(0.5, Verdict.OK), (0.02, Verdict.BAD)])
+def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: Verdict) -> None:
+    """Two 1.2 MB images every 20 ms do not fit a gigabit; small packets are mentioned."""
+    config = load(edit(folder, "period_s = 0.25", f"period_s = {period_s}"))
+    port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 1500, 1000)
+    mtu, budget = doctor._link(port, ["left", "right"], 2 * 1280 * 960, config)
+
+    assert "MTU 1500" in mtu.finding
+    assert budget.verdict is verdict
+
+
+def test_grab_saves_pairs_for_calibrate_and_teach(folder: Path, tmp_path: Path) -> None:
+    """Under the names that the other commands look for, without loss."""
+    assert grab(folder / "cell.toml", tmp_path / "out", 2, "part", Console(stderr=True)) == 0
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["part_00_left.png", "part_00_right.png", "part_01_left.png", "part_01_right.png"]
+    image = cv2.imread(str(tmp_path / "out" / names[0]), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    assert image.shape == (960, 1280)
