@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address, ip_network
@@ -40,6 +41,7 @@ from edged.config import (
 )
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
+from edged.drift import DriftLimits
 from edged.errors import ConfigError, EdgedError, UserError
 from edged.jobs import job_folders, load_job
 from edged.pipeline import PreparedRig, locate, prepare
@@ -86,7 +88,7 @@ def load_cell(path: Path) -> LoadedCell:
         for name in ("job.toml", "shape.npz"):
             files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
     setup = Setup(
-        jobs={job.number: LoadedJob(job.name, job.number, _bind(job, rig)) for job in jobs},
+        jobs={job.number: LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),
         period_s=config.cycle.period_s if config.cycle.mode == "free" else None,
         calibration_id=rig.rig.calibration_id,
@@ -94,6 +96,7 @@ def load_cell(path: Path) -> LoadedCell:
         simulated=config.cameras.source.startswith("virtual"),
         robot_from_rig=rig.rig.robot_from_rig,
         registration_covariance=rig.rig.registration_covariance,
+        drift=DriftLimits(**config.drift.model_dump()),
     )
     return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
 
@@ -381,7 +384,11 @@ class Daemon:
         registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
         facts: dict[str, dict[str, Any]] = {
             "Software": {"version": __version__, "configuration": setup.fingerprint},
-            "Calibration": {"id": setup.calibration_id, "registered to the robot": registered},
+            "Calibration": {
+                "id": setup.calibration_id,
+                "registered to the robot": registered,
+                **self._drift_facts(),
+            },
             "Cameras": {"source": config.cameras.source},
         }
         modbus, zenoh, recorder = (self._servers.get(name) for name in ("modbus", "zenoh", "recorder"))
@@ -399,9 +406,23 @@ class Daemon:
                 facts["Recorder"]["problem"] = kept.problem
         return facts
 
+    def _drift_facts(self) -> dict[str, str]:
+        drift = self._cycle.drift
+        rows = "–" if math.isnan(drift.rows_px) else f"{drift.rows_px:.3f} px"
+        length = "–" if math.isnan(drift.length_percent) else f"{drift.length_percent:+.3f} %"
+        return {"verdict": drift.verdict.name.lower(), "rows, mean": rows, "known length, mean": length}
+
     def _figures(self) -> dict[str, tuple[str, float]]:
         """Figures of the parts for /metrics."""
-        figures: dict[str, tuple[str, float]] = {}
+        drift = self._cycle.drift
+        figures: dict[str, tuple[str, float]] = {
+            "calibration_verdict": (
+                "0 the calibration holds, 1 it drifts, 2 results are refused",
+                drift.verdict,
+            ),
+            "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
+            "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
+        }
         modbus, recorder = self._servers.get("modbus"), self._servers.get("recorder")
         if isinstance(modbus, ModbusPublisher):
             figures["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)

@@ -192,6 +192,16 @@ class ZenohSection(_Section):
     )
 
 
+class DriftSection(_Section):
+    """When the calibration is said to drift, and when no result is given any more (means over cycles)."""
+
+    warn_rows_px: float = Field(0.5, gt=0, le=100, description="row difference of corresponding points, rms")
+    invalid_rows_px: float = Field(1.0, gt=0, le=100)
+    warn_length_percent: float = Field(0.1, gt=0, le=100, description="of the job's witness")
+    invalid_length_percent: float = Field(0.3, gt=0, le=100)
+    min_cycles: int = Field(20, ge=2, le=100_000, description="before any verdict")
+
+
 class RecorderSection(_Section):
     """What is kept on disk of the cycles, for `edged replay`."""
 
@@ -240,6 +250,7 @@ class Config(_Section):
     cameras: CamerasSection
     modbus: ModbusSection = ModbusSection()
     zenoh: ZenohSection = ZenohSection()
+    drift: DriftSection = DriftSection()
     recorder: RecorderSection | None = None
     web: WebSection | None = None
 

@@ -14,14 +14,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from edged.domain import (
+    Calibrated,
     CellState,
     Command,
     CommandFailed,
     CommandKind,
+    DriftState,
     Event,
     ExposureDone,
     FloatArray,
@@ -29,9 +31,11 @@ from edged.domain import (
     Idle,
     JobChanged,
     Outcome,
+    Reject,
     Snapshot,
     Status,
 )
+from edged.drift import DriftLimits, DriftMonitor
 from edged.errors import CaptureError, CommandRefused
 from edged.ports import Publisher
 
@@ -66,11 +70,12 @@ Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedJob:
-    """A job that is in memory and warm."""
+    """A job that is in memory and warm. witness : its measurement whose size is known, for the drift."""
 
     name: str
     number: int
     locate: Locate
+    witness: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +93,7 @@ class Setup:
     simulated: bool
     robot_from_rig: FloatArray | None
     registration_covariance: FloatArray | None = None
+    drift: DriftLimits = field(default_factory=DriftLimits)
 
 
 class Cycle:
@@ -105,6 +111,7 @@ class Cycle:
         self._number = 0
         self._missed = 0
         self._state: CellState | None = None
+        self._drift = DriftMonitor(setup.drift)
         self._pending: tuple[Setup, Head | None] | None = None
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
@@ -127,6 +134,11 @@ class Cycle:
         """Let the running cycle end, then leave `run`."""
         self.stopping.set()
         self._wake.set()
+
+    @property
+    def drift(self) -> DriftState:
+        """What the parts say of the calibration."""
+        return self._drift.state()
 
     # --- Commander -------------------------------------------------------------------------
 
@@ -179,6 +191,8 @@ class Cycle:
     async def _apply(self, setup: Setup, head: Head | None) -> None:
         """Exchange setup and cameras; a job that is gone falls back to the default."""
         self._pending = None
+        if (setup.calibration_id, setup.drift) != (self._setup.calibration_id, self._setup.drift):
+            self._drift = DriftMonitor(setup.drift)
         self._setup = setup
         number = self._active.number if self._active.number in setup.jobs else setup.active_job
         self._active = setup.jobs[number]
@@ -253,7 +267,18 @@ class Cycle:
             return self._snapshot(setup, job, command, Status.NO_TARGET, stopwatch, pair=pair)
         loop = asyncio.get_running_loop()
         outcome = await loop.run_in_executor(self._vision, job.locate, pair, stopwatch)
+        outcome = self._watched(job, outcome)
         return self._snapshot(setup, job, command, outcome.status, stopwatch, pair=pair, outcome=outcome)
+
+    def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
+        """The outcome with good results refused while the calibration is known to be wrong."""
+        for target in outcome.targets:
+            if target.reject in (Reject.NONE, Reject.TOLERANCE):
+                self._drift.add(target, job.witness)
+        if self._drift.state().verdict is not Calibrated.INVALID or outcome.status is not Status.OK:
+            return outcome
+        targets = tuple(replace(one, reject=one.reject | Reject.CALIBRATION) for one in outcome.targets)
+        return replace(outcome, status=Status.LOW_QUALITY, targets=targets)
 
     def _snapshot(
         self,
@@ -284,6 +309,7 @@ class Cycle:
             error_code=error.code if error is not None else 0,
             robot_from_rig=setup.robot_from_rig,
             registration_covariance=setup.registration_covariance,
+            drift=self._drift.state(),
         )
 
     # --- telling ---------------------------------------------------------------------------
@@ -304,9 +330,18 @@ class Cycle:
             missed_triggers=self._missed,
             error=error,
             error_code=code,
+            calibrated=self._drift.state().verdict,
         )
         if new == self._state:
             return
+        if self._state is not None and new.calibrated is not self._state.calibrated:
+            drift = self._drift.state()
+            log.warning(
+                "calibration %s: rows %.3f px, known length %+.3f %%",
+                new.calibrated.name,
+                drift.rows_px,
+                drift.length_percent,
+            )
         if self._state is not None and error != self._state.error:
             if error:
                 log.error("%s", error)

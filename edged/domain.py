@@ -10,6 +10,7 @@ as calibrated (x right, y down, z forward); `robot` is the robot base. A transfo
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +41,7 @@ class Reject(enum.IntFlag):
     TOLERANCE = 1 << 5
     AMBIGUOUS_ROTATION = 1 << 6
     LOW_SCORE = 1 << 7
+    CALIBRATION = 1 << 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,6 +287,23 @@ class CommandFailed:
     reason: str
 
 
+class Calibrated(enum.IntEnum):
+    """Whether the calibration holds, by what the parts show."""
+
+    HOLDS = 0
+    DRIFTS = 1
+    INVALID = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DriftState:
+    """The verdict, the mean row difference (px rms) and the known length's mean deviation; NaN: unknown."""
+
+    verdict: Calibrated = Calibrated.HOLDS
+    rows_px: float = math.nan
+    length_percent: float = math.nan
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """Everything that is published of one cycle; immutable.
@@ -294,7 +313,7 @@ class Snapshot:
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
-    of it, or None where it is not known.
+    of it, or None where it is not known.  drift : of the calibration, this cycle included.
     """
 
     cycle: int
@@ -313,6 +332,7 @@ class Snapshot:
     error_code: int = 0
     robot_from_rig: FloatArray | None = None
     registration_covariance: FloatArray | None = None
+    drift: DriftState = DriftState()
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,6 +350,7 @@ class CellState:
     missed_triggers: int
     error: str = ""
     error_code: int = 0
+    calibrated: Calibrated = Calibrated.HOLDS
 
 
 @dataclass(frozen=True, slots=True)

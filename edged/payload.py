@@ -110,6 +110,11 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "timing_ms": _timing(snapshot.timing_ms),
         "targets": [target_to_json(target, robot, registration) for target in usable],
         "rejected": [target_to_json(target, robot, registration) for target in rejected],
+        "drift": {
+            "verdict": snapshot.drift.verdict.name,
+            "rows_px": _number(snapshot.drift.rows_px),
+            "length_percent": _number(snapshot.drift.length_percent),
+        },
         "error": snapshot.error,
         "error_code": snapshot.error_code,
     }
@@ -126,6 +131,7 @@ def state_to_json(state: CellState) -> Json:
         "missed_triggers": state.missed_triggers,
         "error": state.error,
         "error_code": state.error_code,
+        "calibrated": state.calibrated.name,
     }
 
 

@@ -23,12 +23,13 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.report import calibration_report
 from edged.store import keep_old_rig, load_image, load_rig, save_rig, write_atomically
-from edged.vision.boards import Board, Detection, Missed, StereoView, parse_boards
+from edged.vision.boards import Detection, Missed, NominalBoard, StereoView, parse_boards
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
 from edged.vision.camera import CameraModel, LensModel
 from edged.vision.detection import detect_board, remeasure_board
 from edged.vision.heldout import HeldOutView, hold_out
 from edged.vision.opencvcheck import plain_opencv
+from edged.vision.plate import nominal
 from edged.vision.rectification import make_rectification
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -47,7 +48,14 @@ class ImagePair:
 
 
 def calibrate(
-    directory: Path, board: str, output: Path, model: str, report: Path | None, console: Console
+    directory: Path,
+    board: str,
+    output: Path,
+    model: str,
+    report: Path | None,
+    console: Console,
+    *,
+    plate_shape: bool = False,
 ) -> int:
     """Calibrate from every pair in a folder; write the rig, and the report where one is wanted.
 
@@ -66,7 +74,7 @@ def calibrate(
         first = calibrate_stereo(views, *sizes, lens)
     views = remeasure_views(pairs, views, first, console)
     with console.status("bundle adjustment"):
-        calibration = calibrate_stereo(views, *sizes, lens)
+        calibration = calibrate_stereo(views, *sizes, lens, plate_shape=plate_shape)
     with console.status("holding views out"):
         held = hold_out(calibration)
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
@@ -124,7 +132,7 @@ def find_pairs(directory: Path) -> list[ImagePair]:
 
 
 def detect_views(
-    pairs: list[ImagePair], boards: Sequence[Board], console: Console
+    pairs: list[ImagePair], boards: Sequence[NominalBoard], console: Console
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], list[StereoView]]:
     """Find one of the boards in every picture, two pictures at a time.
 
@@ -157,7 +165,7 @@ def detect_views(
 
 
 def _view(
-    name: str, boards: Sequence[Board], left: list[Detection | Missed], right: list[Detection | Missed]
+    name: str, boards: Sequence[NominalBoard], left: list[Detection | Missed], right: list[Detection | Missed]
 ) -> StereoView:
     """The view of the board that both pictures show, or of the first board with what was missed."""
     choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
@@ -173,7 +181,7 @@ class _Looked:
     results: list[Detection | Missed]
 
 
-def _detect(path: Path, boards: Sequence[Board]) -> _Looked:
+def _detect(path: Path, boards: Sequence[NominalBoard]) -> _Looked:
     """Look for every board; after one is found the others are not tried."""
     image = load_image(path)
     results: list[Detection | Missed] = []
@@ -215,7 +223,8 @@ def remeasure_views(
 def _remeasure(
     path: Path, fit: ViewFit, side: Side, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | Missed:
-    return remeasure_board(load_image(path), fit.view.board, fit.view.found(side), camera, camera_from_board)
+    board = nominal(fit.view.board)
+    return remeasure_board(load_image(path), board, fit.view.found(side), camera, camera_from_board)
 
 
 def _finish(future: Future[T], progress: Progress, bar: TaskID) -> T:
@@ -253,7 +262,7 @@ def _one_size(paths: list[Path], sizes: list[tuple[int, int]]) -> tuple[int, int
 
 
 def quality_figures(
-    calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[Board]
+    calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[NominalBoard]
 ) -> dict[str, Any]:
     """What the rig file keeps about its calibration."""
     return {

@@ -142,7 +142,31 @@ class Charuco:
         return f"charuco:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.marker_mm:g}:{self.dictionary}"
 
 
-Board = Chessboard | DotGrid | CircleGrid | Charuco
+NominalBoard = Chessboard | DotGrid | CircleGrid | Charuco
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapedBoard:
+    """A board whose marks were measured: points_mm (N, 3) differs a little from what was stated."""
+
+    stated: NominalBoard
+    points_mm: FloatArray
+
+    @property
+    def pitch_mm(self) -> float:
+        """As stated."""
+        return self.stated.pitch_mm
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Numbering has been settled when a board's shape is known."""
+        return False
+
+    def __str__(self) -> str:
+        return f"{self.stated} (shape measured)"
+
+
+Board = NominalBoard | ShapedBoard
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +209,7 @@ class StereoView:
         return detection
 
 
-def parse_board(text: str) -> Board:
+def parse_board(text: str) -> NominalBoard:
     """Read a board specification such as "chessboard:11x8:4.0".
 
     Raises `CalibrationError` that names the part that is wrong and shows the grammar.
@@ -231,7 +255,7 @@ def parse_board(text: str) -> Board:
     return Charuco(columns, rows, pitch, marker, name)
 
 
-def parse_boards(text: str) -> tuple[Board, ...]:
+def parse_boards(text: str) -> tuple[NominalBoard, ...]:
     """Read one or more specifications, separated by commas; each view shows one of the boards."""
     return tuple(parse_board(part) for part in text.split(","))
 

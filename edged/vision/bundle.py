@@ -8,7 +8,7 @@ projections. Source: B. Triggs et al., "Bundle Adjustment - A Modern Synthesis",
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,12 +33,14 @@ class Observations:
 
     view (N,) : index of the view; points_mm (N, 3) in the board's frame; pixels (N, 2);
     sigma_px (N,) of one coordinate.
+    shape (N, 3, Q) : how each mark moves on its board per unit of the board's shape; None: as stated.
     """
 
     view: IntArray
     points_mm: FloatArray
     pixels: FloatArray
     sigma_px: FloatArray
+    shape: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +68,17 @@ class LensFreedom:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleState:
-    """What is estimated: both cameras, right_from_left (4, 4), left_from_board (V, 4, 4)."""
+    """What is estimated: both cameras, right_from_left (4, 4), left_from_board (V, 4, 4).
+
+    shape (Q,) : of the boards, zero with a prior of shape_sigma; empty if they are taken as stated.
+    """
 
     left: CameraModel
     right: CameraModel
     right_from_left: FloatArray
     left_from_board: FloatArray
+    shape: FloatArray = field(default_factory=lambda: np.zeros(0))
+    shape_sigma: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +148,8 @@ def adjust(
                 break
 
     rig_covariance, pose_covariance = _covariances(normal)
-    full = np.zeros((sum(s.shape[0] for s in selections) + 6, normal.rig.shape[0]))
+    shape = len(state.shape)
+    full = np.zeros((sum(s.shape[0] for s in selections) + 6, normal.rig.shape[0] - shape))
     rows, columns = selections[0].shape
     full[:rows, :columns] = selections[0]
     full[rows : rows + selections[1].shape[0], columns : columns + selections[1].shape[1]] = selections[1]
@@ -152,7 +160,7 @@ def adjust(
         state,
         residuals_left,
         residuals_right,
-        full @ rig_covariance @ full.T,
+        full @ rig_covariance[shape:, shape:] @ full.T,
         pose_covariance,
         normal.cost,
         count - normal.rig.shape[0] - 6 * views,
@@ -218,7 +226,7 @@ def adjust_poses(state: BundleState, left: Observations, right: Observations) ->
         normal = _normal_equations(state, left, right, nothing, robust=True)
         solved = np.linalg.solve(normal.poses, normal.poses_right[..., None])
         steps = np.asarray(solved[..., 0], dtype=np.float64)
-        state = _moved(state, np.zeros(6), steps, nothing)
+        state = _moved(state, np.zeros(len(state.shape) + 6), steps, nothing)
         if float(np.sum(steps * normal.poses_right)) < _NEGLIGIBLE_GAIN:
             break
     return state
@@ -228,13 +236,15 @@ def _of_view(seen: Observations, view: int) -> Observations:
     """The marks of one view, as view 0."""
     kept = seen.view == view
     first = np.zeros(int(kept.sum()), dtype=np.int64)
-    return Observations(first, seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept])
+    shape = None if seen.shape is None else seen.shape[kept]
+    return Observations(first, seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept], shape)
 
 
 def _in_left(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray]:
     """Turned board points R x and full points R x + t in the left camera's frame, both (N, 3)."""
     poses = state.left_from_board[seen.view]
-    turned = np.einsum("nij,nj->ni", poses[:, :3, :3], seen.points_mm)
+    marks = seen.points_mm if seen.shape is None else seen.points_mm + seen.shape @ state.shape
+    turned = np.einsum("nij,nj->ni", poses[:, :3, :3], marks)
     return turned, turned + poses[:, :3, 3]
 
 
@@ -247,8 +257,9 @@ def _normal_equations(
     robust: bool,
 ) -> _Normal:
     views = len(state.left_from_board)
-    free_left, free_right = selections[0].shape[1], selections[1].shape[1]
-    unknowns = free_left + free_right + 6
+    shape = len(state.shape)  # the first unknowns, then those of the left lens, the right lens, the relation
+    right_start = shape + selections[0].shape[1]
+    unknowns = right_start + selections[1].shape[1] + 6
     rig, rig_right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
     coupling, poses = np.zeros((views, unknowns, 6)), np.zeros((views, 6, 6))
     poses_right, cost = np.zeros((views, 6)), 0.0
@@ -261,13 +272,15 @@ def _normal_equations(
             rotated = points @ state.right_from_left[:3, :3].T
             points = rotated + state.right_from_left[:3, 3]
             pixels, by_point, by_lens = project_with_jacobians(state.right, points)
-            by_rig[:, :, free_left:-6] = by_lens @ selections[1]
+            by_rig[:, :, right_start:-6] = by_lens @ selections[1]
             by_rig[:, :, -6:-3] = -by_point @ skew(rotated)
             by_rig[:, :, -3:] = by_point
             by_point = by_point @ state.right_from_left[:3, :3]
         else:
             pixels, by_point, by_lens = project_with_jacobians(state.left, points)
-            by_rig[:, :, :free_left] = by_lens @ selections[0]
+            by_rig[:, :, shape:right_start] = by_lens @ selections[0]
+        if seen.shape is not None:
+            by_rig[:, :, :shape] = by_point @ state.left_from_board[seen.view, :3, :3] @ seen.shape
         by_pose = np.concatenate([-by_point @ skew(turned), by_point], axis=2)
         scaled = (seen.pixels - pixels) / seen.sigma_px[:, None]
         weight, loss = _huber(scaled) if robust else (np.ones(len(scaled)), np.sum(scaled**2, axis=1))
@@ -283,6 +296,10 @@ def _normal_equations(
         np.add.at(coupling, seen.view, by_rig.transpose(0, 2, 1) @ by_pose)
         np.add.at(poses, seen.view, by_pose.transpose(0, 2, 1) @ by_pose)
         np.add.at(poses_right, seen.view, np.einsum("nij,ni->nj", by_pose, scaled))
+    prior = state.shape / state.shape_sigma
+    cost += float(prior @ prior)
+    rig[:shape, :shape] += np.eye(shape) / state.shape_sigma**2
+    rig_right[:shape] -= prior / state.shape_sigma
     return _Normal(rig, coupling, poses, rig_right, poses_right, cost)
 
 
@@ -331,18 +348,21 @@ def _moved(
     pose_steps: FloatArray,
     selections: tuple[FloatArray, FloatArray],
 ) -> BundleState:
-    split = selections[0].shape[1]
+    shape = len(state.shape)
+    split = shape + selections[0].shape[1]
     poses = state.left_from_board.copy()
     poses[:, :3, :3] = rotation_matrix(pose_steps[:, :3]) @ poses[:, :3, :3]
     poses[:, :3, 3] += pose_steps[:, 3:]
     return BundleState(
-        _moved_camera(state.left, selections[0] @ rig_step[:split]),
+        _moved_camera(state.left, selections[0] @ rig_step[shape:split]),
         _moved_camera(state.right, selections[1] @ rig_step[split:-6]),
         transform(
             rotation_matrix(rig_step[-6:-3]) @ state.right_from_left[:3, :3],
             state.right_from_left[:3, 3] + rig_step[-3:],
         ),
         poses,
+        state.shape + rig_step[:shape],
+        state.shape_sigma,
     )
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards import IntArray, StereoView
+from edged.vision.boards import IntArray, ShapedBoard, StereoView
 from edged.vision.bundle import (
     BundleResult,
     BundleState,
@@ -28,6 +28,7 @@ from edged.vision.bundle import (
 )
 from edged.vision.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig, calibration_identity
 from edged.vision.geometry import apply
+from edged.vision.plate import PRIOR_SHARE, deviation_mm, plate_basis, shaped
 from edged.vision.rectification import row_difference_px
 from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
 
@@ -95,10 +96,13 @@ def calibrate_stereo(
     left_size: tuple[int, int],
     right_size: tuple[int, int],
     model: LensModel = "division",
+    *,
+    plate_shape: bool = False,
 ) -> Calibration:
     """Calibrate both cameras and their relation.
 
     left_size, right_size : (width, height) of the images.
+    plate_shape : estimate the boards' own shape, too (see `edged.vision.plate`).
     Unusable views are left out and named. Raises `CalibrationError` where no trustworthy
     calibration is possible: fewer than three usable pairs, parallel boards, swapped images,
     a camera that moved between the views.
@@ -110,6 +114,8 @@ def calibrate_stereo(
     check_sides(right_from_left, left_poses)
     state = BundleState(left_camera, right_camera, right_from_left, np.array(left_poses))
     solution = _solve_and_clean(usable, state, model, excluded)
+    if plate_shape:
+        solution = _with_shapes(solution)
     return _summarise(solution, excluded)
 
 
@@ -211,13 +217,42 @@ def _without_outliers(solution: _Solution) -> _Solution:
     return solution
 
 
+def _with_shapes(solution: _Solution) -> _Solution:
+    """Estimate once more with the boards' shapes free; the views then hold boards of that shape."""
+    problem, state = solution.problem, solution.result.state
+    boards = list(dict.fromkeys(view.board for view in problem.views))
+    bases = [plate_basis(board) for board in boards]
+    starts = np.cumsum([0, *(basis.count for basis in bases)])
+    which = np.array([boards.index(view.board) for view in problem.views])
+
+    def with_shape(seen: Observations) -> Observations:
+        shape = np.zeros((len(seen.view), 3, int(starts[-1])))
+        for number, basis in enumerate(bases):
+            members = which[seen.view] == number
+            shape[members, :, starts[number] : starts[number + 1]] = basis.at(seen.points_mm[members])
+        return replace(seen, shape=shape)
+
+    prior_mm = PRIOR_SHARE * min(board.pitch_mm for board in boards)
+    state = replace(state, shape=np.zeros(int(starts[-1])), shape_sigma=prior_mm)
+    free = _Problem(problem.views, with_shape(problem.left), with_shape(problem.right))
+    found = _estimate(free, state, solution.freedoms)
+    coefficients = found.result.state.shape
+    new = [
+        shaped(board, basis, coefficients[start:end])
+        for board, basis, start, end in zip(boards, bases, starts, starts[1:], strict=False)
+    ]
+    views = [replace(view, board=new[number]) for view, number in zip(problem.views, which, strict=True)]
+    return replace(found, problem=replace(problem, views=views))
+
+
 def with_model_error(seen: Observations, error_px: float) -> Observations:
     """The marks with the common model error joined to their own."""
     return replace(seen, sigma_px=np.hypot(seen.sigma_px, error_px))
 
 
 def _pick(seen: Observations, kept: npt.NDArray[np.bool_]) -> Observations:
-    return Observations(seen.view[kept], seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept])
+    shape = None if seen.shape is None else seen.shape[kept]
+    return Observations(seen.view[kept], seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept], shape)
 
 
 def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> npt.NDArray[np.bool_]:
@@ -381,6 +416,13 @@ def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
             for view, b in zip(views, blur, strict=True)
             if b > _BLURRED * np.median(blur)
         ]
+    for board in dict.fromkeys(view.board for view in views):
+        if isinstance(board, ShapedBoard):
+            height, plane = deviation_mm(board)
+            notes.append(
+                f"{board.stated}: shape measured: {1000 * height:.1f} µm from lowest to highest mark, "
+                f"{1000 * plane:.1f} µm rms in its plane (the size is as stated)"
+            )
     return tuple(notes)
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Board, Charuco, Chessboard, Detection, Missed
+from edged.vision.boards import Charuco, Chessboard, Detection, Missed, NominalBoard
 from edged.vision.camera import CameraModel
 from edged.vision.charuco import detect_charuco, remeasure_charuco
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.dots import detect_dots, remeasure_dots
 
 
-def detect_board(image: Image, board: Board) -> Detection | Missed:
+def detect_board(image: Image, board: NominalBoard) -> Detection | Missed:
     """Find a board in an image (H, W) uint8 and measure its marks."""
     if isinstance(board, Chessboard):
         return detect_chessboard(image, board)
@@ -20,7 +20,7 @@ def detect_board(image: Image, board: Board) -> Detection | Missed:
 
 
 def remeasure_board(
-    image: Image, board: Board, found: Detection, camera: CameraModel, camera_from_board: FloatArray
+    image: Image, board: NominalBoard, found: Detection, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | Missed:
     """Measure the marks again now that lens and pose are known roughly.
 

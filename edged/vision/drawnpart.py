@@ -16,7 +16,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.geometry import transform
-from edged.vision.job import CircleFeature, CornerFeature, EdgeFeature, Job, Limits
+from edged.vision.job import CircleFeature, CornerFeature, EdgeFeature, Job, Limits, known_radius
 from edged.vision.rectification import Rectification
 from edged.vision.shape.model import create_model
 from edged.vision.shape.raster import coverage
@@ -77,7 +77,10 @@ def teach_drawing(
     at = np.zeros(2) if circles else middle - origin
     shape = create_model(image, mask, _pixels(at[None], rig_from_part, rectification)[0])
     shift = np.array([*-origin, 0.0])
+    sizes, witness = known_radius(circles, reference)
     job = Job(
+        measurements=sizes,
+        witness=witness,
         name=name,
         number=number,
         shape=shape,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -170,6 +171,17 @@ class Job:
                 one, two = (edges[edge] for edge in corner.edges)
                 return crossing(one, two)
         return np.asarray(0.5 * (edges[name].start_mm + edges[name].end_mm))
+
+
+def known_radius(
+    circles: Sequence[CircleFeature], reference: str
+) -> tuple[tuple[MeasurementSpec, ...], str | None]:
+    """The reference circle's radius as a size that is known: the default witness of the rig's scale."""
+    for circle in circles:
+        if circle.name == reference:
+            name = f"radius_{circle.name}"
+            return (MeasurementSpec(name, "radius", (circle.name,), nominal=circle.radius_mm),), name
+    return (), None
 
 
 def crossing(one: EdgeFeature, two: EdgeFeature) -> FloatArray:

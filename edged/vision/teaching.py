@@ -22,7 +22,7 @@ from edged.vision.featureteaching import (
     part_frame,
 )
 from edged.vision.geometry import apply, invert, transform
-from edged.vision.job import CircleFeature, Job, Limits, crossing
+from edged.vision.job import CircleFeature, Job, Limits, crossing, known_radius
 from edged.vision.rectification import Rectification
 from edged.vision.shape.model import create_model
 from edged.vision.shape.search import SearchParams
@@ -165,11 +165,14 @@ def _job(
         shape = create_model(view.rectified_left, view.mask, rectification.rectify_points("left", place)[0])
     else:  # its origin amid the part: from a corner, overlapping matches would look far apart
         shape = create_model(view.rectified_left, outline_mask(view))
+    sizes, witness = known_radius(circles, reference)
     return Job(
         name=name,
         number=number,
         shape=shape,
         circles=circles,
+        measurements=sizes,
+        witness=witness,
         reference=reference,
         rig_from_part=rig_from_part,
         limits=Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE))),

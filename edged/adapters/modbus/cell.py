@@ -15,6 +15,7 @@ from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.domain import (
+    Calibrated,
     CellState,
     Command,
     CommandFailed,
@@ -170,6 +171,8 @@ class CellRegisters:
             (reg.StatusBit.NOK, verdict in (hs.Verdict.BAD, hs.Verdict.FAULT)),
             (reg.StatusBit.ERROR, cell is not None and (cell.state == "FAULT" or bool(cell.error))),
             (reg.StatusBit.OVERRUN, state.overrun),
+            (reg.StatusBit.DRIFT_WARN, cell is not None and cell.calibrated is not Calibrated.HOLDS),
+            (reg.StatusBit.CAL_INVALID, cell is not None and cell.calibrated is Calibrated.INVALID),
             (reg.StatusBit.CAM_FAULT, cell is not None and cell.state == "FAULT" and not cell.cameras_ok),
             (reg.StatusBit.SIMULATED, simulated),
         )

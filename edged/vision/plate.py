@@ -1,0 +1,93 @@
+"""The shape a board really has: bent, and not printed quite to measure.
+
+The deviation from the stated marks is a polynomial of low degree in the place on the board, for x, y and z:
+what glue, paper, moisture and printers do is smooth. Moving, turning and scaling the board as a whole is
+not a deviation: those seven are kept out (they belong to the views' poses, and the size is the one
+stated, which no picture can prove).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.boards import Board, NominalBoard, ShapedBoard
+
+_DEGREE = 4  # a saddle, a wave, and the corners' own way; more is noise of single marks
+_RANK_TOLERANCE = 1e-9
+# Of the pitch: far more than any usable board, so that only what no view has seen feels it
+PRIOR_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlateBasis:
+    """Ways in which a board may deviate, orthogonal to each other and to the seven similarities.
+
+    weights (M, Q), similarity (7, Q) : of the monomials and of the similarities in each of Q ways, whose
+    rms deviation over the board is 1 mm.  middle, half (2,) : mm, normalise x and y to -1 .. 1.
+    """
+
+    middle: FloatArray
+    half: FloatArray
+    weights: FloatArray
+    similarity: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Q."""
+        return int(self.weights.shape[1])
+
+    def at(self, points_mm: FloatArray) -> FloatArray:
+        """(N, 3, Q): deviation in mm of stated marks (N, 3) per unit of each way."""
+        designs = (
+            _monomials(self, points_mm) @ self.weights - _similarities(self, points_mm) @ self.similarity
+        )
+        return np.asarray(designs.reshape(len(points_mm), 3, -1))
+
+
+def plate_basis(board: Board) -> PlateBasis:
+    """The ways of a board, from all its marks."""
+    points = nominal(board).points_mm
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    empty = PlateBasis(0.5 * (low + high), 0.5 * (high - low), np.zeros((0, 0)), np.zeros((0, 0)))
+    design, rigid = _monomials(empty, points), _similarities(empty, points)
+    along = np.linalg.lstsq(rigid, design, rcond=None)[0]
+    _, singular, turned = np.linalg.svd(design - rigid @ along, full_matrices=False)
+    kept = singular > _RANK_TOLERANCE * singular[0]
+    weights = turned[kept].T / singular[kept] * np.sqrt(len(points))
+    return PlateBasis(empty.middle, empty.half, weights, along @ weights)
+
+
+def shaped(board: Board, basis: PlateBasis, coefficients: FloatArray) -> ShapedBoard:
+    """The board with its marks where they were found to be."""
+    stated = nominal(board)
+    return ShapedBoard(stated, stated.points_mm + basis.at(stated.points_mm) @ coefficients)
+
+
+def nominal(board: Board) -> NominalBoard:
+    """The board as it was stated."""
+    return board.stated if isinstance(board, ShapedBoard) else board
+
+
+def deviation_mm(board: ShapedBoard) -> tuple[float, float]:
+    """Largest difference of height on the board, and rms deviation in its plane."""
+    difference = board.points_mm - board.stated.points_mm
+    return float(np.ptp(difference[:, 2])), float(np.sqrt(np.mean(np.sum(difference[:, :2] ** 2, axis=1))))
+
+
+def _monomials(basis: PlateBasis, points_mm: FloatArray) -> FloatArray:
+    """(3 N, 3 K): x^i y^j for each coordinate."""
+    x, y = ((points_mm[:, :2] - basis.middle) / basis.half).T
+    columns = [x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    return np.asarray(np.kron(np.stack(columns, axis=1), np.eye(3)))
+
+
+def _similarities(basis: PlateBasis, points_mm: FloatArray) -> FloatArray:
+    """(3 N, 7): shifts, small rotations and scaling about the middle."""
+    arms = points_mm - np.append(basis.middle, 0.0)
+    size = float(np.linalg.norm(basis.half))
+    turns = [np.cross(axis, arms) / size for axis in np.eye(3)]
+    shifts = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
+    return np.stack([column.ravel() for column in (*shifts, *turns, arms / size)], axis=1)
