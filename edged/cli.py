@@ -193,6 +193,10 @@ def teach(
         str | None, typer.Option(help="of a DXF drawing that does not say: mm, cm, m, in")
     ] = None,
     number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML page to write: the model, and what it promises")
+    ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
     from rich.console import Console
@@ -203,7 +207,10 @@ def teach(
     source = chosen_source(
         PairSource(left, right, roi), DrawingSource(dxf, contour, depth, layer or [], unit)
     )
-    raise typer.Exit(command(rig, source, name, output, Console(stderr=True), number=number))
+    console = Console(stderr=True)
+    raise typer.Exit(
+        command(rig, source, name, output, console, number=number, report=report, as_json=as_json)
+    )
 
 
 @app.command()
@@ -216,13 +223,19 @@ def locate(
     overlay: Annotated[
         Path | None, typer.Option(help="picture to write: the pair with what was measured")
     ] = None,
+    ply: Annotated[
+        Path | None, typer.Option(help="point cloud to write: contours and matched face points")
+    ] = None,
+    cloud: Annotated[Path | None, typer.Option(help="picture to write: the point cloud")] = None,
 ) -> None:
     """Locate the part in one stereo pair, offline."""
     from rich.console import Console
 
     from edged.commands.locate import locate as command
 
-    raise typer.Exit(command(rig, job, left, right, as_json, Console(), overlay=overlay))
+    raise typer.Exit(
+        command(rig, job, left, right, as_json, Console(), overlay=overlay, ply=ply, cloud=cloud)
+    )
 
 
 @app.command()

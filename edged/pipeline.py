@@ -16,6 +16,7 @@ from edged.vision.camera import StereoRig
 from edged.vision.features import measure_part
 from edged.vision.job import Job
 from edged.vision.measurement import Images, Measured
+from edged.vision.pointcloud import PointCloud, point_cloud
 from edged.vision.rectification import Rectification, make_rectification
 from edged.vision.shape.search import ShapeMatch, find_shapes
 
@@ -80,6 +81,11 @@ def judge(inspection: Inspection) -> Outcome:
     )
     good = targets[0].reject == Reject.NONE
     return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets), inspection.dismissed)
+
+
+def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: Inspection) -> PointCloud:
+    """Points in space of every part that was measured (paper, Fig. 9)."""
+    return point_cloud(_rectified(pair, rig), rig.rectification, job, inspection.measured)
 
 
 def _in_raw(match: ShapeMatch, rectification: Rectification) -> Match:

@@ -10,12 +10,15 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status
+from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
 from edged.errors import FileFormatError
 from edged.jobs import load_job
 from edged.payload import outcome_to_json
+from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
+from edged.ply import save_ply
 from edged.store import load_image, load_rig, write_atomically
+from edged.vision.cloudpicture import cloud_picture
 from edged.vision.overlay import draw_pair
 
 
@@ -28,8 +31,13 @@ def locate(
     console: Console,
     *,
     overlay: Path | None = None,
+    ply: Path | None = None,
+    cloud: Path | None = None,
 ) -> int:
-    """Locate and print; 0 when a good target was found, 1 when not."""
+    """Locate and print; 0 when a good target was found, 1 when not.
+
+    overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
+    """
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     pair = FramePair(
         *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
@@ -46,7 +54,17 @@ def locate(
     inspection = inspect(pair, taught, prepared, lap)
     outcome = judge(inspection)
     if overlay is not None:
-        _write_picture(overlay, draw_pair(pair.left.image, pair.right.image, inspection.measured))
+        picture = draw_pair(
+            pair.left.image, pair.right.image, inspection.measured, inspection.dismissed, str(outcome.status)
+        )
+        _write_picture(overlay, picture)
+    if ply is not None or cloud is not None:
+        points = point_cloud(pair, taught, prepared, inspection)
+        if ply is not None:
+            save_ply(ply, points)
+        if cloud is not None:
+            first = outcome.targets[0].rig_from_part if outcome.targets else None
+            _write_picture(cloud, cloud_picture(points, first))
     if as_json:
         print(
             json.dumps(
@@ -90,5 +108,25 @@ def _print(outcome: Outcome, console: Console) -> None:
                 " ".join(f"{value:.4f}" for value in sigma),
             )
         console.print(table)
+        if target.measurements:
+            console.print(_measurements(target))
+        if target.free_axis is not None:
+            console.print("  looks the same from all sides: its rotation about its axis is not known")
         if target.reject:
             console.print(f"  not good: {target.reject.name}")
+    for one in outcome.dismissed:
+        console.print(
+            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px, not measured: {one.reject.name}"
+        )
+
+
+def _measurements(target: Target) -> Table:
+    table = Table(title="measured", title_justify="left")
+    for column in ("", "of", "value", "sigma", "nominal", "tolerance", ""):
+        table.add_column(column, justify="right")
+    verdicts = {True: "OK", False: "NOT OK", None: ""}
+    for one in target.measurements:
+        wanted = ("" if value is None else f"{value:.4f}" for value in (one.nominal, one.tolerance))
+        numbers = (f"{one.value:.4f} {one.unit}", f"{one.sigma:.4f}", *wanted)
+        table.add_row(one.name, one.kind, *numbers, verdicts[one.ok])
+    return table

@@ -16,6 +16,7 @@ from edged.domain import FloatArray, Match, Measurement, Reject, Target
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face
 from edged.vision.edgestart import start_pose
 from edged.vision.facemotion import Motion, edge_curve, find_motion, slot_curve
+from edged.vision.flatness import with_flatness
 from edged.vision.geometry import transform
 from edged.vision.inrig import lifted, with_features
 from edged.vision.job import Job
@@ -38,13 +39,20 @@ def measure_part(
     images: Images, rectification: Rectification, job: Job, match: ShapeMatch
 ) -> Measured | Reject:
     """Measure one found part with all its features; the reason when it cannot be measured at all."""
-    if not job.circles:
-        return _from_edges(images, rectification, job, match)
-    main = replace(job, reference=job.reference_circle.name)
-    measured = measure(images, rectification, main, match)
-    return (
-        Reject.LEFT_RIGHT_MISMATCH if measured is None else _completed(images, rectification, job, measured)
-    )
+    result: Measured | Reject
+    if job.circles:
+        main = replace(job, reference=job.reference_circle.name)
+        measured = measure(images, rectification, main, match)
+        if measured is None:
+            return Reject.LEFT_RIGHT_MISMATCH
+        result = _completed(images, rectification, job, measured)
+    else:
+        result = _from_edges(images, rectification, job, match)
+    if isinstance(result, Reject):
+        return result
+    result = with_flatness(result, images, rectification, job)
+    target = result.target
+    return replace(result, target=replace(target, reject=target.reject | size_reasons(target.measurements)))
 
 
 # --- parts with circles ----------------------------------------------------------------------------
@@ -71,7 +79,7 @@ def _completed(images: Images, rectification: Rectification, job: Job, measured:
         target = _referred(job, fit, target)
     return replace(
         measured,
-        target=replace(target, reject=target.reject | size_reasons(target.measurements)),
+        target=target,
         curves=() if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle"),
     )
 
@@ -183,8 +191,7 @@ def _from_edges(
     reject = reject_reasons(job.limits, target, support, rms_px)
     if match.ambiguous:
         reject |= Reject.AMBIGUOUS_ROTATION
-    target = replace(target, reject=reject | size_reasons(target.measurements))
-    return Measured(target, (), fit.fits)
+    return Measured(replace(target, reject=reject), (), fit.fits)
 
 
 def _target_from(

@@ -170,19 +170,20 @@ def _is_clear(fit: CurveFit) -> bool:
 
 
 def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
-    """The contours that outline something: a step between two plateaus, as strong as the others."""
-    if not contours:
+    """The contours that outline something: a step between two plateaus, as strong as most in the region."""
+    everything = find_contours(view.rectified_left, view.mask)
+    if not everything:
         return []
-    steps = []
-    for contour in contours:
-        _, slopes = edges_along_normals(
-            view.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
-        )
-        steps.append(np.nan_to_num(slopes))
-    needed = MIN_STEP_SHARE * float(np.percentile(np.concatenate(steps), 90))
-    return [
-        contour for contour, step in zip(contours, steps, strict=True) if float(np.median(step)) >= needed
-    ]
+    needed = MIN_STEP_SHARE * float(np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90))
+    return [contour for contour in contours if float(np.median(_steps(view, contour))) >= needed]
+
+
+def _steps(view: TeachingView, contour: Contour) -> FloatArray:
+    """(N,) slopes across a contour through an operator too wide for machining marks."""
+    _, slopes = edges_along_normals(
+        view.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
+    )
+    return np.nan_to_num(slopes)
 
 
 def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:

@@ -1,0 +1,83 @@
+"""Flatness of a face: how far it is bent, from points matched by NCC.
+
+A surface of second order is fitted to the points; flatness is the distance of its highest from its lowest
+point, over the best plane. Unlike the farthest points themselves, which grow with their number and noise, it
+converges to the form of the face; roughness and dents smaller than a window are not in it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain import FloatArray, Measurement
+from edged.vision.job import Job
+from edged.vision.measurement import Images, Measured
+from edged.vision.pointcloud import face_points, heights_mm
+from edged.vision.rectification import Rectification
+from edged.vision.sizes import as_measurement
+
+REACH_MM = 1.0
+"""Points farther from the measured plane are another surface: a recess, the table seen through a hole."""
+GRID_PX = 12
+MIN_POINTS = 20
+TUKEY = 4.685
+ROUNDS = 8
+
+
+def with_flatness(measured: Measured, images: Images, rectification: Rectification, job: Job) -> Measured:
+    """A measured part with the flatness of its face, where the job asks for it."""
+    if not any(spec.kind == "flatness" for spec in job.measurements):
+        return measured
+    target = measured.target
+    depth = float(target.position_mm[2])
+    slope = float(np.linalg.norm(target.rig_from_part[:2, 2]))
+    reach = REACH_MM + slope * _extent_mm(measured)
+    face = face_points(images, rectification, measured, (depth - reach, depth + reach), GRID_PX)
+    local = heights_mm(face.points_mm, target.rig_from_part)
+    near = np.abs(local[:, 2]) < REACH_MM
+    value, sigma = form_of(local[near], face.sigma_mm[near])
+    by_name = {one.name: one for one in target.measurements}
+    sizes: list[Measurement] = [
+        as_measurement(spec, value, sigma) if spec.kind == "flatness" else by_name[spec.name]
+        for spec in job.measurements
+    ]
+    return replace(measured, target=replace(target, measurements=tuple(sizes)))
+
+
+def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
+    """Flatness and its sigma, mm, of points (N, 3) with heights of sigma (N,); NaN for too few of them."""
+    if len(points) < MIN_POINTS or not np.ptp(points[:, :2], axis=0).min() > 0:
+        return math.nan, math.nan
+    centre, size = points[:, :2].mean(axis=0), float(np.ptp(points[:, :2], axis=0).max())
+    x, y = ((points[:, :2] - centre) / size).T
+    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+    base = 1 / np.maximum(sigma_mm, 1e-6) ** 2
+    weights, coefficients = base, np.zeros(6)
+    for _ in range(ROUNDS):
+        normal = (design * weights[:, None]).T @ design
+        coefficients = np.linalg.lstsq(normal, (design * weights[:, None]).T @ points[:, 2], rcond=None)[0]
+        pull = (points[:, 2] - design @ coefficients) * np.sqrt(base)
+        scale = max(1.4826 * float(np.median(np.abs(pull))), 1e-9)
+        weights = base * np.clip(1 - (pull / (TUKEY * scale)) ** 2, 0, None) ** 2
+    kept = weights > 0
+    # what bends, over the plane that fits it best
+    flat = design[kept][:, :3]
+    lift = design[kept][:, 3:] - flat @ np.linalg.lstsq(flat, design[kept][:, 3:], rcond=None)[0]
+    bend = lift @ coefficients[3:]
+    across = lift[int(np.argmax(bend))] - lift[int(np.argmin(bend))]
+    covariance = np.linalg.pinv((design * weights[:, None]).T @ design)[3:, 3:] * max(scale**2, 1.0)
+    return float(np.ptp(bend)), float(np.sqrt(across @ covariance @ across))
+
+
+def _extent_mm(measured: Measured) -> float:
+    """Farthest that the part reaches from its reference point, as far as it was measured."""
+    target = measured.target
+    places = [circle.centre_mm for circle in target.circles]
+    places += [edge.start_mm for edge in target.edges] + [edge.end_mm for edge in target.edges]
+    far = max((float(np.linalg.norm(place - target.position_mm)) for place in places), default=0.0)
+    radius = max((circle.radius_mm for circle in target.circles), default=0.0)
+    slot = max((slot.length_mm for slot in target.slots), default=0.0)
+    return far + max(radius, slot)
