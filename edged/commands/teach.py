@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
+from edged.domain import Image
 from edged.drawing import read_contour, read_dxf
-from edged.errors import TeachError, UserError
+from edged.errors import FileFormatError, TeachError, UserError
 from edged.jobs import save_job
 from edged.pipeline import PreparedRig, prepare
-from edged.store import load_image, load_rig
+from edged.report.teaching import inspection_to_json, teaching_report
+from edged.store import load_image, load_rig, write_atomically
 from edged.vision.drawnpart import teach_drawing
 from edged.vision.job import Job
+from edged.vision.shape.inspection import inspect_model
 from edged.vision.teaching import Region
 from edged.vision.teaching import teach as teach_job
 
@@ -74,12 +78,22 @@ def teach(
     console: Console,
     *,
     number: int = 1,
+    report: Path | None = None,
+    as_json: bool = False,
 ) -> int:
     """Teach a job and write its folder; nothing is written when that fails."""
     _check_name(name)
     prepared = prepare(load_rig(rig))
-    job = _job(source, prepared, name, number)
+    job, picture = _job(source, prepared, name, number)
     save_job(output, job)
+    inspection = inspect_model(job.shape, job.search)
+    if report is not None:
+        try:
+            write_atomically(report, teaching_report(job, picture, inspection).encode())
+        except OSError as error:
+            raise FileFormatError(f"{report}: cannot be written: {error.strerror or error}") from error
+    if as_json:
+        print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
     console.print(f"job {job.number} {job.name!r} written to {output}")
     console.print(f"  reference {job.reference} at ({x:.3f}, {y:.3f}, {z:.3f}) mm in the rig frame")
@@ -93,19 +107,25 @@ def teach(
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
+    for warning in inspection.warnings:
+        console.print(f"  mind: {warning}", markup=False)
     return 0
 
 
-def _job(source: PairSource | DrawingSource, prepared: PreparedRig, name: str, number: int) -> Job:
+def _job(
+    source: PairSource | DrawingSource, prepared: PreparedRig, name: str, number: int
+) -> tuple[Job, Image]:
+    """The job and the rectified left picture it was learnt from."""
     if isinstance(source, DrawingSource):
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
-        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number)[0]
+        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number)
     region = parse_region(source.roi or "")
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
-    return teach_job(left, right, prepared.rectification, region, name, number)
+    job = teach_job(left, right, prepared.rectification, region, name, number)
+    return job, prepared.rectification.left_image(left)
 
 
 def _check_name(name: str) -> None:

@@ -1,0 +1,119 @@
+"""What a taught shape promises: how distinct its rotation is, its contrast, how precise it can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.params import SearchParams
+
+NOISE = 3.0
+"""Grey values, 1 sigma: an ordinary industrial camera at usual gain, for the expected precision."""
+WEAK_RESERVE = 3.0
+FEW_POINTS = 120
+CONFUSABLE = 0.9
+LOPSIDED = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """Facts about a model.
+
+    rivals (K, 2) : rotation in rad and similarity of the shape with itself there, most similar first.
+    symmetric : the rivals cannot be told apart; round : no rotation can.
+    reserve : how many times the contrast may fall before an edge counts as none.
+    sigma_x_px, sigma_y_px, sigma_angle_rad, sigma_scale : Cramer-Rao bound of the pose in one image with
+    noise `NOISE`, as far as the model's edges say; a rotation of a round shape is infinite.
+    warnings : in plain words, worst first.
+    """
+
+    rivals: FloatArray
+    symmetric: bool
+    round: bool
+    reserve: float
+    sigma_x_px: float
+    sigma_y_px: float
+    sigma_angle_rad: float
+    sigma_scale: float
+    warnings: tuple[str, ...]
+
+
+def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
+    """Judge a model for a search."""
+    order = np.argsort(-model.symmetries[:, 3], kind="stable")
+    rivals = model.symmetries[order][:, 2:4]
+    symmetric = bool(len(rivals)) and float(rivals[0, 1]) >= model.same_score
+    sigmas = _bounds(model)
+    reserve = model.contrast / max(search.min_contrast, 1e-9)
+    return Inspection(
+        rivals=rivals,
+        symmetric=symmetric,
+        round=model.round,
+        reserve=reserve,
+        sigma_x_px=sigmas[0],
+        sigma_y_px=sigmas[1],
+        sigma_angle_rad=np.inf if model.round else sigmas[2],
+        sigma_scale=sigmas[3],
+        warnings=tuple(_warnings(model, rivals, symmetric, reserve, sigmas)),
+    )
+
+
+def _bounds(model: ShapeModel) -> tuple[float, float, float, float]:
+    """Sigmas of x, y, angle and scale from the edges' normals, each edge with the noise of its slope."""
+    points, normals = model.levels[0].points, model.levels[0].normals
+    turned = np.column_stack([-points[:, 1], points[:, 0]])
+    jacobian = np.column_stack([normals, np.sum(normals * turned, axis=1), np.sum(normals * points, axis=1)])
+    information = jacobian.T @ jacobian
+    # the bound of an edge of blur s and slope g, per px of it, is sigma² / (sqrt(pi) s g²), here with s = 1;
+    # neighbours share pixels, which is what `repetition` counts
+    variance = (NOISE / model.contrast) ** 2 * model.repetition / np.sqrt(np.pi)
+    values, vectors = np.linalg.eigh(information)
+    with np.errstate(divide="ignore"):
+        inverse = np.where(values > 1e-9 * values[-1], 1 / values, np.inf)
+    spread = np.array([np.sum(np.where(row**2 > 1e-12, row**2 * inverse, 0.0)) for row in vectors])
+    x, y, angle, scale = np.sqrt(variance * spread)
+    return float(x), float(y), float(angle), float(scale)
+
+
+def _warnings(
+    model: ShapeModel,
+    rivals: FloatArray,
+    symmetric: bool,
+    reserve: float,
+    sigmas: tuple[float, float, float, float],
+) -> list[str]:
+    said = []
+    number = len(model.levels[0].points)
+    if model.round:
+        said.append("The shape is round: it has no rotation. Results state one canonical angle.")
+    elif symmetric:
+        angles = ", ".join(f"{np.degrees(angle):.0f}°" for angle, s in rivals if s >= model.same_score)
+        said.append(f"The shape looks the same after a turn of {angles}: of these the nearest to 0 is given.")
+    elif len(rivals) and rivals[0, 1] >= CONFUSABLE:
+        angle, similarity = rivals[0]
+        said.append(
+            f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % like itself: "
+            "where the rest is hidden, results carry AMBIGUOUS_ROTATION. Light what makes the difference."
+        )
+    if reserve < WEAK_RESERVE:
+        said.append(
+            f"Edges are only {reserve:.1f} times as strong as the weakest that counts: more light, or focus."
+        )
+    if number < FEW_POINTS:
+        said.append(
+            f"The model has only {number} edge points: a larger region, or a larger image of the part."
+        )
+    if len(model.levels) < 3:
+        said.append(
+            f"The model has {len(model.levels)} pyramid level(s): a larger image would be searched faster."
+        )
+    worst, best = max(sigmas[:2]), min(sigmas[:2])
+    if worst > LOPSIDED * best:
+        axis = "x" if sigmas[0] > sigmas[1] else "y"
+        said.append(
+            f"Along {axis} the shape has few edges: its place there is {worst / best:.0f} times less certain."
+        )
+    return said
