@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from edged.domain import (
@@ -31,11 +31,10 @@ from edged.domain import (
     Idle,
     JobChanged,
     Outcome,
-    Reject,
     Snapshot,
     Status,
 )
-from edged.drift import DriftLimits, DriftMonitor
+from edged.drift import DriftLimits, DriftMonitor, refused
 from edged.errors import CaptureError, CommandRefused
 from edged.ports import Publisher
 
@@ -273,12 +272,8 @@ class Cycle:
     def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
         """The outcome with good results refused while the calibration is known to be wrong."""
         for target in outcome.targets:
-            if target.reject in (Reject.NONE, Reject.TOLERANCE):
-                self._drift.add(target, job.witness)
-        if self._drift.state().verdict is not Calibrated.INVALID or outcome.status is not Status.OK:
-            return outcome
-        targets = tuple(replace(one, reject=one.reject | Reject.CALIBRATION) for one in outcome.targets)
-        return replace(outcome, status=Status.LOW_QUALITY, targets=targets)
+            self._drift.add(target, job.witness)
+        return refused(outcome) if self._drift.state().verdict is Calibrated.INVALID else outcome
 
     def _snapshot(
         self,

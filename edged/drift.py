@@ -8,20 +8,26 @@ sees a motion of both cameras together: only touching a point with the robot doe
 
 Single parts differ within their tolerance, and every measurement has noise; neither may raise an alarm. So
 the mean counts, and only by as much as it is certain: an exponentially weighted mean and its standard error
-(S. W. Roberts, "Control chart tests based on geometric moving averages", 1959).
+(S. W. Roberts, "Control chart tests based on geometric moving averages", 1959). A whole lot may lie at one
+end of its tolerance, though, and no mean tells that from a scale: the tolerance that the job states for the
+witness is allowed on top of the limits, and a witness without one may warn, but never refuse results.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from edged.domain import Calibrated, DriftState, Target
+from edged.domain import Calibrated, DriftState, Outcome, Reject, Status, Target
 
 WEIGHT = 0.05
 """Of the newest cycle: the mean remembers about forty."""
 CERTAIN = 3.0
 """Standard errors between the mean and a limit before the limit counts as passed."""
+TELLING = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
+"""What a wrong rig does to good parts; targets refused for anything else say nothing about it."""
+TORN = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
+"""What rows that do not meet do to a fit over both images besides; its sizes are then worth nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,39 +69,72 @@ class _Mean:
 
 
 @dataclass(slots=True)
+class _Length:
+    """Deviation of one known length in percent. allowed : by its tolerance; None where none is stated."""
+
+    allowed: float | None
+    mean: _Mean = field(default_factory=_Mean)
+
+
+@dataclass(slots=True)
 class DriftMonitor:
     """One for each calibration: a new one begins anew."""
 
     limits: DriftLimits
     _rows: _Mean = field(default_factory=_Mean)
-    _lengths: dict[str, _Mean] = field(default_factory=dict)
+    _lengths: dict[str, _Length] = field(default_factory=dict)
+    _verdict: Calibrated = Calibrated.HOLDS
 
     def add(self, target: Target, witness: str | None) -> None:
-        """Note a located part. witness : name of its measurement whose nominal size is known."""
+        """Note a located part. witness : name of its measurement whose nominal size is known.
+
+        Parts that are refused because rows or sizes are wrong count: they are what a wrong rig shows.
+        """
+        torn = TORN if target.reject & Reject.LEFT_RIGHT_MISMATCH else Reject.NONE
+        if target.reject & ~(TELLING | torn):
+            return
         if math.isfinite(target.epipolar_rms_px):
             self._rows.add(target.epipolar_rms_px)
-        for one in target.measurements:
+        for one in () if target.reject & torn else target.measurements:
             if one.name == witness and one.nominal and math.isfinite(one.value):
-                mean = self._lengths.setdefault(f"{target.job}/{one.name}", _Mean())
-                mean.add(100 * (one.value / one.nominal - 1))
+                allowed = None if one.tolerance is None else 100 * one.tolerance / abs(one.nominal)
+                length = self._lengths.setdefault(f"{target.job}/{one.name}", _Length(allowed))
+                length.mean.add(100 * (one.value / one.nominal - 1))
+        found = self._judged()
+        # near a limit a verdict must not come and go: results are given again when nothing drifts any more
+        held = self._verdict is Calibrated.INVALID and found is Calibrated.DRIFTS
+        self._verdict = Calibrated.INVALID if held else found
 
     def state(self) -> DriftState:
-        """The verdict now; the worst witness decides."""
-        limits = self.limits
-        verdict = self._verdict(self._rows, limits.warn_rows_px, limits.invalid_rows_px)
-        worst: _Mean | None = None
-        for mean in self._lengths.values():
-            found = self._verdict(mean, limits.warn_length_percent, limits.invalid_length_percent)
-            verdict = max(verdict, found)
-            if worst is None or abs(mean.mean) > abs(worst.mean):
-                worst = mean
+        """The verdict now, the mean row difference, and the mean of the length that is worst."""
         rows = self._rows.mean if self._rows.number else math.nan
-        return DriftState(verdict, rows, math.nan if worst is None else worst.mean)
+        lengths = [length.mean.mean for length in self._lengths.values()]
+        return DriftState(self._verdict, rows, max(lengths, key=abs, default=math.nan))
 
-    def _verdict(self, mean: _Mean, warn: float, invalid: float) -> Calibrated:
+    def _judged(self) -> Calibrated:
+        """The worst witness decides."""
+        limits = self.limits
+        verdicts = [self._beyond(self._rows, limits.warn_rows_px, limits.invalid_rows_px)]
+        for length in self._lengths.values():
+            if length.allowed is None:
+                verdicts.append(self._beyond(length.mean, limits.warn_length_percent, math.inf))
+            else:
+                warn, invalid = limits.warn_length_percent, limits.invalid_length_percent
+                verdicts.append(self._beyond(length.mean, warn + length.allowed, invalid + length.allowed))
+        return max(verdicts)
+
+    def _beyond(self, mean: _Mean, warn: float, invalid: float) -> Calibrated:
         if mean.number < self.limits.min_cycles:
             return Calibrated.HOLDS
         certain = abs(mean.mean) - CERTAIN * mean.error
         if certain > invalid:
             return Calibrated.INVALID
         return Calibrated.DRIFTS if certain > warn else Calibrated.HOLDS
+
+
+def refused(outcome: Outcome) -> Outcome:
+    """What a good outcome becomes while the calibration is known to be wrong."""
+    if outcome.status is not Status.OK:
+        return outcome
+    targets = tuple(replace(one, reject=one.reject | Reject.CALIBRATION) for one in outcome.targets)
+    return replace(outcome, status=Status.LOW_QUALITY, targets=targets)

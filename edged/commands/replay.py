@@ -13,7 +13,8 @@ from typing import Any
 from rich.console import Console
 
 from edged import recording
-from edged.domain import Outcome, Snapshot
+from edged.domain import Calibrated, Outcome, Snapshot
+from edged.drift import refused
 from edged.errors import FileFormatError, UserError
 from edged.jobs import job_folders, load_job
 from edged.payload import Json, snapshot_to_json
@@ -123,6 +124,9 @@ def _measure(taken: recording.Recording, setup: tuple[PreparedRig, Job]) -> Json
     if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
         return {key: taken.snapshot.get(key) for key in COMPARED}  # nothing was measured then
     outcome = locate(taken.pair, job, rig)
+    drift = taken.snapshot.get("drift")
+    if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
+        outcome = refused(outcome)  # that comes from the cycles before, not from this pair
     return json_of(outcome, rig)
 
 

@@ -94,7 +94,7 @@ STATUS = make_block(
             _U16,
             "bits",
             list_bits(StatusBit)
-            + "; ACK and NACK belong to DONE_SEQ; 10, 11, 13, 14 are not raised by this version",
+            + "; ACK and NACK belong to DONE_SEQ; 13 and 14 are not raised by this version",
         ),
         ("CMD_SEQ_ECHO", _U16, "", "the CMD_SEQ that was taken note of"),
         ("HEARTBEAT", _U16, "0.1 s", "counts at 10 Hz while the server lives"),
