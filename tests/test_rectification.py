@@ -208,3 +208,56 @@ def test_the_row_difference_needs_no_maps() -> None:
         rectification.rectify_points("left", left)[:, 1] - rectification.rectify_points("right", right)[:, 1]
     )
     assert np.allclose(row_difference_px(rig, left, right), expected, atol=1e-9)
+
+
+LENSES = {
+    "long": (3000.0, (1280, 960), (-0.21, 0.14, 5e-4, -4e-4, 0.0)),
+    "wide": (350.0, (640, 480), (-0.3, 0.1, 1e-3, -5e-4, -0.012)),
+    "small": (160.0, (128, 96), (-0.2, 0.1, 0.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("vergence_deg", [0.0, 12.0, 24.0, 35.0])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_rows_agree_for_any_vergence_lens_and_size(lens: str, vergence_deg: float, factor: int) -> None:
+    """85° wide lenses, thumbnails, a right camera of twice the resolution: every point keeps its row.
+
+    And every point that both cameras see lies inside both rectified images, where the masks say so.
+    """
+    focal_px, size, distortion = LENSES[lens]
+    rig = make_rig("brown", vergence_deg, focal_px=focal_px, size=size)
+    left, right = (
+        dataclasses.replace(rig.left, distortion=distortion),
+        dataclasses.replace(rig.right, distortion=distortion),
+    )
+    right = dataclasses.replace(
+        right,
+        width=factor * right.width,
+        height=factor * right.height,
+        fx=factor * right.fx,
+        fy=factor * right.fy,
+        cx=factor * (right.cx + 0.5) - 0.5,
+        cy=factor * (right.cy + 0.5) - 0.5,
+    )
+    rig = dataclasses.replace(rig, left=left, right=right)
+    rectification = make_rectification(rig)
+    points = random_points(rig, 100, seed=1)
+    raw = left.project(points), right.project(apply(rig.right_from_left, points))
+    rows_px = []
+    for side, pixels, valid in (
+        ("left", raw[0], rectification.valid_left),
+        ("right", raw[1], rectification.valid_right),
+    ):
+        x, y = rectification.rectify_points(side, pixels).T  # type: ignore[arg-type]
+        rows_px.append(y)
+        assert ((x > -1) & (y > -1) & (x < rectification.size[0]) & (y < rectification.size[1])).all()
+        inside = (pixels > 2).all(axis=1) & (pixels < np.array([right.width, right.height]) / factor - 3).all(
+            1
+        )
+        inside &= (x > 1) & (y > 1) & (x < rectification.size[0] - 2) & (y < rectification.size[1] - 2)
+        assert valid[np.rint(y[inside]).astype(int), np.rint(x[inside]).astype(int)].all()
+    np.testing.assert_allclose(rows_px[0], rows_px[1], atol=1e-9)
+    np.testing.assert_allclose(row_difference_px(rig, *raw), 0.0, atol=1e-9)
+    pixels = rectification.size[0] * rectification.size[1]
+    assert pixels <= 4.3 * max(left.width * left.height, right.width * right.height)

@@ -27,7 +27,8 @@ Interpolation = Literal["linear", "lanczos"]
 
 _BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
 _SIZE_MULTIPLE = 16  # four pyramid levels halve the image without a remainder
-_MAX_GROWTH = 4.0  # more pixels than this times the raw image: the views hardly overlap in direction
+_MAX_GROWTH = 4.0  # pixels, times the raw image's: beyond it wide-angle corners only cost time
+_MIN_SHRINK = 0.5  # of the focal length, to keep within that growth; below, the views hardly overlap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,28 +126,16 @@ def make_rectification(rig: StereoRig) -> Rectification:
 
     The z axis halves the angle between both optical axes, the focal length keeps the mean
     pixel area of the raw images at their centres, the rows are those that both views have,
-    and the columns hold each view completely, so that no point seen by both is lost.
+    and the columns hold each view completely, so that no point seen by both is lost. Wide-angle views whose
+    corners would make the images huge get a shorter focal length.
     Raises `CalibrationError` for a rig whose views cannot be put side by side (one camera
     looks along the baseline, or both share no row).
     """
-    left_axes = _rectified_axes(rig)
-    right_axes = left_axes @ rig.right_from_left[:3, :3].T
-    focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
+    left_axes, right_axes, focal = _common_view(rig)
     bounds_left = _bounds(rig.left, left_axes) * focal
     bounds_right = _bounds(rig.right, right_axes) * focal
     top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
-    if not bottom - top >= _SIZE_MULTIPLE:
-        raise CalibrationError("this rig cannot be rectified: both cameras see no common row")
-    span = np.array([max(np.ptp(bounds_left[:, 0]), np.ptp(bounds_right[:, 0])), bottom - top])
-    # The multiple is rounded up, plus the half pixel on each side that a pixel centre needs.
-    width, height = (int(n) for n in np.ceil((span + 1) / _SIZE_MULTIPLE) * _SIZE_MULTIPLE)
-    if width * height > _MAX_GROWTH * max(
-        rig.left.width * rig.left.height, rig.right.width * rig.right.height
-    ):
-        raise CalibrationError(
-            f"this rig cannot be rectified: its views would need {width} x {height} px; "
-            "do both cameras look across the baseline?"
-        )
+    width, height = _size(bounds_left, bounds_right)
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     centre_y = float(middle[1] - 0.5 * (top + bottom))
     centre_left = (float(middle[0] - bounds_left[:, 0].mean()), centre_y)
@@ -174,12 +163,37 @@ def row_difference_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray)
 
     In rectified pixels of the focal length `make_rectification` chooses; needs no maps.
     """
-    left_axes = _rectified_axes(rig)
-    right_axes = left_axes @ rig.right_from_left[:3, :3].T
-    focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
+    left_axes, right_axes, focal = _common_view(rig)
     left = _rays_to_pixels(left_axes, rig.left.normalise(left_px))
     right = _rays_to_pixels(right_axes, rig.right.normalise(right_px))
     return np.asarray(focal * (left[:, 1] - right[:, 1]))
+
+
+def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
+    """Both rotations into the rectified frame, and its focal length in px."""
+    left_axes = _rectified_axes(rig)
+    right_axes = left_axes @ rig.right_from_left[:3, :3].T
+    focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
+    width, height = _size(_bounds(rig.left, left_axes) * focal, _bounds(rig.right, right_axes) * focal)
+    raw = max(rig.left.width * rig.left.height, rig.right.width * rig.right.height)
+    shrink = min(1.0, float(np.sqrt(_MAX_GROWTH * raw / (width * height))))
+    if shrink < _MIN_SHRINK:
+        raise CalibrationError(
+            f"this rig cannot be rectified: its views would need {width} x {height} px; "
+            "do both cameras look across the baseline?"
+        )
+    return left_axes, right_axes, focal * shrink
+
+
+def _size(bounds_left: FloatArray, bounds_right: FloatArray) -> tuple[int, int]:
+    """(width, height) in px that holds both views' columns and their common rows."""
+    top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
+    if not bottom - top >= _SIZE_MULTIPLE:
+        raise CalibrationError("this rig cannot be rectified: both cameras see no common row")
+    span = np.array([max(np.ptp(bounds_left[:, 0]), np.ptp(bounds_right[:, 0])), bottom - top])
+    # The multiple is rounded up, plus the half pixel on each side that a pixel centre needs.
+    width, height = (int(n) for n in np.ceil((span + 1) / _SIZE_MULTIPLE) * _SIZE_MULTIPLE)
+    return width, height
 
 
 def _rectified_axes(rig: StereoRig) -> FloatArray:
