@@ -1,111 +1,145 @@
 #!/usr/bin/env python3
-"""Measure reading the result block: edged's server and plain pymodbus, side by side in one run.
+"""Measure the Modbus server while vision runs: reading the result, and from a trigger to its result.
 
-Run it with the project's Python: `.venv/bin/python tools/bench_modbus.py`. The server runs in this
-process beside a thread of numba work (what vision does); the clients are one process that reads 48 words
-on each of N connections in turn, every 20 ms as a PLC does. Printed: p50 and p99 in ms.
+Run it with the project's Python: `.venv/bin/python tools/bench_modbus.py`. The daemon measures in this
+process as fast as it can; clients are another process. Reading: N connections, each reads 48 words every
+20 ms as a PLC does; edged and a plain pymodbus server, in the same process and run. Trigger: from writing
+CMD_SEQ to reading RESULT_VALID, polled every millisecond, without the duration of the cycle itself. In ms.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import heapq
+import logging
 import multiprocessing as mp
+import selectors
 import socket
 import struct
-import sys
-import threading
+import tempfile
 import time
 from multiprocessing.queues import Queue
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
+from benchcell import BenchCell, free_port
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
-from snapshots import make_snapshot
 
-from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.registers import ADDRESS, Flag
 
 PERIOD_S = 0.02
+READ_RESULT = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 300, 48)
+ANSWER_BYTES = 9 + 96
 
 
 def read_all(port: int, clients: int, seconds: float, results: Queue[list[float]]) -> None:
-    """Read on each connection every 20 ms; report the durations in ms."""
+    """Read on each connection every 20 ms, each at its own time; report the durations in ms."""
+    ready = selectors.DefaultSelector()
     lines = [socket.create_connection(("127.0.0.1", port)) for _ in range(clients)]
-    request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 300, 48)
+    for number, line in enumerate(lines):
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        ready.register(line, selectors.EVENT_READ, number)
+    begin_s = time.perf_counter()
+    due = [(begin_s + PERIOD_S * number / clients, number) for number in range(clients)]
+    sent_s, missing = [0.0] * clients, [0] * clients
     times_ms: list[float] = []
-    end_s = time.perf_counter() + seconds
-    while time.perf_counter() < end_s:
-        round_s = time.perf_counter()
-        for line in lines:
-            start_s = time.perf_counter()
-            line.sendall(request)
-            missing = 9 + 96
-            while missing:
-                missing -= len(line.recv(missing))
-            times_ms.append((time.perf_counter() - start_s) * 1e3)
-        time.sleep(max(0.0, PERIOD_S - (time.perf_counter() - round_s)))
+    while (now_s := time.perf_counter()) < begin_s + seconds:
+        while due and due[0][0] <= now_s:
+            _, number = heapq.heappop(due)
+            sent_s[number], missing[number] = time.perf_counter(), ANSWER_BYTES
+            lines[number].sendall(READ_RESULT)
+        for key, _ in ready.select(max(0.0, due[0][0] - now_s) if due else 1.0):
+            number = key.data
+            missing[number] -= len(lines[number].recv(missing[number]))
+            if missing[number] == 0:
+                done_s = time.perf_counter()
+                times_ms.append((done_s - sent_s[number]) * 1e3)
+                heapq.heappush(due, (max(sent_s[number] + PERIOD_S, done_s), number))
     for line in lines:
         line.close()
     results.put(times_ms)
 
 
-async def measure(port: int, clients: int, seconds: float) -> tuple[float, float]:
-    """p50 and p99 in ms."""
+def trigger_all(port: int, count: int, results: Queue[list[float]]) -> None:
+    """Trigger and poll; report from the write to the answer that is VALID, in ms."""
+    line = socket.create_connection(("127.0.0.1", port))
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def ask(pdu: bytes, size: int) -> bytes:
+        line.sendall(struct.pack(">HHHB", 1, 0, len(pdu) + 1, 1) + pdu)
+        answer = b""
+        while len(answer) < size:
+            answer += line.recv(size - len(answer))
+        return answer
+
+    times_ms = []
+    for sequence in range(1, count + 1):
+        time.sleep(0.02)
+        start_s = time.perf_counter()
+        ask(struct.pack(">BHHB3H", 16, ADDRESS["COMMAND"], 3, 6, 1, 0, sequence), 12)
+        while True:
+            words = struct.unpack(">48H", ask(READ_RESULT[7:], ANSWER_BYTES)[9:])
+            if words[0] == sequence and words[7] & Flag.VALID:
+                break
+            time.sleep(0.001)
+        times_ms.append((time.perf_counter() - start_s) * 1e3)
+    line.close()
+    results.put(times_ms)
+
+
+async def in_process(target: object, *arguments: object) -> list[float]:
+    """Run a client in another process."""
     context = mp.get_context("spawn")
     results: Queue[list[float]] = context.Queue()
-    process = context.Process(target=read_all, args=(port, clients, seconds, results))
+    process = context.Process(target=target, args=(*arguments, results))  # type: ignore[arg-type]
     process.start()
-    times_ms = await asyncio.to_thread(results.get, timeout=seconds + 30)
+    times_ms = await asyncio.to_thread(results.get, timeout=120)
     await asyncio.to_thread(process.join)
-    return float(np.percentile(times_ms, 50)), float(np.percentile(times_ms, 99))
+    return times_ms
 
 
-def work(stop: threading.Event) -> None:
-    """What vision does to the process: long calls that release the GIL, and Python between them."""
-    image = np.random.default_rng(0).random((960, 1280))
-    while not stop.is_set():
-        np.sort(image[:200].ravel())
-        sum(range(2000))
-
-
-async def bench(seconds: float) -> None:
+async def bench_reading(folder: Path, seconds: float) -> None:
     """Print one line per server and number of clients."""
-    edged = ModbusPublisher(ModbusSettings(port=0, max_clients=64), None)
-    await edged.start()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    cell, port = BenchCell(folder, mode="free"), free_port()
     block = SimData(300, values=[0] * 48, datatype=DataType.REGISTERS)
     plain = ModbusTcpServer(SimDevice(1, simdata=[block]), address=("127.0.0.1", port))
     await plain.serve_forever(background=True)
-    stop = threading.Event()
-    thread = threading.Thread(target=work, args=(stop,))
-    thread.start()
-
-    async def announce() -> None:
-        for cycle in range(1, 1_000_000):
-            edged.announce(make_snapshot(cycle))
-            await asyncio.sleep(0.05)
-
-    announcer = asyncio.create_task(announce())
     try:
-        for clients in (1, 8, 32):
-            for name, server_port in (("edged", edged.port), ("pymodbus", port)):
-                p50, p99 = await measure(server_port, clients, seconds)
-                print(f"{name:9} {clients:3} clients   p50 {p50:6.2f} ms   p99 {p99:6.2f} ms", flush=True)
+        async with cell.running():
+            for clients in (1, 8, 32):
+                for name, server_port in (("edged", cell.modbus_port), ("pymodbus", port)):
+                    before = len(cell.listener.snapshots)
+                    times_ms = await in_process(read_all, server_port, clients, seconds)
+                    rate_hz = (len(cell.listener.snapshots) - before) / seconds
+                    p50, p99 = np.percentile(times_ms, (50, 99))
+                    print(
+                        f"{name:9} {clients:3} clients   p50 {p50:6.2f}   p99 {p99:6.2f}   "
+                        f"{len(times_ms) / seconds:6.0f} reads/s, {rate_hz:.0f} cycles/s beside",
+                        flush=True,
+                    )
     finally:
-        announcer.cancel()
-        stop.set()
-        thread.join()
         await plain.shutdown()
-        await edged.close()
+
+
+async def bench_trigger(folder: Path, count: int) -> None:
+    """Print from trigger to result, and what of it is not the cycle."""
+    cell = BenchCell(folder, mode="command")
+    async with cell.running():
+        times_ms = np.array(await in_process(trigger_all, cell.modbus_port, count))
+    cycles_ms = np.array([snapshot.timing_ms["total"] for snapshot in cell.listener.snapshots])
+    for name, values in (("trigger to RESULT_VALID", times_ms), ("without the cycle", times_ms - cycles_ms)):
+        p50, p99 = np.percentile(values, (50, 99))
+        print(f"{name:24} p50 {p50:6.2f}   p99 {p99:6.2f}   ({count} triggers)", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seconds", type=float, default=3.0, help="for each line")
-    asyncio.run(bench(parser.parse_args().seconds))
+    parser.add_argument("--seconds", type=float, default=5.0, help="for each line")
+    parser.add_argument("--triggers", type=int, default=300)
+    given = parser.parse_args()
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps its traffic when a client hangs up
+    with tempfile.TemporaryDirectory() as place:
+        asyncio.run(bench_reading(Path(place) / "free", given.seconds))
+        asyncio.run(bench_trigger(Path(place) / "command", given.triggers))
