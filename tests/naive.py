@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.sim import scene
+from edged.vision.camera import CameraModel
+from edged.vision.projection import project_with_jacobians
 
 # --- edged.sim.raster ------------------------------------------------------------------------
 
@@ -579,3 +581,100 @@ def choose_width(
     narrow, wide = widths[0] ** 2, widths[2] ** 2
     blur2 = float(np.clip((wide - ratio * narrow) / (ratio - 1), 0, wide)) if ratio > 1 else wide
     return best, bases[best], bias, blur2
+
+
+# --- contours ----------------------------------------------------------------------------------------
+
+
+def ramer(points: list[list[float]], tolerance: float) -> list[int]:
+    """Indices that the recursive subdivision of U. Ramer (1972) keeps."""
+
+    def between(a: int, b: int) -> list[int]:
+        (ax, ay), (bx, by) = points[a], points[b]
+        length = math.hypot(bx - ax, by - ay)
+        farthest, where = tolerance, None
+        for n in range(a + 1, b):
+            px, py = points[n][0] - ax, points[n][1] - ay
+            gap = abs(px * (by - ay) - py * (bx - ax)) / length if length > 1e-9 else math.hypot(px, py)
+            if gap > farthest:
+                farthest, where = gap, n
+        return [] if where is None else [*between(a, where), where, *between(where, b)]
+
+    return [0, *between(0, len(points) - 1), len(points) - 1]
+
+
+def misfit(points: FloatArray) -> float:
+    """Farthest distance from the better one of the best line and the circle of I. Kåsa (1976)."""
+    centred = points - points.mean(axis=0)
+    normal = np.linalg.svd(centred)[2][1]
+    line = max(abs(float(point @ normal)) for point in centred)
+    design = np.column_stack([centred, np.ones(len(centred))])
+    (d, e, f), _, _, singular = np.linalg.lstsq(design, -(centred**2).sum(axis=1), rcond=None)
+    if singular[-1] < 1e-9 * singular[0]:
+        return line
+    centre, radius = np.array([-d / 2, -e / 2]), math.sqrt(d * d / 4 + e * e / 4 - f)
+    return min(line, max(abs(math.dist(point, centre) - radius) for point in centred))
+
+
+def link(thin: npt.NDArray[np.uint8]) -> list[tuple[list[list[int]], bool]]:
+    """Chains of set pixels with whether each is closed: from their ends first, then what remains."""
+    height, width = thin.shape
+    steps = [(-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)]
+    used: set[tuple[int, int]] = set()
+    chains: list[tuple[list[list[int]], bool]] = []
+
+    def around(y: int, x: int) -> list[tuple[int, int]]:
+        places = [(y + dy, x + dx) for dy, dx in steps]
+        return [(v, u) for v, u in places if 0 <= v < height and 0 <= u < width and thin[v, u]]
+
+    def walk(place: tuple[int, int] | None) -> list[list[int]]:
+        chain: list[list[int]] = []
+        while place is not None:
+            used.add(place)
+            chain.append(list(place))
+            place = next((other for other in around(*place) if other not in used), None)
+        return chain
+
+    for loops in (False, True):
+        for y in range(height):
+            for x in range(width):
+                if not thin[y, x] or (y, x) in used or (not loops and len(around(y, x)) > 1):
+                    continue
+                chain = walk((y, x))
+                near = max(abs(chain[-1][0] - y), abs(chain[-1][1] - x)) <= 1
+                closed = loops and near and len(chain) > 7
+                if loops and not closed:
+                    other = next((place for place in around(y, x) if place not in used), None)
+                    if other is not None:
+                        chain = chain[::-1] + walk(other)
+                chains.append((chain, closed))
+    return chains
+
+
+# --- edged.vision.circleprojection --------------------------------------------------------------------
+
+
+def circle_samples(
+    camera: CameraModel,
+    pose: FloatArray,
+    frame: FloatArray,
+    centres: FloatArray,
+    radii: FloatArray,
+    phase: FloatArray,
+) -> FloatArray:
+    """(N, 10) of points on circles: pixel, outward normal, derivatives along it (see `project_samples`)."""
+    rows = []
+    for centre, radius, angle in zip(centres, radii, phase, strict=True):
+        radial = np.cos(angle) * frame[0] + np.sin(angle) * frame[1]
+        across = np.cos(angle) * frame[1] - np.sin(angle) * frame[0]
+        point = pose[:3, :3] @ (centre + radius * radial) + pose[:3, 3]
+        pixels, by_point, _ = project_with_jacobians(camera, point[None])
+        by_rig = by_point[0] @ pose[:3, :3]
+        tangent = by_rig @ across
+        normal = np.array([tangent[1], -tangent[0]]) / np.linalg.norm(tangent)
+        normal *= np.sign(normal @ by_rig @ radial)
+        along = normal @ by_rig
+        up = along @ frame[2] * radius
+        tilts = [up * np.sin(angle), up * np.cos(angle)]
+        rows.append(np.concatenate([pixels[0], normal, along, tilts, [along @ radial]]))
+    return np.array(rows)

@@ -145,6 +145,21 @@ def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -
     assert cv2.imread(str(picture)).shape == (480, 1280, 3)
 
 
+def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) -> None:
+    """--ply and --cloud: a PLY whose header tells its length, and a picture; for no part, empty ones."""
+    arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange")
+    ply, picture = folder / "points.ply", folder / "cloud.png"
+    for stem, expected in (("left", 0), ("right", 1)):
+        images = (folder / f"{stem}.png", folder / "right.png")
+        code, _, _ = edged("locate", *arguments, "--ply", ply, "--cloud", picture, *images)
+        assert code == expected
+        header, _, body = ply.read_bytes().partition(b"end_header\n")
+        count = int(header.decode().split("element vertex ")[1].split()[0])
+        assert len(body) == 19 * count
+        assert (count > 1000) == (expected == 0)
+        assert cv2.imread(str(picture)).shape == (720, 1440, 3)
+
+
 def test_locate_says_no(edged: Edged, pristine: Path) -> None:
     """No part in the picture is an answer: exit code 1, NO_TARGET."""
     arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange", "--json")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from dataclasses import fields, replace
@@ -14,7 +15,15 @@ from hypothesis import strategies as st
 
 from edged.errors import FileFormatError
 from edged.jobs import job_folders, load_job, save_job
-from edged.vision.job import CircleFeature, Job, Limits
+from edged.vision.job import (
+    CircleFeature,
+    CornerFeature,
+    EdgeFeature,
+    Job,
+    Limits,
+    MeasurementSpec,
+    SlotFeature,
+)
 from edged.vision.shape.model import ShapeLevel, ShapeModel
 from edged.vision.shape.search import SearchParams
 
@@ -117,6 +126,79 @@ def test_a_job_comes_back(tmp_path: Path, limits: Limits | None, search: SearchP
     assert (tmp_path / "two" / "job.toml").read_bytes() == (
         tmp_path / "jobs" / "one" / "job.toml"
     ).read_bytes()
+
+
+def featured() -> Job:
+    """A job with one feature of each kind and a measurement of each kind."""
+    edges = (
+        EdgeFeature("e0", np.array([0.0, 1 / 3, 0.1]), np.array([9.0, 1 / 3, 0.1]), 1),
+        EdgeFeature("e1", np.array([9.0, 0.0, 0.1]), np.array([9.1, 7.0, 0.1]), -1),
+    )
+    return replace(
+        make_job(),
+        edges=edges,
+        slots=(SlotFeature("s0", np.array([1 / 7, 2.0, 0.0]), math.radians(30.0), 9.0, 4.0, 1),),
+        corners=(CornerFeature("k0", ("e0", "e1")),),
+        reference="k0",
+        measurements=(
+            MeasurementSpec("r", "radius", ("c1",), 4.0, 0.01),
+            MeasurementSpec("l", "distance", ("c0", "k0"), 42.0),
+            MeasurementSpec("square", "angle", ("e0", "e1"), math.radians(90.0), math.radians(0.5)),
+            MeasurementSpec("w", "width", ("s0",)),
+            MeasurementSpec("len", "length", ("s0",), 9.0, 0.05),
+            MeasurementSpec("flat", "flatness", (), None, 0.02),
+        ),
+        witness="l",
+    )
+
+
+def test_all_features_and_measurements_come_back(tmp_path: Path) -> None:
+    """Edges, slots, corners, sizes and the witness, as they were saved; angles go through degrees."""
+    job = featured()
+    save_job(tmp_path / "job", job)
+    again = load_job(tmp_path / "job")
+    assert (again.reference, again.witness, again.corners) == ("k0", "l", job.corners)
+    for one, two in zip(again.edges, job.edges, strict=True):
+        assert (one.name, one.polarity) == (two.name, two.polarity)
+        assert np.array_equal(one.start_mm, two.start_mm)
+        assert np.array_equal(one.end_mm, two.end_mm)
+    (one,), (two,) = again.slots, job.slots
+    assert (one.name, one.length_mm, one.width_mm, one.polarity) == ("s0", 9.0, 4.0, two.polarity)
+    assert one.angle_rad == pytest.approx(two.angle_rad)
+    for spec, other in zip(again.measurements, job.measurements, strict=True):
+        assert (spec.name, spec.kind, spec.of) == (other.name, other.kind, other.of)
+        for value, wanted in ((spec.nominal, other.nominal), (spec.tolerance, other.tolerance)):
+            assert (value is None) == (wanted is None)
+            assert value is None or value == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "expected"),
+    [
+        (r'^edges = \["e0", "e1"\]$', 'edges = ["e0", "e7"]', "'e7' is none of the edges"),
+        (r"^end_mm = \[9\.1, 7.*$", "end_mm = [5.0, 0.0, 0.1]", "parallel"),
+        (r"^end_mm = \[9\.1, 7.*$", "end_mm = [9.0, 0.0, 0.1]", r"edge\.1.*apart"),
+        (r"^end_mm = \[9\.1, 7.*$", "end_mm = [9.1, 7.0, 4.0]", r"edge\.1.*one height"),
+        (r"^width_mm = .*$", "width_mm = 9.5", r"slot\.0.*must exceed"),
+        (r"^reference = .*$", 'reference = "e0"', "none of the circles, slots and corners"),
+        (r"^witness = .*$", 'witness = "x"', "witness 'x' is none of the measurements"),
+        (r"^witness = .*$", 'witness = "square"', "witness 'square' must be a length"),
+        (r'^of = \["c0", "k0"\]$', 'of = ["c0"]', "must name 2 features"),
+        (r'^of = \["c0", "k0"\]$', 'of = ["c0", "c0"]', "must name 2 features"),
+        (r'^of = \["c1"\]$', 'of = ["s0"]', "'s0' is no circle"),
+        (r"^nominal_deg = .*$", "nominal_mm = 90.0", "nominal_deg"),
+        (r"^nominal_deg = .*$", "", "tolerance_deg needs nominal_deg"),
+        (r'^name = "len"$', 'name = "w"', "two measurements"),
+    ],
+)
+def test_a_mistake_in_a_feature_is_named(
+    tmp_path: Path, pattern: str, replacement: str, expected: str
+) -> None:
+    """Features that refer to nothing, have no size, or are measured as what they are not."""
+    save_job(tmp_path / "flange", featured())
+    edit(tmp_path / "flange", pattern, replacement)
+    with pytest.raises(FileFormatError, match=expected):
+        load_job(tmp_path / "flange")
 
 
 def test_people_may_edit_limits(folder: Path) -> None:
