@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import Circle3D, FloatArray
 from edged.vision.camera import StereoRig
-from edged.vision.projection import project_with_jacobians
+from edged.vision.circleprojection import project_samples
 
 SIDES = ("left", "right")
 
@@ -121,25 +121,12 @@ def project_circle(
 
     centre (3,) or (N, 3), radius a number or (N,): one circle, or one for each point, in one plane.
     """
-    u, v = circle_axes(normal)
-    cosine, sine = np.cos(phase)[:, None], np.sin(phase)[:, None]
-    radial = cosine * u + sine * v
+    frame = np.vstack([circle_axes(normal), normal])
     radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), phase.shape)
-    points = centre + radii[:, None] * radial
-    if side == "left":
-        pixels, by_point, _ = project_with_jacobians(rig.left, points)
-    else:
-        rotation = rig.right_from_left[:3, :3]
-        pixels, by_point, _ = project_with_jacobians(
-            rig.right, points @ rotation.T + rig.right_from_left[:3, 3]
-        )
-        by_point = by_point @ rotation
-    tangent = np.einsum("nij,nj->ni", by_point, cosine * v - sine * u)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    normals = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
-    outward = np.einsum("nij,nj->ni", by_point, radial)
-    normals *= np.where(np.sum(normals * outward, axis=1) < 0, -1.0, 1.0)[:, None]
-    along = np.einsum("ni,nij->nj", normals, by_point)
-    up = (along @ normal) * radii
-    jacobian = np.column_stack([along, up * sine[:, 0], up * cosine[:, 0], np.sum(along * radial, axis=1)])
-    return ProjectedCircle(pixels, normals, jacobian)
+    centres = np.broadcast_to(np.asarray(centre, dtype=np.float64), (len(phase), 3))
+    camera = rig.left if side == "left" else rig.right
+    pose = np.eye(4) if side == "left" else rig.right_from_left
+    found = project_samples(camera, pose, frame, centres, radii, phase)
+    return ProjectedCircle(
+        np.ascontiguousarray(found[:, :2]), np.ascontiguousarray(found[:, 2:4]), found[:, 4:]
+    )

@@ -189,12 +189,14 @@ def _best_extremum(
     best: FloatArray,
 ) -> None:
     """best = (offset px, slope) of the strongest extremum of profile * derivative; NaN if there is none."""
-    first = half - inner - radius
-    for s in range(2 * inner + 1):
-        slope = 0.0
-        for i in range(2 * radius + 1):
-            slope += derivative[i] * profile[first + s + i]
-        slopes[s] = slope
+    # the operator is odd; places in the inner loop, so that they are summed side by side
+    first, many = half - inner, 2 * inner + 1
+    slopes[:] = 0.0
+    for i in range(1, radius + 1):
+        gain = derivative[radius + i]
+        ahead, behind = profile[first + i : first + i + many], profile[first - i : first - i + many]
+        for s in range(many):
+            slopes[s] += gain * (ahead[s] - behind[s])
     best_weight = 0.0
     best[0] = best[1] = np.nan
     for s in range(1, 2 * inner):

@@ -34,7 +34,7 @@ MAX_ROUNDS = 20
 MAX_LAG = 24
 MIN_SAMPLES = 12.0
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
-_SETTLED = 1e-5  # of a step in mm or rad: far below any sigma
+_SETTLED = 0.001  # of each unknown's own sigma: what is still to come changes nothing that can be known
 _TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
 
 
@@ -157,8 +157,11 @@ def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
                 for i in range(many):
                     scaled = weights[n] * waves[n, i]
                     right_side[i] += scaled * values[n]
-                    for j in range(many):
+                    for j in range(i + 1):
                         matrix[i, j] += scaled * waves[n, j]
+        for i in range(many):
+            for j in range(i):
+                matrix[j, i] = matrix[i, j]
         if not invert_spd(matrix, inverse):
             return np.inf, 0.0
         for n in range(count):
@@ -354,14 +357,14 @@ def _solve(
                 return 0
         if not invert_spd(matrix, covariance):
             return 0
-        moved = 0.0
+        moved = 0.0  # in sigmas
         for i in range(size):
             previous[i] = delta[i]
             delta[i] = 0.0
             for j in range(size):
                 delta[i] += covariance[i, j] * right_side[j]
             if i < size - priors:
-                moved = max(moved, abs(delta[i] - previous[i]))
+                moved = max(moved, abs(delta[i] - previous[i]) / np.sqrt(covariance[i, i]))
         for g in range(groups):
             a, b = starts[g], starts[g + 1]
             if not _residuals(

@@ -151,7 +151,11 @@ def _choose(
         best, best_merit, at_start = 0, np.inf, 0.0
         for w in range(many if many > 1 else 0):
             variance, _ = variance_of_mean(values[w], base[w], waves[a:b])
-            doubt, slow = variance_of_mean(values[w] - values[0], np.minimum(base[w], base[0]), waves[a:b])
+            doubt, slow = 0.0, 0.0
+            if w > 0:
+                doubt, slow = variance_of_mean(
+                    values[w] - values[0], np.minimum(base[w], base[0]), waves[a:b]
+                )
             chance = modes * doubt  # what noise alone would make of the waves
             square = slow - chance if slow > SIGNIFICANT * chance else 0.0
             if w == START_WIDTH:

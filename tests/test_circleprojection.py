@@ -1,0 +1,41 @@
+"""Circles through lens and pose: the kernel against its plain twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import naive
+import numpy as np
+import pytest
+from rigs import make_rig
+
+from edged.vision.camera import LensModel
+from edged.vision.circlefit import circle_axes
+from edged.vision.circleprojection import OUTPUTS, project_samples
+from edged.vision.geometry import rotation_matrix
+
+
+@pytest.mark.parametrize("model", ["division", "brown"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_kernel_equals_its_plain_twin(model: LensModel, side: str) -> None:
+    """Pixels, normals and derivatives of two circles of a tilted face, through either lens."""
+    rig = make_rig(model)
+    camera, pose = (rig.left, np.eye(4)) if side == "left" else (rig.right, rig.right_from_left)
+    normal = rotation_matrix(np.array([0.3, -0.2, 0.0])) @ np.array([0.0, 0.0, -1.0])
+    frame = np.vstack([circle_axes(normal), normal])
+    centres = np.array([[20.0, 3.0, 230.0]] * 9 + [[-5.0, 8.0, 250.0]] * 8)
+    radii = np.repeat([9.0, 2.0], [9, 8])
+    phase = np.linspace(0.0, 12.0, 17)
+    found = project_samples(camera, pose, frame, centres, radii, phase)
+    expected = naive.circle_samples(camera, pose, frame, centres, radii, phase)
+    assert found.shape == (17, OUTPUTS)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_point_that_the_lens_cannot_show_is_nan() -> None:
+    """A pincushion lens reaches no farther than its model: beyond is no pixel, and no error."""
+    camera = replace(make_rig("division").left, distortion=(0.5,))
+    frame = np.vstack([circle_axes(np.array([0.0, 0.0, -1.0])), [0.0, 0.0, -1.0]])
+    far = np.array([[1e5, 0.0, 1.0]])
+    found = project_samples(camera, np.eye(4), frame, far, np.ones(1), np.zeros(1))
+    assert not np.isfinite(found[0, :2]).all()
