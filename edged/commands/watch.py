@@ -206,6 +206,8 @@ def _line(news: News) -> str:
         sigma = _triple(pose.get("sigma_mm"), "{:.3f}")
         place = f"  {_triple(pose.get('position_mm'), '{:9.3f}')} mm ({frame})  sigma {sigma}"
     cycle, status, job, error = (_text(document, name) for name in ("cycle", "status", "job", "error"))
+    drift = _drift(document)
+    error += _drift_text(drift) if drift else ""
     return f"{news.cell}  cycle {cycle:>6s}  {status:13s} {job}{place}  {error}".rstrip()
 
 
@@ -216,6 +218,8 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
         for name, cell in sorted(cells.items())
         if (error := cell.error or _text(cell.target, "error"))
     ]
+    drifting = {name: drift for name, cell in sorted(cells.items()) if (drift := _drift(cell.target))}
+    errors += [f"{name}: {_drift_text(drift)}" for name, drift in drifting.items()]
     table = Table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -227,7 +231,7 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
         table.add_column(heading, overflow="fold")
     table.add_column("X Y Z mm", justify="right", no_wrap=True)
     lost = any(cell.lost for cell in cells.values())
-    for heading in ("σ mm", "Hz", "age s", *(["lost"] if lost else [])):
+    for heading in ("σ mm", "Hz", "age s", *(["drift"] if drifting else []), *(["lost"] if lost else [])):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, cell in sorted(cells.items()):
         frame, pose = _pose(cell.target)
@@ -241,6 +245,7 @@ def _table(cells: dict[str, CellView], now_s: float) -> Table:
             _largest(pose.get("sigma_mm")),
             _shown(cell.rate_hz, "{:.1f}"),
             _shown(cell.age_s(now_s), "{:.1f}"),
+            *([_styled(_text(drifting.get(name, {}), "verdict"))] if drifting else []),
             *([str(cell.lost)] if lost else []),
         )
     return table
@@ -255,6 +260,19 @@ def _text(document: Document, name: str) -> str:
     value = document.get(name)
     text = "" if value is None else str(value)[:MAX_TEXT]
     return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def _drift(document: Document) -> Document:
+    """What a result says of a calibration that does not hold; {} while it does."""
+    drift = document.get("drift")
+    known = isinstance(drift, dict) and drift.get("verdict") not in (None, "HOLDS")
+    return drift if known and isinstance(drift, dict) else {}
+
+
+def _drift_text(drift: Document) -> str:
+    rows, length = _shown(drift.get("rows_px"), "{:.2f}"), _shown(drift.get("length_percent"), "{:+.2f}")
+    verdict = _text(drift, "verdict").lower()
+    return f"calibration {verdict}: rows {rows} px, known length {length} %"
 
 
 def _first(document: Document) -> Document:

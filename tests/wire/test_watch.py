@@ -8,6 +8,7 @@ import itertools
 import json
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from test_zenoh import READY, WAIT_S, Cell, free_port
 from edged.adapters.zenoh import open_session, session_config
 from edged.cbor import decode_cbor
 from edged.commands.watch import CellView, News, watch
-from edged.domain import Snapshot, Status
+from edged.domain import Calibrated, DriftState, Snapshot, Status
 from edged.errors import ConfigError, UserError
 
 
@@ -105,6 +106,14 @@ def test_the_table_shows_state_and_result_of_each_cell():
     text = run([make_snapshot(cycle) for cycle in range(1, 4)], count=2, terminal=True)
     for word in ("cell1", "READY", "flange", "10.000 20.000 200.000 rig", "sim"):
         assert word in text, word
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_calibration_that_drifts_is_shown_with_its_figures(terminal):
+    """The verdict, the rows and the known length: what to look at before the cell stops by itself."""
+    drifting = replace(make_snapshot(1), drift=DriftState(Calibrated.DRIFTS, 0.31, -0.24))
+    text = run([drifting] * 3, count=2, terminal=terminal)
+    assert "calibration drifts: rows 0.31 px, known length -0.24 %" in " ".join(text.split())
 
 
 def test_only_the_cell_that_was_named():
