@@ -65,6 +65,17 @@ def test_known_lengths_are_single_distances_of_the_board() -> None:
     assert 0 < np.abs(lengths[:, 1] - lengths[:, 0]).max() < 0.05
 
 
+def test_a_measured_shape_is_compared_with_opencv_as_stated() -> None:
+    """OpenCV needs a flat board: it gets the stated one, and the report shows both."""
+    calibration = calibrate_stereo(VIEWS, SIZE, SIZE, "division", plate_shape=True)
+    plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
+    assert plain is not None
+    quality = quality_figures(calibration, (), [BOARD])
+    page = calibration_report(calibration, (), VIEWS, quality, plain=plain)
+    assert "shape measured" in page
+    assert f"{plain.rms_px:.4f}" in page
+
+
 def test_three_views_still_make_a_report() -> None:
     """Nothing can be held out of the minimum, and the page says so."""
     calibration = calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")

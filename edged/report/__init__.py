@@ -11,7 +11,7 @@ import numpy as np
 from edged.report.figures import coverage, lengths, radial, sigma_maps, view_bars
 from edged.vision.boards import Missed, StereoView
 from edged.vision.calibration import Calibration
-from edged.vision.camera import StereoRig
+from edged.vision.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry import invert, rotation_vector
 from edged.vision.heldout import HeldOutView
 from edged.vision.nextview import best_next_view, depths_mm, volume_points
@@ -168,22 +168,25 @@ def _volume(calibration: Calibration) -> str:
 
 
 def _internal(rig: StereoRig, rectification: Rectification) -> str:
-    """The form of the paper's Table 1, in pixels; with sigma."""
+    """The form of the paper's Table 1, in pixels; with sigma. The lens beside it."""
     sigma = _sigmas(rig)
-    rows = []
+    rows, lenses = [], []
     for side, camera in (("left", rig.left), ("right", rig.right)):
         values = [f"{getattr(camera, n):.3f} ± {sigma[f'{side}.{n}']:.3f}" for n in ("fx", "fy", "cx", "cy")]
-        names = [name for name in sigma if name.startswith(f"{side}.")][4:]
-        lens = ", ".join(
-            f"{n.split('.')[1]} {v:.5f} ± {sigma[n]:.5f}" if sigma[n] else f"{n.split('.')[1]} 0"
-            for n, v in zip(names, camera.distortion, strict=True)
-        )
-        rows.append((f"{side}, before rectification", *values, lens))
+        rows.append((f"{side}, before rectification", *values))
+        coefficients = zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=True)
+        cells = [
+            f"{name} {value:.5f} ± {sigma[f'{side}.{name}']:.5f}" if sigma[f"{side}.{name}"] else f"{name} 0"
+            for name, value in coefficients
+        ]
+        lenses.append((f"{side}, {camera.model}", *cells))
     for side, centre in (("left", rectification.centre_left_px), ("right", rectification.centre_right_px)):
         focal = f"{rectification.focal_px:.3f}"
-        rows.append((f"{side}, after", focal, focal, f"{centre[0]:.3f}", f"{centre[1]:.3f}", "none"))
-    head = ("Table 1", "fx px", "fy px", "cx px", "cy px", f"lens ({rig.left.model})")
-    return "<h2>Internal parameters</h2>" + _table(head, rows)
+        rows.append((f"{side}, after", focal, focal, f"{centre[0]:.3f}", f"{centre[1]:.3f}"))
+    lenses.append(("both, after", "no distortion"))
+    head = ("Table 1", "fx px", "fy px", "cx px", "cy px")
+    blank = [""] * (len(max(lenses, key=len)) - 1)
+    return "<h2>Internal parameters</h2>" + _table(head, rows) + _table(("lens", *blank), lenses)
 
 
 def _external(rig: StereoRig, rectification: Rectification) -> str:

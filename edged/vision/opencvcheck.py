@@ -12,6 +12,7 @@ from edged.vision.boards import StereoView
 from edged.vision.calibration import epipolar_errors_px, marks_in_both
 from edged.vision.camera import CameraModel, StereoRig
 from edged.vision.geometry import transform
+from edged.vision.plate import nominal
 
 _MIN_MARKS = 6
 
@@ -34,7 +35,8 @@ def plain_opencv(
         ids, in_left, in_right = marks_in_both(view)
         if len(ids) < _MIN_MARKS:
             continue
-        boards.append(view.board.points_mm[ids].astype(np.float32))
+        # as stated: OpenCV starts from flat boards only
+        boards.append(nominal(view.board).points_mm[ids].astype(np.float32))
         left.append(in_left.astype(np.float32).reshape(-1, 1, 2))
         right.append(in_right.astype(np.float32).reshape(-1, 1, 2))
     flags = cv2.CALIB_FIX_K3
