@@ -84,7 +84,7 @@ class LiveCell:
         async def run() -> T:
             return work()
 
-        return asyncio.run_coroutine_threadsafe(run(), self._loop).result(10)
+        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
 
     def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
         time.sleep(self.slow_s)
@@ -92,13 +92,13 @@ class LiveCell:
         return Outcome(Status.OK if self.targets else Status.NO_TARGET, self.targets)
 
     async def _run(self) -> None:
-        self._loop = asyncio.get_running_loop()
+        self.loop = asyncio.get_running_loop()
         self.cycle = Cycle(self.head, self.setup)
         self.server = ModbusPublisher(self.settings, self.cycle)
         await self.server.start()
         try:
             self.cycle.set_publishers([self.server])
-            self._loop.call_soon(self._started.set)
+            self.loop.call_soon(self._started.set)
             await self.cycle.run()
         finally:
             await self.server.close()
