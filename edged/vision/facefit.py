@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Circle3D, FloatArray, Image
+from edged.vision.bothcameras import for_both
 from edged.vision.camera import StereoRig
 from edged.vision.circlefit import (
     SIDES,
@@ -37,7 +38,7 @@ from edged.vision.circlefit import (
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import project_with_jacobians
 from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups
-from edged.vision.widths import START_WIDTH, choose_widths
+from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
 AGREE_PX = 0.5
 """An edge that scatters more is another one, whatever the others do."""
@@ -334,8 +335,9 @@ class _Face:
         """The edges across the present curves of both images."""
         widths = WIDTHS_PX if final else START_WIDTHS_PX
         signs = self.polarity[self.index]
-        offsets, bases, waves, biases = [], [], [], []
-        for image, curve in zip(images, curves, strict=True):
+
+        def side(number: int) -> tuple[ChosenEdges, FloatArray]:
+            image, curve = images[number], curves[number]
             seen = edges_at_widths(
                 image, curve.pixels, curve.normals, reach, signs, widths, FINE_STEP_PX if final else 1.0
             )
@@ -344,14 +346,20 @@ class _Face:
             if final:
                 blur2 = np.repeat(chosen.blur2_px2, np.diff(self.starts))
                 chosen.offset_px[:] += 0.5 * blur2 * self._curvature(curve)
-            offsets.append(chosen.offset_px)
-            bases.append(chosen.base)
-            waves.append(slow)
-            biases.append(chosen.bias_px)
-        base = np.stack(bases)
+            return chosen, slow
+
+        # coarsely sampled, a second thread would cost more than it does
+        sides = for_both(side) if final else (side(0), side(1))
+        base = np.stack([chosen.base for chosen, _ in sides])
         counts = np.add.reduceat(base > 0, self.starts[:-1], axis=1)
         enough: npt.NDArray[np.bool_] = np.all(counts >= MIN_SAMPLES, axis=0)
-        return _Edges(np.stack(offsets), base, np.stack(waves), np.stack(biases), enough)
+        return _Edges(
+            np.stack([chosen.offset_px for chosen, _ in sides]),
+            base,
+            np.stack([slow for _, slow in sides]),
+            np.stack([chosen.bias_px for chosen, _ in sides]),
+            enough,
+        )
 
     def _curvature(self, curve: ProjectedCircle) -> FloatArray:
         """(N,) of the projected curves, 1 / px.

@@ -246,14 +246,18 @@ def _decided(
     others = _others(images, rectification, job, match, main, start)
     if not match.ambiguous:
         return 0.0, others, False
+    turns = _rival_turns(job)
+    if turns and len(others) == len(job.circles) - 1:
+        # each lies where it was taught, in its size: only a turn that maps the part on itself can equal that
+        return 0.0, others, any(_maps_on_itself(job, turn) for turn in turns)
     best, best_turn, rival_count = others, 0.0, 0
-    for turn in _rival_turns(job):
+    for turn in turns:
         rivals = _others(images, rectification, job, match, main, start @ about_z(turn))
         if len(rivals) > len(best):
             best, best_turn, rival_count = rivals, turn, len(best)
         else:
             rival_count = max(rival_count, len(rivals))
-    return best_turn, best, len(best) == rival_count or not _rival_turns(job)
+    return best_turn, best, len(best) == rival_count or not turns
 
 
 def _rival_turns(job: Job) -> list[float]:
@@ -269,6 +273,20 @@ def _rival_turns(job: Job) -> list[float]:
         if all(abs((turn - other + np.pi) % (2 * np.pi) - np.pi) * lengths[i] > tolerance for other in turns):
             turns.append(turn)
     return sorted(turns)[:MAX_RIVALS]
+
+
+def _maps_on_itself(job: Job, turn: float) -> bool:
+    """Whether this turn about the reference circle's axis lays each circle on one of its size."""
+    centre = job.reference_circle.centre_mm
+    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    return all(
+        any(
+            np.linalg.norm(centre + about_z(turn) @ (circle.centre_mm - centre) - other.centre_mm) < limit
+            and abs(circle.radius_mm - other.radius_mm) < limit
+            for other in job.circles
+        )
+        for circle in job.circles
+    )
 
 
 def about_z(angle_rad: float) -> FloatArray:

@@ -1,0 +1,37 @@
+"""Work for both cameras side by side."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from edged.vision.bothcameras import for_both
+
+
+def test_both_are_done_at_the_same_time() -> None:
+    """Each waits for the other, so one after the other they would never end; results keep their order."""
+    meeting = threading.Barrier(2, timeout=10.0)
+
+    def work(side: int) -> str:
+        meeting.wait()
+        return ("left", "right")[side]
+
+    assert for_both(work) == ("left", "right")
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_an_error_is_raised_after_both_ended(bad: int) -> None:
+    """Whichever fails, the other one is not left running; and the next call works."""
+    ended = []
+
+    def work(side: int) -> int:
+        if side == bad:
+            raise ValueError(side)
+        ended.append(side)
+        return side
+
+    with pytest.raises(ValueError, match=str(bad)):
+        for_both(work)
+    assert ended == [1 - bad]
+    assert for_both(lambda side: side) == (0, 1)
