@@ -6,7 +6,7 @@ Pure: no clock, no I/O, bit-identical when replayed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,14 +19,16 @@ from edged.vision.measurement import Images, Measured
 from edged.vision.pointcloud import PointCloud, point_cloud
 from edged.vision.rectification import Rectification, make_rectification
 from edged.vision.shape.search import ShapeMatch, find_shapes
+from edged.vision.shape.workspace import WorkspacePool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRig:
-    """A rig with its rectification maps, built once."""
+    """A rig with its rectification maps, built once, and the buffers that its searches share."""
 
     rig: StereoRig
     rectification: Rectification
+    workspaces: WorkspacePool = field(default_factory=WorkspacePool)
 
 
 def prepare(rig: StereoRig) -> PreparedRig:
@@ -59,7 +61,10 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
     """`locate` with the evidence: every part that was found, with the edges it stands on."""
     images = _rectified(pair, rig)
     lap("rectify")
-    matches = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
+    with rig.workspaces.lend() as work:
+        matches = find_shapes(
+            images.rectified_left, job.shape, job.search, rig.rectification.valid_left, work
+        )
     lap("find")
     measured, dismissed = [], []
     for match in matches:

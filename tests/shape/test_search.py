@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from edged.domain import Image
 from edged.errors import ImageError, TeachError, UserError
 from edged.vision.shape.model import ShapeModel, create_model
 from edged.vision.shape.search import SearchParams, ShapeMatch, Workspace, find_shapes
+from edged.vision.shape.workspace import WorkspacePool
 
 RIGID = SearchParams(scale_min=1.0, scale_max=1.0, sub_pixel="rigid")
 
@@ -344,3 +346,57 @@ def test_thin_lines_keep_to_fine_levels() -> None:
 def _turned(angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, s], [-s, c]])
+
+
+def test_range_of_scales_is_fitted_in_rigid_mode(bracket: ShapeModel) -> None:
+    """A size between the steps of the grid is fitted whatever sub_pixel says, the position stays exact."""
+    image = draw(BRACKET, (190.37, 150.81, 1.0, 0.985, 0.985))
+    match = _one(find_shapes(image, bracket, replace(RIGID, scale_min=0.97, scale_max=1.03)))
+    assert match.scale_x == pytest.approx(0.985, rel=1e-3)
+    assert math.hypot(match.x_px - 190.37, match.y_px - 150.81) < 0.03
+
+
+def test_ignored_polarity_takes_what_local_polarity_refuses(bracket: ShapeModel) -> None:
+    """Edges that change their sign every 12 px count for "ignore", and not for "local"."""
+    stripes = np.where((np.arange(400) // 12) % 2, 20, 250).astype(np.uint8)
+    background = np.broadcast_to(stripes, (320, 400)).copy()
+    outlines = ((BRACKET[0][0], 135.0),)
+    model = _teach(outlines)
+    image = draw(outlines, (190.0, 150.0, 0.3, 1, 1), background=background)
+    scores = {}
+    for polarity in ("ignore", "local"):
+        matches = find_shapes(image, model, replace(RIGID, polarity=polarity, min_score=0.3))
+        scores[polarity] = max((match.score for match in matches), default=0.0)
+    assert scores["ignore"] > scores["local"] + 0.1
+
+
+def test_many_parts_in_one_image() -> None:
+    """As many parts as are asked for are found: the number of candidates grows with it."""
+    small = tuple((points * 0.32, grey) for points, grey in BRACKET[:1])
+    image = np.full((700, 700), 70, np.uint8)
+    places = [(35 + 48 * (i % 13), 35 + 48 * (i // 13)) for i in range(13 * 13)]
+    tile = draw(small, (24.0, 24.0, 0.4, 1, 1), (48, 48))
+    for x, y in places:
+        image[y - 24 : y + 24, x - 24 : x + 24] = tile
+    model = _teach(small)
+    found = find_shapes(image, model, replace(RIGID, max_matches=200, min_score=0.7))
+    assert len(found) == len(places)
+
+
+def test_threads_share_a_pool_of_workspaces(bracket: ShapeModel) -> None:
+    """Two threads at once get the results of one, bit by bit, and the pool keeps what it lent."""
+    images = [draw(BRACKET, (190.3 + k, 150.1, 0.2 * k, 1, 1), noise=10) for k in range(6)]
+    alone = [_one(find_shapes(image, bracket, RIGID)).linear for image in images]
+    pool = WorkspacePool()
+
+    def search(image: Image) -> np.ndarray:
+        with pool.lend() as work:
+            return _one(find_shapes(image, bracket, RIGID, workspace=work)).linear
+
+    with ThreadPoolExecutor(2) as threads:
+        for expected, actual in zip(alone * 3, threads.map(search, images * 3), strict=True):
+            np.testing.assert_array_equal(actual, expected)
+    with pool.lend() as first, pool.lend() as second:
+        assert first is not second
+    with pool.lend() as again:
+        assert again in (first, second)

@@ -20,6 +20,7 @@ SCAN_SHARE = 0.55
 POLISHED_SHARE = 0.62
 MAX_PEAKS = 1024
 MAX_POLISHED = 40
+"""... and two more for each match that is asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +76,8 @@ def scan_top(
     )
     peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
     number = scan.collect_peaks(best, used_rows, used_columns, columns, threshold, peaks)
-    chosen = _choose(peaks[:number].copy(), pose, poses, columns, 3.2 * steps[0])
+    limit = MAX_POLISHED + 2 * params.max_matches
+    chosen = _choose(peaks[:number].copy(), pose, poses, columns, 3.2 * steps[0], limit)
     values = np.zeros(len(chosen))
     scan.polish(maps, points, directions, pad, steps, chosen, values)
     order = np.lexsort((np.arange(len(values)), -values))[: 24 + 2 * params.max_matches]
@@ -117,14 +119,15 @@ def _choose(
     poses: FloatArray,
     columns: int,
     apart_rad: float,
+    limit: int,
 ) -> FloatArray:
-    """(N, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation, best first."""
+    """(N <= limit, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation."""
     order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
     _, sign, sector, y, x = peaks[order].T
     chosen = poses[pose[sign, sector, y * columns + x]]
     rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, chosen, 1.0 - 2.0 * sign]))
-    kept = np.empty(MAX_POLISHED, np.int64)
-    number = scan.best_of_each_place(rows, MAX_POLISHED, apart_rad, kept)
+    kept = np.empty(limit, np.int64)
+    number = scan.best_of_each_place(rows, limit, apart_rad, kept)
     return np.ascontiguousarray(rows[kept[:number]])
 
 

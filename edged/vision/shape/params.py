@@ -23,10 +23,11 @@ class SearchParams:
     min_score : (0, 1], share of the model that must be seen and agree.
     max_matches : the best ones are returned.
     max_overlap : of two matches that share more than this of their area, the better one remains.
-    polarity : contrast "same" as taught; "global": all may be inverted together; "local" or "ignore":
-        each edge by itself.
+    polarity : contrast "same" as taught; "global": all may be inverted together; "local": each
+        stretch of the outline by itself; "ignore": each edge by itself, which clutter imitates most easily.
     min_contrast : grey values per px below which there is no edge.
-    sub_pixel : what the refinement may adapt: "none" (the grid of the search), "rigid" (position, angle),
+    sub_pixel : what the refinement may adapt: "none" (the grid of the search), "rigid" (position, angle;
+        with a range of scales these are fitted, too),
         "similarity" (and size), "stretch" (sizes along x and y), "affine", "projective" (a tilted face).
     allow_partial : whether a match may reach beyond the image.
     """

@@ -42,6 +42,8 @@ TILT_PRIOR = 0.02
 distance. Keeps the perspective at rest where the edges do not show it."""
 MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
+STRETCHES = 4
+"""Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
 MIN_FIRST = 200
 """Points of the first step on the finest level."""
 DECIDED_SHARE = 0.5
@@ -142,7 +144,7 @@ class _Search:
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
         gx, gy = self.work.gradient(level)
         placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
-        limit = FREEDOM[self.params.sub_pixel] or refine.SIMILARITY
+        limit = self._freedom() or refine.SIMILARITY
         # a few points do not carry a tilt
         coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
         start = min(limit, refine.STRETCH if self._stretches() else refine.SIMILARITY)
@@ -166,7 +168,7 @@ class _Search:
         """Robust steps on edges measured in the image itself, with the operator that measured the model."""
         image = self.work.images[0]
         level = self.model.levels[0]
-        freedom = FREEDOM[self.params.sub_pixel]
+        freedom = self._freedom()
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
         sign = self._sign(hypothesis)
@@ -177,6 +179,8 @@ class _Search:
             refine.place(points, normals, pose, placed)
             offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
             edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
+            if self.params.polarity == "local":
+                _drop_odd_signs(points, slopes, self._radius(0) / STRETCHES, edges)
             refine.edge_directions(image, placed, sign, edges)
             trial = pose.copy()
             prior = TILT_PRIOR / self._radius(0)
@@ -196,6 +200,15 @@ class _Search:
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
+
+    def _freedom(self) -> int:
+        """What the refinement adapts: also what the search only sampled, or a pose is half a step off."""
+        asked = FREEDOM[self.params.sub_pixel]
+        if asked and self._stretches():
+            return max(asked, refine.STRETCH)
+        if asked and self.params.scale_max > self.params.scale_min:
+            return max(asked, refine.SIMILARITY)
+        return asked
 
     def _radius(self, level: int) -> float:
         return float(self.model.radius_px / 2.0**level)
@@ -342,6 +355,14 @@ class _Search:
             if (points < 0).any() or (points > (width - 1, height - 1)).any():
                 return None
         return match
+
+
+def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edges: FloatArray) -> None:
+    """Take away, in edges (N, 2), each edge whose contrast is opposite to that of the edges around it."""
+    cells = np.floor((points - points.min(axis=0)) / cell_px).astype(np.int64)
+    cell = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    signs = np.sign(np.where(np.isfinite(edges[:, 0]), slopes, 0.0))
+    edges[signs * np.bincount(cell, weights=signs)[cell] < 0, 0] = np.nan
 
 
 def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:

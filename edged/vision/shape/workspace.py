@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import cv2
@@ -37,6 +39,10 @@ class Workspace:
             self.images.append(level)
         self._gradients = [None] * len(self.images)
 
+    def forget(self) -> None:
+        """Let go of the image; the buffers stay."""
+        self.images, self._gradients = [], []
+
     def gradient(self, level: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]]:
         """Sobel x and y (H, W) int16 of a level, computed when first asked for."""
         found = self._gradients[level]
@@ -58,3 +64,23 @@ class Workspace:
             flat = np.empty(size, dtype)
             self._pool[(name, slot)] = flat
         return flat[:size].reshape(shape)
+
+
+class WorkspacePool:
+    """Work spaces for as many searches as run at once, from any thread; the last used is lent first."""
+
+    def __init__(self) -> None:
+        self._free: list[Workspace] = []
+
+    @contextmanager
+    def lend(self) -> Iterator[Workspace]:
+        """A work space that nobody else uses until the block ends."""
+        try:
+            work = self._free.pop()  # one step under the GIL: two threads never get the same
+        except IndexError:
+            work = Workspace()
+        try:
+            yield work
+        finally:
+            work.forget()
+            self._free.append(work)
