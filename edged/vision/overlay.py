@@ -14,6 +14,7 @@ from edged.vision.measurement import Measured
 Canvas = npt.NDArray[np.uint8]
 
 GREEN, RED, YELLOW, WHITE, CYAN = (80, 200, 60), (60, 60, 230), (40, 200, 240), (255, 255, 255), (220, 200, 0)
+BLACK = (0, 0, 0)
 FRACTION_BITS = 4  # cv2 draws with 1/16 px
 LINE_PX = 24
 MAX_LINES = 12
@@ -118,6 +119,7 @@ def _draw_lines(canvas: Canvas, lines: Sequence[str], top: int) -> int:
 
 
 def _text(canvas: Canvas, text: str, place: tuple[int, int], scale: float = 0.5) -> None:
-    """White with a dark rim: to be read on any picture."""
-    for colour, thickness in (((0, 0, 0), 3), (WHITE, 1)):
-        cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)
+    """White with a dark rim, to be read on any picture; a rim drawn as bolder text would be wider than it."""
+    x, y = place
+    for dx, dy, colour in ((-1, 0, BLACK), (1, 0, BLACK), (0, -1, BLACK), (0, 1, BLACK), (0, 0, WHITE)):
+        cv2.putText(canvas, text, (x + dx, y + dy), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
