@@ -11,6 +11,7 @@ The rules:
   taken down at that moment, whether the command is accepted or refused.
 - Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
   found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
+- The answer of the newest command stays on display until the next one is written.
 - While CMD_SEQ is not 0 only the result of the newest command is shown; with 0 the results of a
   free-running cell are, the newest replacing the one before.
 - A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
@@ -367,8 +368,12 @@ def _end(
     still_open = tuple(command for command in state.open if command.ticket != ticket)
     if len(still_open) == len(state.open):
         return state, ()
-    sequence = ticket & SEQUENCE_MASK
-    state = replace(state, open=still_open, done_sequence=sequence, answer=answer, reason=reason)
+    is_newest_open = any(command.ticket == state.ticket for command in state.open)
+    state = replace(state, open=still_open)
+    if is_newest_open:
+        # once the newest command has its answer, an older one that ends later must not write over it: the
+        # client that waits for it may not have looked yet
+        state = replace(state, done_sequence=ticket & SEQUENCE_MASK, answer=answer, reason=reason)
     return state, (Answered(ticket, answer, reason),)
 
 

@@ -101,6 +101,24 @@ def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_
     assert run.valid
 
 
+def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
+    """2 times out while 1 is still measured; 1 ends later: DONE_SEQ goes on to say 2, NACK."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.tell(hs.SequenceWritten(2, timeout_s=0.1))
+    run.now_s += 0.2
+    run.tell(hs.Tick())
+    run.good(1)
+    assert (2, Answer.NACK, Reason.TIMEOUT) == (
+        run.state.done_sequence,
+        run.state.answer,
+        run.state.reason,
+    )
+    assert {1: Answer.ACK, 2: Answer.NACK} == {
+        effect.ticket: effect.answer for effect in run.effects if isinstance(effect, hs.Answered)
+    }
+
+
 def test_an_unknown_or_declined_command_is_a_nack_with_its_reason() -> None:
     """And what was on display before is gone: nobody can take it for the answer."""
     run = Run()
@@ -298,6 +316,15 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         for ticket in self.accepted:
             assert answers[ticket] == (0 if ticket in still_open else 1)
         assert len(still_open) <= LIMITS.queue
+
+    @invariant()
+    def the_newest_answer_stays_on_display(self) -> None:
+        if not hasattr(self, "run") or self.written_at is None:
+            return
+        for effect in self.run.effects:
+            if isinstance(effect, hs.Answered) and effect.ticket == self.written_at:
+                state = self.run.state
+                assert (self.written_at & 0xFFFF, effect.answer) == (state.done_sequence, state.answer)
 
 
 TestAnyClientAnyCell = AnyClientAnyCell.TestCase

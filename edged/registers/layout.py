@@ -72,7 +72,8 @@ COMMAND = make_block(
                 f"FLANGE_{axis}",
                 _I32,
                 "µm" if axis in "XYZ" else "0.001°",
-                "pose of the flange; kept, not used",
+                "pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a rig that the "
+                "robot carries (LOCATE is refused without it); serves one command, then reads 0",
             )
             for axis in AXES
         ),
@@ -104,7 +105,12 @@ STATUS = make_block(
         ("RESULT_AGE", _U32, "ms", "since the exposure of the result on display; 0xFFFFFFFF: none"),
         ("MISSED_TRIGGERS", _U16, "", "since start; stays at 65535"),
         ("CLIENTS", _U16, "", "connected clients"),
-        ("DONE_SEQ", _U16, "", "the last command that ended; ACK, NACK and NACK_REASON speak of it"),
+        (
+            "DONE_SEQ",
+            _U16,
+            "",
+            "the last command that ended, the newest one from its end on; ACK, NACK, NACK_REASON speak of it",
+        ),
         ("OPEN_COMMANDS", _U16, "", "accepted and not ended, at most 8"),
         (
             "NACK_REASON",
