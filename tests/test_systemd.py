@@ -178,31 +178,37 @@ needs_analyze = pytest.mark.skipif(
 )
 
 
-def analyze(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run systemd-analyze on the unit, with a program in its place that exists."""
-    unit = tmp_path / UNIT.name
-    unit.write_text(UNIT.read_text().replace("/opt/edged/bin/edged", "/bin/true"))
+@pytest.fixture(params=["edged.service", "edged@.service"])
+def unit_file(request):
+    """Each of the units: the one of a single cell, and the template for several."""
+    return UNIT.with_name(request.param)
+
+
+def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run systemd-analyze on a unit, with a program in its place that exists."""
+    unit = tmp_path / unit_file.name.replace("@", "@cell1")
+    unit.write_text(unit_file.read_text().replace("/opt/edged/current/bin/edged", "/bin/true"))
     command = ["systemd-analyze", *arguments, str(unit)]
     return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
 
 
 @needs_analyze
-def test_the_unit_is_understood_completely(tmp_path):
+def test_the_unit_is_understood_completely(unit_file, tmp_path):
     """`systemd-analyze verify` says nothing: it returns 0 for unknown keys too."""
-    result = analyze(tmp_path, "verify", "--man=no")
+    result = analyze(unit_file, tmp_path, "verify", "--man=no")
     assert (0, "", "") == (result.returncode, result.stdout, result.stderr)
 
 
 @needs_analyze
-def test_the_unit_is_hardened(tmp_path):
+def test_the_unit_is_hardened(unit_file, tmp_path):
     """The exposure that systemd computes is at most 2.5 of 10."""
-    result = analyze(tmp_path, "security", "--offline=true", "--threshold=25", "--no-pager")
+    result = analyze(unit_file, tmp_path, "security", "--offline=true", "--threshold=25", "--no-pager")
     assert 0 == result.returncode, result.stdout[-300:]
 
 
-def test_the_unit_asks_for_what_the_notifier_tells():
+def test_the_unit_asks_for_what_the_notifier_tells(unit_file):
     """Type=notify, a watchdog, a reload by SIGHUP: the words that this protocol stands on."""
-    lines = UNIT.read_text().splitlines()
+    lines = unit_file.read_text().splitlines()
     assert {
         "Type=notify",
         "NotifyAccess=main",
