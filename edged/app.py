@@ -96,6 +96,7 @@ def load_cell(path: Path) -> LoadedCell:
         simulated=config.cameras.source.startswith("virtual"),
         robot_from_rig=rig.rig.robot_from_rig,
         registration_covariance=rig.rig.registration_covariance,
+        flange_from_rig=rig.rig.flange_from_rig,
         drift=DriftLimits(**config.drift.model_dump()),
     )
     return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
@@ -382,6 +383,8 @@ class Daemon:
         """What the status page says of the parts, group by group."""
         config, setup = self._loaded.config, self._loaded.setup
         registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
+        if setup.flange_from_rig is not None:
+            registered = "on the flange: commands say where it is"
         facts: dict[str, dict[str, Any]] = {
             "Software": {"version": __version__, "configuration": setup.fingerprint},
             "Calibration": {

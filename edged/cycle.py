@@ -36,6 +36,7 @@ from edged.domain import (
 )
 from edged.drift import DriftLimits, DriftMonitor, refused
 from edged.errors import CaptureError, CommandRefused
+from edged.payload import moved_frame
 from edged.ports import Publisher
 
 log = logging.getLogger(__name__)
@@ -82,6 +83,8 @@ class Setup:
     """Everything that a reload may exchange between two cycles.
 
     jobs : by number. period_s : None means "only on command".
+    flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
+    registration_covariance : of robot_from_rig, or of flange_from_rig.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -92,6 +95,7 @@ class Setup:
     simulated: bool
     robot_from_rig: FloatArray | None
     registration_covariance: FloatArray | None = None
+    flange_from_rig: FloatArray | None = None
     drift: DriftLimits = field(default_factory=DriftLimits)
 
 
@@ -150,6 +154,9 @@ class Cycle:
             raise CommandRefused(f"unknown job {command.job}, there are {known}")
         if command.kind is CommandKind.CHANGE_JOB and not command.job:
             raise CommandRefused("a job change needs a job number")
+        carried = self._setup.flange_from_rig is not None and command.kind is CommandKind.LOCATE
+        if carried and command.robot_from_flange is None:
+            raise CommandRefused("the robot carries the cameras: LOCATE needs the pose of the flange")
         if len(self._commands) >= QUEUE_LENGTH:
             self._missed += 1
             raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
@@ -287,6 +294,12 @@ class Cycle:
         outcome: Outcome | None = None,
         error: CaptureError | None = None,
     ) -> Snapshot:
+        robot_from_rig, registration = setup.robot_from_rig, setup.registration_covariance
+        if setup.flange_from_rig is not None and command is not None:
+            robot_from_flange = command.robot_from_flange
+            if robot_from_flange is not None:
+                robot_from_rig = robot_from_flange @ setup.flange_from_rig
+                registration = None if registration is None else moved_frame(registration, robot_from_flange)
         return Snapshot(
             cycle=self._number,
             status=status,
@@ -302,8 +315,8 @@ class Cycle:
             timing_ms=stopwatch.timing_ms(),
             error=str(error) if error is not None else "",
             error_code=error.code if error is not None else 0,
-            robot_from_rig=setup.robot_from_rig,
-            registration_covariance=setup.registration_covariance,
+            robot_from_rig=robot_from_rig,
+            registration_covariance=registration,
             drift=self._drift.state(),
         )
 

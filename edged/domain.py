@@ -250,12 +250,14 @@ class Command:
 
     source : who asks ("modbus", "zenoh", ...); sequence : that source's own number.
     job : job number, 0 for the active one.
+    robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
     """
 
     kind: CommandKind
     source: str
     sequence: int
     job: int = 0
+    robot_from_flange: FloatArray | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

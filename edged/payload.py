@@ -142,6 +142,9 @@ def command_to_json(command: Command) -> Json:
         "source": command.source,
         "sequence": command.sequence,
         "job": command.job,
+        "robot_from_flange": None
+        if command.robot_from_flange is None
+        else _numbers(command.robot_from_flange),
     }
 
 
@@ -185,6 +188,18 @@ def robot_covariance(
     jacobian = np.eye(6)
     jacobian[:3, 3:] = -skew((robot_from_rig @ target.rig_from_part)[:3, 3])
     return np.asarray(covariance + jacobian @ registration @ jacobian.T)
+
+
+def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> FloatArray:
+    """(6, 6) of robot_from_rig, from that of flange_from_rig; the flange's own pose is taken as exact.
+
+    A small motion about the flange's origin, (shift v, rotation w), is (R v + t x R w, R w) about the base's.
+    """
+    R, t = robot_from_flange[:3, :3], robot_from_flange[:3, 3]
+    adjoint = np.zeros((6, 6))
+    adjoint[:3, :3] = adjoint[3:, 3:] = R
+    adjoint[:3, 3:] = skew(t) @ R
+    return np.asarray(adjoint @ registration @ adjoint.T)
 
 
 def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> FloatArray:

@@ -222,6 +222,19 @@ def matrix_quaternion(q1: float, q2: float, q3: float, q4: float) -> FloatArray:
     return np.asarray(np.eye(3) + 2 * w * K + 2 * K @ K)
 
 
+def rotation_of(convention: Convention, a_deg: float, b_deg: float, c_deg: float) -> FloatArray:
+    """(3, 3) of A, B, C as the registers hold them: inverse of `ANGLES_DEG`."""
+    return _ROTATIONS[convention](math.radians(a_deg), math.radians(b_deg), math.radians(c_deg))
+
+
+_ROTATIONS: dict[Convention, Callable[[float, float, float], FloatArray]] = {
+    Convention.FIXED_XYZ: matrix_fixed_xyz,
+    Convention.KUKA_ABC: matrix_zyx,
+    Convention.UR_ROTATION_VECTOR: matrix_rotation_vector,
+    Convention.STAUBLI_XYZ: matrix_moving_xyz,
+    Convention.KAWASAKI_OAT: matrix_oat,
+    Convention.ABB_ZYX: matrix_zyx,
+}
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.UR: (1000.0, 1.0, matrix_rotation_vector),
     Brand.KUKA: (1.0, math.pi / 180, matrix_zyx),

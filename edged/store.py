@@ -99,6 +99,7 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
         "right": _camera_to_json(rig.right),
         "right_from_left": rig.right_from_left.tolist(),
         "robot_from_rig": None if rig.robot_from_rig is None else rig.robot_from_rig.tolist(),
+        "flange_from_rig": None if rig.flange_from_rig is None else rig.flange_from_rig.tolist(),
         "registration_covariance": None
         if rig.registration_covariance is None
         else rig.registration_covariance.tolist(),
@@ -145,6 +146,9 @@ def load_rig(path: Path) -> StereoRig:
     if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:
         raise FileFormatError(f"{path}: right_from_left: both cameras are in one place")
     robot = None if document.get("robot_from_rig") is None else reader.transform("robot_from_rig")
+    flange = None if document.get("flange_from_rig") is None else reader.transform("flange_from_rig")
+    if robot is not None and flange is not None:
+        raise reader.error("flange_from_rig", "a rig is fixed to the robot's base or to its flange, not both")
     identity = document.get("calibration_id")
     if not isinstance(identity, str) or not identity:
         raise FileFormatError(f"{path}: calibration_id: expected a name, got {identity!r}")
@@ -152,7 +156,7 @@ def load_rig(path: Path) -> StereoRig:
     if document.get("registration_covariance") is not None:
         registration = reader.array("registration_covariance", (6, 6))
         _check_covariance(registration, f"{path}: registration_covariance")
-    rig = StereoRig(left, right, right_from_left, identity, robot, None, registration)
+    rig = StereoRig(left, right, right_from_left, identity, robot, None, registration, flange)
     stored = document.get("covariance")
     if stored is None:
         return rig
@@ -162,6 +166,15 @@ def load_rig(path: Path) -> StereoRig:
         raise FileFormatError(f"{path}: covariance.parameters: expected {list(rig.parameter_names)}")
     _check_covariance(covariance, f"{path}: covariance.matrix")
     return replace(rig, covariance=covariance)
+
+
+def load_rig_quality(path: Path) -> dict[str, Any]:
+    """The figures that `save_rig` kept for people; {} where there are none."""
+    try:
+        quality = json.loads(read_bytes(Path(path), "a rig")).get("quality")
+    except (ValueError, AttributeError) as error:
+        raise FileFormatError(f"{path}: not a rig file: {error}") from error
+    return quality if isinstance(quality, dict) else {}
 
 
 def _check_covariance(matrix: FloatArray, place: str) -> None:

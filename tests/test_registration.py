@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from datetime import datetime
 from pathlib import Path
 
 import cells
@@ -33,12 +34,14 @@ from edged.robots import (
 )
 from edged.sim.cell import calibration_views
 from edged.sim.scene import chessboard_plate
-from edged.store import load_rig, save_rig
+from edged.store import load_rig, load_rig_quality, save_rig
 from edged.vision.conventions import rank_readings
 from edged.vision.geometry import apply, invert, rotation_vector, transform
 from edged.vision.registration import Mount, hand_eye, register_points
 
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
+FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
+ROBOT_FROM_BOARD = make_transform((0.1, -0.05, 0.7), (610.0, -120.0, 35.0))
 BOARD_MM = np.array([[x * 7.0, y * 7.0, 0.0] for y in range(6) for x in range(9)])
 
 
@@ -280,13 +283,16 @@ def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = cells.small_rig()
     save_rig(folder / "rig.json", rig)
     flange_from_board = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
-    lines = []
+    lines, carried = [], []
     for number, view in enumerate(calibration_views(rig, chessboard_plate(9, 6, 4.0), 8, seed=4)):
         for side, image in (("left", view.left), ("right", view.right)):
             cv2.imwrite(str(folder / f"p{number}_{side}.png"), image)
         flange = ROBOT_FROM_RIG @ view.rig_from_plate @ invert(flange_from_board)
         lines.append(f"p{number}," + ",".join(f"{value:.4f}" for value in shown(Brand.KUKA, flange)))
+        holder = ROBOT_FROM_BOARD @ invert(view.rig_from_plate) @ invert(FLANGE_FROM_RIG)
+        carried.append(f"p{number}," + ",".join(f"{value:.6f}" for value in shown(Brand.UR, holder)))
     (folder / "poses.csv").write_text("\n".join(lines))
+    (folder / "carried.csv").write_text("\n".join(carried))
     return folder
 
 
@@ -304,6 +310,27 @@ def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFix
     assert saved is not None
     at = np.array([0.0, 0.0, 205.0])
     assert np.linalg.norm(apply(saved, at) - apply(ROBOT_FROM_RIG, at)) < 0.05
+
+
+def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A UR that carries the rig would take the same pictures: flange_from_rig, when and how are saved."""
+    output = pictured / "carried.json"
+    code = hand_eye_command(
+        pictured / "rig.json", pictured, pictured / "carried.csv", "chessboard:9x6:4.0", "ur", "eye-in-hand",
+        output, 0.2, True, Console(stderr=True),
+    )  # fmt: skip
+    report = json.loads(capsys.readouterr().out)
+
+    assert (code, report["good"]) == (0, True)
+    saved = load_rig(output)
+    assert saved.robot_from_rig is None
+    assert saved.flange_from_rig is not None
+    assert saved.registration_covariance is not None
+    at = np.array([0.0, 0.0, 205.0])
+    assert np.linalg.norm(apply(saved.flange_from_rig, at) - apply(FLANGE_FROM_RIG, at)) < 0.05
+    note = load_rig_quality(output)["registration"]
+    assert (note["how"], note["poses"]) == ("hand-eye, eye-in-hand", 8)
+    assert datetime.fromisoformat(note["when"]).tzinfo is not None
 
 
 def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:

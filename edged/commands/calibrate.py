@@ -305,7 +305,8 @@ def _keep_old(output: Path, console: Console) -> Path | None:
     if kept is None:
         return None
     try:
-        registered = load_rig(kept).robot_from_rig is not None
+        old = load_rig(kept)
+        registered = old.robot_from_rig is not None or old.flange_from_rig is not None
     except FileFormatError:
         registered = False  # whatever it was, it is kept
     if registered:

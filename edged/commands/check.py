@@ -41,6 +41,8 @@ def check(path: Path, *, as_json: bool) -> int:
     print(f"{path}: good")
     print(f"  cell         {config.cell.name}, fingerprint {setup.fingerprint}")
     frame = "robot" if setup.robot_from_rig is not None else "rig (not registered to a robot)"
+    if setup.flange_from_rig is not None:
+        frame = "robot, of commands that say where the flange is"
     print(f"  rig          {setup.calibration_id}; coordinates in the frame: {frame}")
     print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"

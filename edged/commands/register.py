@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from rich.table import Table
 from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.robots import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
-from edged.store import keep_old_rig, load_image, load_rig, read_bytes, save_rig
+from edged.store import keep_old_rig, load_image, load_rig, load_rig_quality, read_bytes, save_rig
 from edged.vision.boards import Missed, NominalBoard, StereoView, parse_board
 from edged.vision.camera import StereoRig
 from edged.vision.conventions import rank_readings
@@ -38,7 +39,9 @@ def touch(
     worst = float(np.nanmax(found.left_out_mm)) if np.isfinite(found.left_out_mm).any() else math.nan
     good = worst <= limit_mm
     doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(names) > 3 else False
-    kept = _save(rig, output, found.robot_from_rig, found.covariance) if good else None
+    registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None)
+    how = {"how": "touched points", "points": len(names), "rms_mm": round(found.rms_mm, 4)}
+    kept = _save(rig_path, registered, output, found.covariance, how) if good else None
     if as_json:
         print(json.dumps(_touch_json(names, found, good, output if good else None)))
         return 0 if good else 1
@@ -83,8 +86,15 @@ def hand_eye_command(
     rms = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
     good = rms <= limit_mm
     kept = None
-    if good and mount == "eye-to-hand":
-        kept = _save(rig, output, found.rig, found.covariance)
+    if good:
+        fixed = mount == "eye-to-hand"
+        registered = replace(
+            rig,
+            robot_from_rig=found.rig if fixed else None,
+            flange_from_rig=None if fixed else found.rig,
+        )
+        how = {"how": f"hand-eye, {mount}", "poses": len(views), "held_out_rms_mm": round(rms, 4)}
+        kept = _save(rig_path, registered, output, found.covariance, how)
     if as_json:
         print(json.dumps(_hand_eye_json(list(views), found, rms, good)))
         return 0 if good else 1
@@ -102,11 +112,10 @@ def hand_eye_command(
             f"over the limit of {limit_mm:g} mm: nothing was saved. `edged register self-test` tells whether "
             "the poses are read the right way"
         )
-    elif mount == "eye-in-hand":
-        console.print("flange_from_rig (mm), for the robot's program: the rig moves with the flange")
-        console.print(np.array2string(found.rig, precision=6, suppress_small=True))
     else:
         _tell_saved(output, kept, console)
+        if mount == "eye-in-hand":
+            console.print("the robot carries the rig: every LOCATE must say where the flange is")
     return 0 if good else 1
 
 
@@ -275,15 +284,20 @@ def _views(
     return found
 
 
-def _save(rig: StereoRig, output: Path, robot_from_rig: FloatArray, covariance: FloatArray) -> Path | None:
-    kept = keep_old_rig(output)
+def _save(
+    source: Path, rig: StereoRig, output: Path, covariance: FloatArray, how: dict[str, object]
+) -> Path | None:
+    """Write the registered rig; what stood there before is kept beside it. Returns that copy."""
     known = covariance if np.isfinite(covariance).all() else None
-    save_rig(output, replace(rig, robot_from_rig=robot_from_rig, registration_covariance=known))
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    quality = {**load_rig_quality(source), "registration": {**how, "when": when}}
+    kept = keep_old_rig(output)
+    save_rig(output, replace(rig, registration_covariance=known), quality)
     return kept
 
 
 def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:
-    console.print(f"robot_from_rig written to {output}" + (f"; the old rig is {kept}" if kept else ""))
+    console.print(f"registration written to {output}" + (f"; the old rig is {kept}" if kept else ""))
 
 
 def _touch_json(

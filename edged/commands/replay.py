@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from edged import recording
-from edged.domain import Calibrated, Outcome, Snapshot
+from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
 from edged.drift import refused
 from edged.errors import FileFormatError, UserError
 from edged.jobs import job_folders, load_job
-from edged.payload import Json, snapshot_to_json
+from edged.payload import Json, moved_frame, snapshot_to_json
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.store import load_rig, write_atomically
 from edged.vision.job import Job
@@ -127,11 +128,16 @@ def _measure(taken: recording.Recording, setup: tuple[PreparedRig, Job]) -> Json
     drift = taken.snapshot.get("drift")
     if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
-    return json_of(outcome, rig)
+    flange = command.get("robot_from_flange") if isinstance(command, dict) else None
+    return json_of(outcome, rig, None if flange is None else np.array(flange, np.float64))
 
 
-def json_of(outcome: Outcome, rig: PreparedRig) -> Json:
-    """The part of a published snapshot that the outcome alone decides."""
+def json_of(outcome: Outcome, rig: PreparedRig, robot_from_flange: FloatArray | None = None) -> Json:
+    """The part of a published snapshot that the outcome, and where the flange was, decide."""
+    robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
+    if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
+        robot = robot_from_flange @ rig.rig.flange_from_rig
+        registration = None if registration is None else moved_frame(registration, robot_from_flange)
     document = snapshot_to_json(
         Snapshot(
             cycle=0,
@@ -145,8 +151,8 @@ def json_of(outcome: Outcome, rig: PreparedRig) -> Json:
             exposed_ns=0,
             published_ns=0,
             targets=outcome.targets,
-            robot_from_rig=rig.rig.robot_from_rig,
-            registration_covariance=rig.rig.registration_covariance,
+            robot_from_rig=robot,
+            registration_covariance=registration,
         )
     )
     # through text, as the recorded one went

@@ -77,7 +77,11 @@ def write_rig(path: Path, rig: StereoRig, form: RigFormat, options: Options = DE
         return ()
     lost = [
         name
-        for name, value in (("covariance", rig.covariance), ("robot_from_rig", rig.robot_from_rig))
+        for name, value in (
+            ("covariance", rig.covariance),
+            ("robot_from_rig", rig.robot_from_rig),
+            ("flange_from_rig", rig.flange_from_rig),
+        )
         if value is not None
     ]
     notes = _FORMATS[form].write(path, rig, options)

@@ -96,8 +96,9 @@ class StereoRig:
     covariance : (P, P) of `parameter_names`, or None if unknown. Order: for each camera
     left, right: fx, fy, cx, cy, then its distortion; then the rotation vector (rad, applied on
     the left of R) and the translation (mm) of right_from_left.
-    registration_covariance : (6, 6) of a small motion (shift mm, rotation rad) about the robot's origin that
-    follows robot_from_rig, or None if unknown.
+    flange_from_rig : (4, 4), mm, of a rig that the robot carries; then there is no robot_from_rig.
+    registration_covariance : (6, 6) of a small motion (shift mm, rotation rad) about the robot's (flange's)
+    origin that follows robot_from_rig (flange_from_rig), or None if unknown.
     """
 
     left: CameraModel
@@ -107,6 +108,7 @@ class StereoRig:
     robot_from_rig: FloatArray | None = None
     covariance: FloatArray | None = None
     registration_covariance: FloatArray | None = None
+    flange_from_rig: FloatArray | None = None
 
     @property
     def baseline_mm(self) -> float:

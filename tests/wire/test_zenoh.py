@@ -231,12 +231,14 @@ def test_a_trigger_is_answered_by_the_result_it_asked_for():
                 cell.publisher.announce(make_snapshot(9, command=command))
 
             cell.commander.react = react
-            return await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab")
+            return await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab;flange=500,0,700,0,1,0,0")
 
     (reply,) = asyncio.run(main())
     assert reply["ok"]
     assert 9 == reply["document"]["cycle"]
-    assert {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2} == reply["document"]["command"]
+    command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2}
+    flange = [[1, 0, 0, 500], [0, -1, 0, 0], [0, 0, -1, 700], [0, 0, 0, 1]]
+    assert {**command, "robot_from_flange": flange} == reply["document"]["command"]
     assert [] == violations(reply["document"], SCHEMA, SCHEMA)
 
 
@@ -281,7 +283,11 @@ def test_wrong_parameters_are_refused_with_what_was_expected():
         "job=²": "job: expected a number from 0 to 65535, got '²'",
         "timeout_s=nan": "timeout_s: expected seconds up to 60, got 'nan'",
         "timeout_s=1e9": "timeout_s: expected seconds up to 60, got '1e9'",
-        "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s",
+        "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s, flange",
+        "flange=1,2,3": "flange: expected 7 numbers "
+        "(x y z in mm, quaternion q1 q2 q3 q4 (scalar first)), got 3",
+        "flange=1,2,3,1,0,0,one": "flange: could not convert string to float: 'one'",
+        "flange=1,2,3,1,1,0,0": "flange: the quaternion has the length 1.4142, expected 1",
     }
 
     async def main() -> tuple[list[dict[str, Any]], Cell]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from edged import handshake as hs
 from edged import registers as reg
 from edged.adapters.modbus.loglimit import LogLimit
@@ -22,11 +24,14 @@ from edged.domain import (
     CommandKind,
     Event,
     ExposureDone,
+    FloatArray,
     JobChanged,
     Snapshot,
 )
 from edged.errors import CommandRefused
 from edged.ports import Commander
+from edged.robots import rotation_of
+from edged.vision.geometry import transform
 
 SOURCE = "modbus"
 STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
@@ -226,12 +231,27 @@ class CellRegisters:
         code = self._command[_offset("COMMAND")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
+        flange = self._taken_flange()
         event = hs.SequenceWritten(
             self._command[_offset("CMD_SEQ")], known, timeout_ms / 1000 if timeout_ms else None
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
-                self._submit(Command(CommandKind(code), SOURCE, effect.ticket, self._command[_offset("JOB")]))
+                job = self._command[_offset("JOB")]
+                self._submit(Command(CommandKind(code), SOURCE, effect.ticket, job, flange))
+
+    def _taken_flange(self) -> FloatArray | None:
+        """Pose of the flange, which serves one command: the next must not measure with an old one.
+
+        All zeros: not said. No robot has its flange in its base's origin.
+        """
+        start, end = _offset("FLANGE_X"), _offset("TIMEOUT")
+        values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
+        pose = [float(values[f"FLANGE_{axis}"]) / 1000 for axis in "XYZABC"]  # µm, 0.001° to mm, degrees
+        self._command[start:end] = [0] * (end - start)
+        if not any(pose):
+            return None
+        return transform(rotation_of(self._settings.convention, *pose[3:]), np.array(pose[:3]))
 
     def _submit(self, command: Command) -> None:
         if self._commander is None:

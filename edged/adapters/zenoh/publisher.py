@@ -8,7 +8,8 @@ Keys, below `edged/<cell>`:
     alive     liveliness token: gone when the daemon or its link is
     preview/left, preview/right   JPEG, at most 5 a second, while somebody listens
     trigger   measure now; replies with the result                  (queryable)
-              parameters: kind=locate|grab|change_job, job=NUMBER, timeout_s=SECONDS
+              parameters: kind=locate|grab|change_job, job=NUMBER, timeout_s=SECONDS,
+              flange=X,Y,Z,QW,QX,QY,QZ (mm) where the robot carries the cameras
     last      the last result and its age                           (queryable)
     jobs      what can be measured                                  (queryable)
     config    cell, calibration, fingerprint                        (queryable)
@@ -49,12 +50,14 @@ from edged.domain import (
     CommandKind,
     Event,
     ExposureDone,
+    FloatArray,
     JobChanged,
     Snapshot,
 )
 from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander
+from edged.robots import Brand, transform_of
 
 log = logging.getLogger(__name__)
 
@@ -293,7 +296,8 @@ class ZenohPublisher:
             self._reply_error(query, f"a trigger must name its key, {key}")
             return
         try:
-            kind, job, timeout_s = _parse_trigger(query.parameters, self._settings.trigger_timeout_s)
+            default_s = self._settings.trigger_timeout_s
+            kind, job, timeout_s, flange = _parse_trigger(query.parameters, default_s)
         except CommandRefused as error:
             self._reply_error(query, str(error))
             return
@@ -304,7 +308,7 @@ class ZenohPublisher:
             self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
             return
         self._commands += 1
-        command = Command(kind, SOURCE, self._commands, job)
+        command = Command(kind, SOURCE, self._commands, job, flange)
         late = f"no result within {timeout_s:g} s"
         timer = asyncio.get_running_loop().call_later(timeout_s, self._settle, command, late)
         self._pending[command.sequence] = _Pending(query, command, timer)
@@ -389,9 +393,11 @@ class _Health:
         }
 
 
-def _parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> tuple[CommandKind, int, float]:
-    """Command kind, job number, time-out of a trigger's parameters; raises `CommandRefused`."""
-    known = {"kind": "locate", "job": "0", "timeout_s": str(default_timeout_s)}
+def _parse_trigger(
+    parameters: zenoh.Parameters, default_timeout_s: float
+) -> tuple[CommandKind, int, float, FloatArray | None]:
+    """Kind, job number, time-out and robot_from_flange of a trigger; raises `CommandRefused`."""
+    known = {"kind": "locate", "job": "0", "timeout_s": str(default_timeout_s), "flange": ""}
     for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
         if name not in known:
             raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
@@ -410,7 +416,17 @@ def _parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> tu
         raise CommandRefused(
             f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
         )
-    return kind, int(known["job"][:6]), timeout_s
+    return kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"])
+
+
+def _parse_flange(text: str) -> FloatArray | None:
+    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first."""
+    if not text:
+        return None
+    try:
+        return transform_of(Brand.ABB, tuple(float(part) for part in text[:400].split(",")))
+    except ValueError as error:
+        raise CommandRefused(f"flange: {error}") from None
 
 
 def _on_loop(
