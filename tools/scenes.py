@@ -94,6 +94,37 @@ def other_part(size: float = 250.0) -> Part:
     return Part(((gear * k, 200.0), (box(0, 0, 60 * k, 60 * k), 60.0)))
 
 
+def gear(size: float = 250.0) -> Part:
+    """A gear with a keyway: many equal teeth, one hint of the rotation."""
+    k, teeth = size / 250, 16
+    turns = np.arange(4 * teeth) * (2 * np.pi / (4 * teeth))
+    radii = np.where(np.arange(4 * teeth) % 4 < 2, 120.0, 98.0)
+    rim = np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
+    return Part(((rim * k, 200.0), (circle(0, 0, 35 * k), 60.0), (box(38 * k, 0, 30 * k, 18 * k), 60.0)))
+
+
+def angle_iron(size: float = 250.0) -> Part:
+    """An L of six straight edges and nothing else."""
+    outline = np.array([(-120, -90), (-70, -90), (-70, 50), (110, 50), (110, 100), (-120, 100)], float)
+    return Part(((outline * (size / 250), 200.0),))
+
+
+def stamping(size: float = 250.0) -> Part:
+    """A rounded plate with slots of low contrast and one bore."""
+    k = size / 250
+    t = np.arange(120) * (2 * np.pi / 120)
+    rim = np.column_stack(
+        [
+            120 * np.sign(np.cos(t)) * np.abs(np.cos(t)) ** 0.5,
+            70 * np.sign(np.sin(t)) * np.abs(np.sin(t)) ** 0.5,
+        ]
+    )
+    slots = (box(-60, 15, 70, 14, 0.6), box(45, -20, 50, 14, -0.4))
+    return Part(
+        ((rim * k, 200.0), *((slot * k, 165.0) for slot in slots), (circle(70 * k, 25 * k, 16 * k), 60.0))
+    )
+
+
 def paint(canvas: npt.NDArray[np.float32], part: Part, truth: Truth) -> None:
     """Blend a part into a float canvas (H, W) with exact area coverage."""
     height, width = canvas.shape
@@ -181,3 +212,25 @@ def teach_image(part: Part) -> tuple[Grey, Grey, Float]:
     size = 2 * radius + 1
     image = render([(part, truth)], Look(noise=0.5), np.random.default_rng(1), (size, size))
     return image, np.full(image.shape, 255, np.uint8), np.array([truth.x, truth.y])
+
+
+def bound_px(part: Part, look: Look, step: float = 140.0) -> float:
+    """Cramér-Rao bound of a rigid pose: rms of one coordinate of the origin, for edges of one step of grey.
+
+    A blurred step of height A in white noise holds A^2 / (2 sqrt(pi) s sigma^2) per px of its length.
+    """
+    blur = np.hypot(look.blur, np.sqrt(1 / 12))  # a pixel averages over itself
+    shot = (60 + 200) / 2 / 40
+    density = step**2 / (2 * np.sqrt(np.pi) * blur * (look.noise**2 + shot + 1 / 12))
+    information = np.zeros((3, 3))
+    for points, _ in part.outlines:
+        along = np.roll(points, -1, axis=0) - points
+        length = np.linalg.norm(along, axis=1)
+        normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
+        for share in (1 / 6, 1 / 2, 5 / 6):
+            at = points + share * along
+            turn = normal[:, 1] * at[:, 0] - normal[:, 0] * at[:, 1]
+            design = np.column_stack([normal, turn])
+            information += density / 3 * design.T @ (design * length[:, None])
+    covariance = np.linalg.inv(information)
+    return float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2))
