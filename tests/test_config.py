@@ -108,3 +108,17 @@ def test_the_fingerprint_changes_with_every_input(tmp_path: Path) -> None:
 
     assert fingerprint(config, dict(reversed(files.items()))) == base
     assert len({base, fingerprint(other, files), fingerprint(config, {**files, "rig": b"x"})}) == 3
+
+
+def test_modbus_times_and_reserved_connections_are_checked(tmp_path: Path) -> None:
+    """Seconds must be positive, reserved keys are addresses, and not more is kept than there is."""
+    modbus = '[modbus]\nmax_clients = 4\nreserved = { "192.168.10.2" = 3, "192.168.10.3" = 2 }\n'
+    assert problems(tmp_path, GOOD + modbus) == [
+        "modbus: reserved: 5 connections are kept, but max_clients is 4"
+    ]
+    wrong = '[modbus]\nheartbeat_s = 0\nowner_s = -1\nidle_s = 0\nreserved = { "the-plc" = 1 }\n'
+    found = problems(tmp_path, GOOD + wrong + '[modbus.serial]\ndevice = "/dev/ttyUSB0"\ngap_ms = 0\n')
+    assert {"modbus.heartbeat_s", "modbus.owner_s", "modbus.idle_s", "modbus.serial.gap_ms"} < {
+        line.split(":")[0] for line in found
+    }
+    assert any(line.startswith("modbus.reserved.the-plc") for line in found)
