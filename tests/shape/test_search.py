@@ -400,3 +400,19 @@ def test_threads_share_a_pool_of_workspaces(bracket: ShapeModel) -> None:
         assert first is not second
     with pool.lend() as again:
         assert again in (first, second)
+
+
+def test_interlocked_parts_are_two_parts() -> None:
+    """Two open rings in one another: the second is reported or dropped as max_overlap says, never a doubt."""
+    t = np.linspace(0.6, 2 * math.pi - 0.6, 150)
+    arc = np.column_stack([np.cos(t), np.sin(t)])
+    ring = ((np.concatenate([60 * arc, 38 * arc[::-1]]), 20.0),)
+    model = _teach(ring)
+    image = draw(ring, (185, 150, 0.0, 1, 1))
+    image = draw(ring, (225, 150, math.pi, 1, 1), background=image)
+    params = replace(RIGID, max_matches=5)
+    one = _one(find_shapes(image, model, params))
+    assert not one.ambiguous
+    both = find_shapes(image, model, replace(params, max_overlap=0.8))
+    assert sorted(round(match.x_px) for match in both) == [185, 225]
+    assert not any(match.ambiguous for match in both)

@@ -46,6 +46,8 @@ STRETCHES = 4
 """Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
 MIN_FIRST = 200
 """Points of the first step on the finest level."""
+SAME_PLACE = 0.25
+"""Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
 DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
@@ -81,14 +83,26 @@ def find_shapes(
     work = workspace or Workspace()
     work.load(image, max((len(model.levels) for model in listed), default=1))
     over = deadline or _never
-    matches: list[tuple[ShapeMatch, float]] = []
+    matches: list[_Placed] = []
     for index, model in enumerate(listed):
         if over():
             break
         search = _Search(work, model, params, over)
-        matches += [(match, model.radius_px) for match in search.run(index, valid)]
-    matches.sort(key=lambda item: (-item[0].score, item[0].model, item[0].x_px, item[0].y_px))
+        matches += [
+            _Placed(match, match.apply(model.centre_px[None])[0], model.radius_px)
+            for match in search.run(index, valid)
+        ]
+    matches.sort(key=lambda one: (-one.match.score, one.match.model, one.match.x_px, one.match.y_px))
     return _without_overlap(matches, params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """A match with the centre (2,) about which its shape could be turned by mistake, and its radius in px."""
+
+    match: ShapeMatch
+    centre_px: FloatArray
+    radius_px: float
 
 
 def _never() -> bool:
@@ -416,26 +430,30 @@ def _overlap(distance: float, radius: float) -> float:
     return float(2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2)))
 
 
-def _without_overlap(matches: list[tuple[ShapeMatch, float]], params: SearchParams) -> list[ShapeMatch]:
+def _without_overlap(matches: list[_Placed], params: SearchParams) -> list[ShapeMatch]:
     """Best first; a worse one at the same place is dropped, and makes the better one ambiguous if close."""
-    kept: list[tuple[ShapeMatch, float]] = []
-    for match, radius in matches:
-        rival = -1
-        for index, (better, other_radius) in enumerate(kept):
-            distance = float(np.hypot(match.x_px - better.x_px, match.y_px - better.y_px))
-            if _overlap(distance, 0.5 * (radius + other_radius)) > params.max_overlap:
-                rival = index
-                break
-        if rival < 0:
-            kept.append((match, radius))
-            continue
-        better, other_radius = kept[rival]
-        turned = _turn(match.angle_rad, better.angle_rad) > 0.1
-        if (
-            turned
-            and match.model == better.model
-            and match.score > better.score - 0.01
-            and not better.symmetric
-        ):
-            kept[rival] = (replace(better, ambiguous=True), other_radius)
-    return [match for match, _ in kept[: params.max_matches]]
+    kept: list[_Placed] = []
+    for one in matches:
+        rival = next((k for k, better in enumerate(kept) if _share(one, better) > params.max_overlap), None)
+        if rival is None:
+            kept.append(one)
+        elif _as_good(one, kept[rival]):
+            kept[rival] = replace(kept[rival], match=replace(kept[rival].match, ambiguous=True))
+    return [one.match for one in kept[: params.max_matches]]
+
+
+def _share(one: _Placed, other: _Placed) -> float:
+    """Share of their area, taken as discs about the origins, that two matches have in common."""
+    distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
+    return _overlap(float(distance), 0.5 * (one.radius_px + other.radius_px))
+
+
+def _as_good(one: _Placed, better: _Placed) -> bool:
+    """Whether a match is the better one's part, turned, and explains the image nearly as well."""
+    return (
+        one.match.model == better.match.model
+        and not better.match.symmetric
+        and one.match.score > better.match.score - 0.01
+        and _turn(one.match.angle_rad, better.match.angle_rad) > 0.1
+        and float(np.linalg.norm(one.centre_px - better.centre_px)) < SAME_PLACE * better.radius_px
+    )
