@@ -14,9 +14,10 @@ from rigs import make_rig
 
 from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_rig
-from edged.sim.scene import Box, Disc, Hole, Part, Surface
+from edged.sim.scene import Box, Disc, Hole, Part, Sensor, Surface
 from edged.vision.camera import LensModel
 from edged.vision.circlefit import CircleFit, CircleGuess, circle_axes, project_circle
+from edged.vision.edges import edge_profiles
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import rotation_matrix
 
@@ -115,6 +116,34 @@ def test_the_sigma_is_honest(plain_disc: tuple[FloatArray, FloatArray]) -> None:
         error = np.append(fit.circle.centre_mm - TILTED[:3, 3], fit.circle.radius_mm - 12.0)
         chi2.append(float(error @ np.linalg.solve(fit.circle.covariance, error)) / 4)
     assert 0.7 < np.mean(chi2) < 1.4
+
+
+def test_the_scatter_is_near_the_bound(plain_disc: tuple[FloatArray, FloatArray]) -> None:
+    """Over draws of noise the centre scatters by less than 1.3 times the Cramér-Rao bound.
+
+    Of an edge per px of arc: noise² 2 sqrt(pi) blur / contrast², the blur that of lens and pixel area.
+    """
+    noise, errors, information = 4.0, [], np.zeros((6, 6))
+    blur_px = math.hypot(Sensor().psf_sigma_px, math.sqrt(1 / 12))
+    phase = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
+    for side, grey in zip(("left", "right"), plain_disc, strict=True):
+        curve = project_circle(SMALL, side, TILTED[:3, 3], -TILTED[:3, 2], 12.0, phase)
+        arc_px = np.linalg.norm(np.roll(curve.pixels, -1, axis=0) - curve.pixels, axis=1)
+        profiles, _ = edge_profiles(
+            noisy(grey, 0.0, np.random.default_rng(0)), curve.pixels, curve.normals, 4
+        )
+        contrast = profiles[:, -1] - profiles[:, 0]
+        weight = arc_px * contrast**2 / ((noise**2 + 1 / 12) * 2 * math.sqrt(math.pi) * blur_px)
+        information += curve.jacobian.T @ (curve.jacobian * weight[:, None])
+    for seed in range(32):
+        rng = np.random.default_rng(seed)
+        left, right = (noisy(grey, noise, rng) for grey in plain_disc)
+        fit = fit_circle(SMALL, left, right, guess_at(TILTED), ALMOST)
+        assert fit is not None
+        errors.append(fit.circle.centre_mm - TILTED[:3, 3])
+    least = np.linalg.inv(information)[:3, :3]
+    ratio = math.sqrt(np.trace(np.linalg.solve(least, np.cov(np.array(errors).T))) / 3)
+    assert 0.8 < ratio < 1.3
 
 
 def test_where_there_is_no_circle_there_is_none(plain_disc: tuple[FloatArray, FloatArray]) -> None:

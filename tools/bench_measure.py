@@ -1,0 +1,189 @@
+#!/usr/bin/env python3
+"""Measure the circle fit against what physics allows, its stated sigma, and what a part costs.
+
+    tools/bench_measure.py [--draws N] [--json FILE]
+
+Precision: a disc of the demo's rig, rendered once, N draws of white noise. The Cramér-Rao bound of one px
+of arc is noise² 2 sqrt(pi) blur / contrast² (the blur is Gaussian: lens and pixel area); with the
+derivatives of both projected circles it becomes the bound of centre and radius in space. The scatter is the
+standard deviation over the draws; bias is the mean error, projected into the images.
+Cost: all circles of the demo's flange, from a given match, as a ratio to the floor: remap, pyramid and
+gradients of both 1280x960 images on one thread, timed in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
+
+from edged.domain import FloatArray, Image
+from edged.sim.cell import demo_part, demo_rig
+from edged.sim.scene import Disc, Part, Sensor, Surface
+from edged.vision.camera import StereoRig
+from edged.vision.circlefit import SIDES, CircleGuess, project_circle
+from edged.vision.edges import edge_profiles
+from edged.vision.facefit import fit_circle
+from edged.vision.features import measure_part
+from edged.vision.measurement import Images, Measured
+from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.shape.search import find_shapes
+from edged.vision.teaching import teach
+
+RADIUS_MM = 12.0
+WHERE = pose(turn_deg=30.0, tilt_deg=5.0)
+NOISES = (1.5, 4.0, 12.0)  # grey values
+PLATEAU_PX = 4.0  # beside an edge, beyond its blur
+LEVELS = 4
+
+
+@dataclass(frozen=True)
+class Precision:
+    """One row: how N draws scatter about the truth."""
+
+    noise: float
+    draws: int
+    centre_ratio: float
+    radius_ratio: float
+    bias_px: float
+    chi2_centre: float
+    chi2_radius: float
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Median times of one part and of the floor."""
+
+    floor_ms: float
+    part_ms: float
+    ratio: float
+    circles: int
+
+
+def bound(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float) -> FloatArray:
+    """(4, 4) least covariance of centre and radius, the plane's tilt being unknown, too."""
+    sensor = Sensor()
+    blur_px = np.sqrt(sensor.psf_sigma_px**2 + 1 / 12)
+    variance = noise**2 + 1 / 12  # rounding to grey values
+    information = np.zeros((6, 6))
+    phase = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    for side, grey in zip(SIDES, greys, strict=True):
+        curve = project_circle(rig, side, WHERE[:3, 3], -WHERE[:3, 2], RADIUS_MM, phase)
+        arc_px = np.linalg.norm(np.roll(curve.pixels, -1, axis=0) - curve.pixels, axis=1)
+        plain = np.rint(grey).astype(np.uint8)
+        profiles, _ = edge_profiles(plain, curve.pixels, curve.normals, PLATEAU_PX)
+        contrast = profiles[:, -1] - profiles[:, 0]
+        weight = arc_px * contrast**2 / (variance * 2 * np.sqrt(np.pi) * blur_px)
+        information += curve.jacobian.T @ (curve.jacobian * weight[:, None])
+    kept = [0, 1, 2, 5]
+    return np.asarray(np.linalg.inv(information)[np.ix_(kept, kept)])
+
+
+def precision(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float, draws: int) -> Precision:
+    """Fit the same circle under many draws of noise."""
+    truth = np.append(WHERE[:3, 3], RADIUS_MM)
+    guess = CircleGuess("disc", WHERE[:3, 3] + (0.1, -0.1, 0.1), RADIUS_MM + 0.05, -1)
+    errors, spreads = [], []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        left, right = (noisy(grey, noise, rng) for grey in greys)
+        fit = fit_circle(rig, left, right, guess, -WHERE[:3, 2])
+        if fit is None:
+            raise SystemExit(f"noise {noise}, draw {seed}: the disc was not measured")
+        errors.append(np.append(fit.circle.centre_mm, fit.circle.radius_mm) - truth)
+        spreads.append(fit.circle.covariance)
+    error = np.array(errors)
+    least = bound(rig, greys, noise)
+    scatter = np.cov(error.T)
+    mean = error.mean(axis=0)
+    phase, kept = np.arange(0.0, 6.2, 0.1), [0, 1, 2, 5]
+    curves = (project_circle(rig, side, WHERE[:3, 3], -WHERE[:3, 2], RADIUS_MM, phase) for side in SIDES)
+    shift = max(float(np.abs(curve.jacobian[:, kept] @ mean).max()) for curve in curves)
+    chi2 = [float(e[:3] @ np.linalg.solve(s[:3, :3], e[:3])) / 3 for e, s in zip(error, spreads, strict=True)]
+    chi2_radius = [float(e[3] ** 2 / s[3, 3]) for e, s in zip(error, spreads, strict=True)]
+    # mean over all directions in space: each has its own bound
+    centre = float(np.sqrt(np.trace(np.linalg.solve(least[:3, :3], scatter[:3, :3])) / 3))
+    radius = float(np.sqrt(scatter[3, 3] / least[3, 3]))
+    return Precision(noise, draws, centre, radius, shift, float(np.mean(chi2)), float(np.mean(chi2_radius)))
+
+
+def floor(rectification: Rectification, left: Image, right: Image) -> None:
+    """What no measurement on rectified gradients can do without."""
+    for rectified in (rectification.left_image(left), rectification.right_image(right)):
+        level = rectified
+        for _ in range(LEVELS):
+            cv2.spatialGradient(level)
+            level = cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+
+
+def median_ms(work: Callable[[], object], repeats: int = 25) -> float:
+    """Median duration, after one call to warm up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times)) * 1e3
+
+
+def cost(rig: StereoRig) -> Cost:
+    """The demo's flange, taught lying flat and measured turned and tilted."""
+    rectification = make_rectification(rig)
+    taught = pictures(rig, scene((demo_part(), pose())))
+    job = teach(*taught, rectification, region_around(rig, pose()[:3, 3], 14.0), "flange")
+    left, right = pictures(rig, scene((demo_part(), WHERE)), seed=1)
+    images = Images(left, right, rectification.left_image(left), rectification.right_image(right))
+    match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
+    measured = measure_part(images, rectification, job, match)
+    if not isinstance(measured, Measured):
+        raise SystemExit(f"the flange was not measured: {measured}")
+    floor_ms = median_ms(lambda: floor(rectification, left, right))
+    part_ms = median_ms(lambda: measure_part(images, rectification, job, match))
+    return Cost(floor_ms, part_ms, part_ms / floor_ms, len(measured.target.circles))
+
+
+def main() -> int:
+    """Run everything and print two tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    rig = demo_rig()
+    disc = Part("disc", Disc(0.0, 0.0, RADIUS_MM), Surface(albedo=0.62))
+    greys = clean_greys(rig, scene((disc, WHERE), table=replace(TEXTURED, contrast=0.0)))
+    rows = [precision(rig, greys, noise, options.draws) for noise in NOISES]
+    print(
+        "| noise, grey values | centre / bound | radius / bound | bias px | χ²/dof centre | χ²/dof radius |"
+    )
+    print("|---:|---:|---:|---:|---:|---:|")
+    for row in rows:
+        print(
+            f"| {row.noise:g} | {row.centre_ratio:.2f} | {row.radius_ratio:.2f} | {row.bias_px:.4f} "
+            f"| {row.chi2_centre:.2f} | {row.chi2_radius:.2f} |"
+        )
+    spent = cost(rig)
+    print(f"\n{spent.circles} circles of a flange: {spent.part_ms:.1f} ms, {spent.ratio:.1f} x the floor")
+    if options.json is not None:
+        document = {"precision": [asdict(row) for row in rows], "cost": asdict(spent)}
+        options.json.write_text(json.dumps(document, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
