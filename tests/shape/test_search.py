@@ -222,18 +222,50 @@ def test_equal_input_equal_output(bracket: ShapeModel) -> None:
     np.testing.assert_array_equal(first[0].linear, second[0].linear)
 
 
-def test_covariance_is_the_scatter(bracket: ShapeModel) -> None:
-    """Over many noises the squared error over the stated variance is about one."""
+@pytest.mark.parametrize(("mode", "freedom"), [("rigid", 3), ("similarity", 4), ("stretch", 5)])
+def test_covariance_is_the_scatter(bracket: ShapeModel, mode: str, freedom: int) -> None:
+    """Over many noises the squared error over the stated variance is about one, singly and together."""
     rng = np.random.default_rng(2)
+    scales = {"scale_min": 0.98, "scale_max": 1.02} if freedom > 3 else {}
+    stretch = {"scale_y_min": 0.98, "scale_y_max": 1.02} if freedom > 4 else {}
+    params = replace(RIGID, sub_pixel=mode, **scales, **stretch)
     clean = draw(BRACKET, (190.3, 150.1, 0.6, 1, 1), noise=0).astype(np.float64)
-    ratios = []
-    for _ in range(100):
+    ratios, together = [], []
+    for _ in range(60):
         image = np.clip(np.rint(clean + rng.normal(0, 12, clean.shape)), 0, 255).astype(np.uint8)
-        match = _one(find_shapes(image, bracket, RIGID))
-        error = np.array([match.x_px - 190.3, match.y_px - 150.1, match.angle_rad - 0.6])
-        ratios.append(error**2 / np.diag(match.covariance)[:3])
-    assert np.all(np.mean(ratios, axis=0) > 0.6)
-    assert np.all(np.mean(ratios, axis=0) < 1.6)
+        match = _one(find_shapes(image, bracket, params))
+        error = np.array(
+            [
+                match.x_px - 190.3,
+                match.y_px - 150.1,
+                match.angle_rad - 0.6,
+                match.scale_x - 1,
+                match.scale_y - 1,
+            ]
+        )[:freedom]
+        stated = match.covariance[:freedom, :freedom]
+        ratios.append(error**2 / np.diag(stated))
+        together.append(error @ np.linalg.solve(stated, error) / freedom)
+    assert np.all(np.mean(ratios, axis=0) > 0.5)
+    assert np.all(np.mean(ratios, axis=0) < 1.8)
+    assert 0.7 < np.mean(together) < 1.4
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    height=st.integers(1, 200),
+    width=st.integers(1, 200),
+    grey=st.sampled_from([0, 255, None]),
+    polarity=st.sampled_from(["same", "global", "local", "ignore"]),
+    limit=st.integers(1, 30),
+)
+def test_images_without_the_part_have_no_match(
+    height: int, width: int, grey: int | None, polarity: str, limit: int
+) -> None:
+    """Black, saturated or pure noise of any size: no match, no error, whatever the polarity."""
+    noise = np.random.default_rng(height * 1000 + width).integers(0, 256, (height, width), dtype=np.uint8)
+    image = noise if grey is None else np.full((height, width), grey, np.uint8)
+    assert find_shapes(image, _FUZZ, SearchParams(polarity=polarity, max_matches=limit)) == []
 
 
 def test_deadline_ends_the_search(bracket: ShapeModel) -> None:
