@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
-from benchcell import BenchCell
 
 SLOW_S = 1.0
 
@@ -43,6 +42,7 @@ def listen(port: int, pipe: Connection) -> None:
 
     with _session(port) as session:
         session.declare_subscriber("edged/*/target", heard)
+        pipe.send("up")
         pipe.recv()
     pipe.send(ages_ms)
 
@@ -58,6 +58,7 @@ def look(port: int, pause_s: float, pipe: Connection) -> None:
 
     session = _session(port)
     session.declare_subscriber("edged/*/preview/*", seen)
+    pipe.send("up")
     pipe.recv()
     pipe.send(pictures)
     pipe.close()
@@ -66,6 +67,8 @@ def look(port: int, pause_s: float, pipe: Connection) -> None:
 
 async def bench(folder: Path, seconds: float) -> None:
     """Print one line for each case."""
+    from benchcell import BenchCell  # not in the other processes, which import this file too
+
     cell = BenchCell(folder, mode="free", period_s=0.1)
     async with cell.running():
         for name, pause_s in (("nobody looks", None), ("previews", 0.0), ("slow previews", SLOW_S)):
@@ -86,6 +89,8 @@ def _run(tasks: list, seconds: float) -> list:  # type: ignore[type-arg]
         process = context.Process(target=target, args=(*arguments, theirs))
         process.start()
         started.append((process, ours))
+    for _, ours in started:
+        ours.recv()
     time.sleep(seconds)
     reports = []
     for process, ours in started:
