@@ -6,6 +6,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from drawings import BRACKET, disc, draw, flange
@@ -448,3 +449,20 @@ def test_interlocked_parts_are_two_parts() -> None:
     both = find_shapes(image, model, replace(params, max_overlap=0.8))
     assert sorted(round(match.x_px) for match in both) == [185, 225]
     assert not any(match.ambiguous for match in both)
+
+
+@pytest.mark.parametrize("seed", [*range(12), 284])
+def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
+    """One hole missing, a bar across the flange: the right rotation or "ambiguous", never 60° off."""
+    rng = np.random.default_rng(seed)
+    angle, side = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
+    image = draw(flange(True), (200.0, 160.0, angle, 1.0, 1.0), noise=2.0)
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    away = (columns - 200) * np.cos(side) + (rows - 160) * np.sin(side) - rng.uniform(-45, 45)
+    texture = cv2.GaussianBlur(rng.normal(0, 1, image.shape), (0, 0), 2)
+    bar = np.clip(rng.uniform(60, 160) + 15 * texture / texture.std(), 0, 255)
+    image = np.where(np.abs(away) < 14, bar, image).astype(np.uint8)
+
+    for match in find_shapes(image, _teach(flange(odd=True)), SearchParams(polarity="local")):
+        off = (match.angle_rad - angle + np.pi) % (2 * np.pi) - np.pi
+        assert match.ambiguous or abs(off) < 0.02
