@@ -362,6 +362,38 @@ def replay(
 
 
 @app.command()
+def backup(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="archive to write, FILE.tar.gz")],
+    force: Annotated[bool, typer.Option("--force", help="replace an archive of that name")] = False,
+) -> None:
+    """Put configuration, rig, jobs and the register map into one checksummed archive."""
+    from rich.console import Console
+
+    from edged.commands.backup import backup as command
+
+    raise typer.Exit(command(config, output, Console(soft_wrap=True), force=force))
+
+
+@app.command()
+def restore(
+    archive: Annotated[Path, typer.Argument(help="written by `edged backup`")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="folder to make; without it the archive is checked")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="replace a folder that is in use; it is kept beside")
+    ] = False,
+) -> None:
+    """Check a backup and make a folder of it. 0: done; 1: done, but this version does not run it."""
+    from rich.console import Console
+
+    from edged.commands.backup import restore as command
+
+    raise typer.Exit(command(archive, output, Console(soft_wrap=True), force=force))
+
+
+@app.command()
 def password() -> None:
     """Ask for a password and print its hash, for `web.password_hash`."""
     from edged.commands.password import password as command

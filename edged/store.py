@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import io
 import json
@@ -45,6 +46,18 @@ def write_atomically(path: Path, data: bytes) -> None:
         os.fsync(directory)
     finally:
         os.close(directory)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
+
+    renameat2(2) with RENAME_EXCHANGE, of Linux; file systems of networks may refuse it.
+    """
+    at_fdcwd, rename_exchange = -100, 2
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), str(one))
 
 
 def read_bytes(path: Path, what: str) -> bytes:

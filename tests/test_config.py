@@ -122,3 +122,14 @@ def test_modbus_times_and_reserved_connections_are_checked(tmp_path: Path) -> No
         line.split(":")[0] for line in found
     }
     assert any(line.startswith("modbus.reserved.the-plc") for line in found)
+
+
+def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
+    """The same files in another folder are the same cell; another name of the rig is another setting."""
+    (tmp_path / "moved").mkdir()
+    here, there = load(write(tmp_path, GOOD)), load(write(tmp_path / "moved", GOOD))
+    assert here.cell.rig != there.cell.rig
+
+    assert fingerprint(here, {}) == fingerprint(there, {})
+    renamed = load(write(tmp_path, GOOD.replace("rig.json", "other.json")))
+    assert fingerprint(here, {}) != fingerprint(renamed, {})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edged.errors import FileFormatError, ImageError
-from edged.store import load_arrays, load_image, load_rig, save_arrays, save_rig, write_atomically
+from edged.store import exchange, load_arrays, load_image, load_rig, save_arrays, save_rig, write_atomically
 from edged.vision.camera import CameraModel, StereoRig
 
 CAMERA = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))
@@ -163,3 +163,17 @@ def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
     ]:
         with pytest.raises(ImageError, match=message):
             load_image(tmp_path / name)
+
+
+def test_exchange_swaps_two_names(tmp_path: Path) -> None:
+    """A folder and a file change places; what is not there is an `OSError` that names it."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "inside").write_bytes(b"1")
+    (tmp_path / "file").write_bytes(b"2")
+
+    exchange(tmp_path / "folder", tmp_path / "file")
+
+    assert (tmp_path / "file" / "inside").read_bytes() == b"1"
+    assert (tmp_path / "folder").read_bytes() == b"2"
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        exchange(tmp_path / "nowhere", tmp_path / "file")

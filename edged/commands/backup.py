@@ -1,0 +1,387 @@
+"""`edged backup` and `edged restore`: all that a cell stands on in one file, and back again.
+
+    manifest.json     what this is, and size and SHA-256 of every other member
+    cell.toml         the configuration under its own name; paths in it lead to the members
+    rig.json, jobs/   calibration and jobs; Zenoh's own file if there is one
+    registers.csv     the Modbus map of the version that wrote it: what the PLC's program was made for
+
+Certificates and keys belong to a machine and are not in it, nor are recordings. A backup is restored once
+into a temporary folder before it counts: the cell in it must load, and have the fingerprint that its
+results carry. An archive may come from anywhere: nothing is written before all of it has been checked.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+import tarfile
+import tempfile
+import tomllib
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from rich.console import Console
+
+from edged import __version__
+from edged.app import load_cell
+from edged.commands.registers import render
+from edged.config import Config
+from edged.errors import ConfigError, FileFormatError, UserError
+from edged.jobs import job_folders
+from edged.store import exchange, read_bytes, write_atomically
+
+FORMAT = "edged-backup"
+VERSION = 1
+MANIFEST, REGISTERS = "manifest.json", "registers.csv"
+MAX_BYTES = 256 * 1024 * 1024
+"""Unpacked. A cell of a hundred jobs has a tenth of it; more is a wrong file, or one made to fill memory."""
+MAX_MEMBERS = 10_000
+PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}")
+"""What may be between two slashes of a member's name: nothing that leads elsewhere, nothing hidden."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backup:
+    """What an archive holds.
+
+    config : the member that is the configuration.  files : content by name, without the manifest.
+    left_out : files that the configuration names and a backup does not hold, by dotted path.
+    """
+
+    created: datetime
+    version: str
+    cell: str
+    config: str
+    fingerprint: str
+    files: Mapping[str, bytes]
+    left_out: Mapping[str, str]
+
+
+# --- the two commands -------------------------------------------------------------------------
+
+
+def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:
+    """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
+    if output.exists() and not force:
+        raise UserError(f"{output}: exists; choose another name, or --force to replace it")
+    loaded = load_cell(config)
+    files, left_out = _collect(config, loaded.config)
+    taken = Backup(
+        datetime.now(UTC).replace(microsecond=0),
+        __version__,
+        loaded.config.cell.name,
+        config.name,
+        loaded.setup.fingerprint,
+        files,
+        left_out,
+    )
+    data = pack(taken)
+    with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
+        _write(Path(place), unpack(data, str(output)))
+        found = load_cell(Path(place) / config.name).setup.fingerprint
+    if found != taken.fingerprint:
+        raise UserError(f"{config}: it changed while the backup was made; try again")
+    try:
+        write_atomically(output, data)
+    except OSError as error:
+        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+    console.print(
+        f"{output}: cell {taken.cell}, fingerprint {taken.fingerprint}, {len(files)} files, "
+        f"{len(data) / 1024:.0f} KiB",
+        markup=False,
+        highlight=False,
+    )
+    _print_left_out(taken, console)
+    return 0
+
+
+def restore(archive: Path, output: Path | None, console: Console, *, force: bool = False) -> int:
+    """Check an archive; with an output make it that folder, as a whole or not at all.
+
+    force : an existing folder makes room and is kept beside it. Returns 0, or 1 when this version cannot run
+    what was restored. Raises `UserError`; then nothing has changed.
+    """
+    taken = unpack(_read(archive), str(archive))
+    console.print(
+        f"{archive}: cell {taken.cell}, fingerprint {taken.fingerprint}, written by edged {taken.version} at "
+        f"{taken.created:%Y-%m-%d %H:%M} UTC; {len(taken.files)} files, every checksum is right",
+        markup=False,
+        highlight=False,
+    )
+    _print_left_out(taken, console)
+    if taken.files.get(REGISTERS) != render("csv").encode():
+        console.print(
+            f"the Modbus map of this version is another one: compare {REGISTERS} with `edged registers`"
+        )
+    if output is None:
+        return 0
+    kept = _put_in_place(taken, output, force=force)
+    if kept is not None:
+        console.print(f"what was in {output} is in {kept} now", markup=False, highlight=False)
+    return _tell_verdict(taken, output, console)
+
+
+def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
+    """Whether this version of edged would run the restored cell, and as the same one."""
+    config = output / taken.config
+    try:
+        fingerprint = load_cell(config).setup.fingerprint
+    except ConfigError as error:
+        console.print(f"restored, but this version does not run it: {error}", markup=False, highlight=False)
+        return 1
+    same = "the same" if fingerprint == taken.fingerprint else "another one: the version reads it differently"
+    console.print(
+        f"restored into {output}; fingerprint {fingerprint}, {same}. Next: edged doctor {config}",
+        markup=False,
+        highlight=False,
+    )
+    return 0
+
+
+def _print_left_out(taken: Backup, console: Console) -> None:
+    for place, file in taken.left_out.items():
+        console.print(f"not in a backup: {place} = {file}", markup=False, highlight=False)
+
+
+# --- what belongs to a cell -------------------------------------------------------------------
+
+
+def _collect(path: Path, config: Config) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Members by name, and what is left out."""
+    path = path.resolve()
+    text = read_bytes(path, "a configuration").decode()
+    files = {REGISTERS: render("csv").encode()}
+    rig, text = _placed(path, text, "rig", config.cell.rig)
+    _add(files, rig, config.cell.rig)
+    jobs, text = _placed(path, text, "jobs", config.cell.jobs)
+    for folder in job_folders(config.cell.jobs):
+        for file in sorted(folder.rglob("*")):
+            member = f"{jobs}/{folder.name}/{file.relative_to(folder).as_posix()}"
+            if file.is_file() and not any(part.startswith(".") for part in PurePosixPath(member).parts):
+                _add(files, member, file)
+    if config.zenoh.config_file is not None:
+        member, text = _placed(path, text, "config_file", config.zenoh.config_file)
+        _add(files, member, config.zenoh.config_file)
+    if path.name in files:
+        raise UserError(f"{path}: has the name of another file of the cell: {path.name}")
+    files[path.name] = text.encode()
+    tls, web = config.modbus.tls, config.web
+    machine = {
+        "modbus.tls.certificate": tls and tls.certificate,
+        "modbus.tls.key": tls and tls.key,
+        "modbus.tls.authority": tls and tls.authority,
+        "web.certificate": web and web.certificate,
+        "web.key": web and web.key,
+        "cameras.folder": config.cameras.folder,
+    }
+    return files, {place: str(file) for place, file in machine.items() if file is not None}
+
+
+def _add(files: dict[str, bytes], member: str, path: Path) -> None:
+    problem = _wrong_name(member)
+    if problem or member in files or member == MANIFEST:
+        raise UserError(f"{path}: cannot be {member!r} in a backup: {problem or 'the name is taken'}")
+    files[member] = read_bytes(path, "a file of a backup")
+
+
+def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
+    """Member for a file or folder that the configuration names, and the configuration's text to go with it.
+
+    What lies beside the configuration keeps its place; what lies elsewhere moves there.
+    """
+    folder, target = config.parent, Path(os.path.abspath(target))  # noqa: PTH100  (a link keeps its own name)
+    if target.is_relative_to(folder) and target != folder:
+        member = target.relative_to(folder).as_posix()
+    else:
+        member = target.name
+    section = "zenoh" if key == "config_file" else "cell"
+    wanted = tomllib.loads(text)
+    if wanted[section][key] == member:
+        return member, text
+    wanted[section][key] = member
+    # only this value: the comments beside it are the integrator's
+    line = re.compile(rf"^(\s*(?:{section}\s*\.\s*)?{key}\s*=\s*)(\"[^\"\\]*\"|'[^']*')", re.MULTILINE)
+    for found in line.finditer(text):
+        edited = f'{text[: found.start(2)]}"{member}"{text[found.end(2) :]}'
+        if tomllib.loads(edited) == wanted:
+            return member, edited
+    raise UserError(f'{config}: {section}.{key}: expected on a line of its own, as {key} = "{target}"')
+
+
+# --- the archive ------------------------------------------------------------------------------
+
+
+def pack(taken: Backup) -> bytes:
+    """The archive as bytes. Raises `UserError` when there is too much for one."""
+    manifest = {
+        "format": FORMAT,
+        "version": VERSION,
+        "edged": taken.version,
+        "created": taken.created.isoformat(),
+        "cell": taken.cell,
+        "config": taken.config,
+        "fingerprint": taken.fingerprint,
+        "left_out": dict(taken.left_out),
+        "files": {
+            name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            for name, data in sorted(taken.files.items())
+        },
+    }
+    if len(taken.files) >= MAX_MEMBERS or sum(map(len, taken.files.values())) > MAX_BYTES // 2:
+        raise UserError(
+            f"{taken.cell}: more than {MAX_MEMBERS} files or {MAX_BYTES // 2**21} MiB: not a cell"
+        )
+    members = {MANIFEST: json.dumps(manifest, indent=1).encode(), **dict(sorted(taken.files.items()))}
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            info.size, info.mtime, info.mode = len(data), int(taken.created.timestamp()), 0o644
+            archive.addfile(info, io.BytesIO(data))
+    return gzip.compress(buffer.getvalue(), mtime=0)
+
+
+def unpack(data: bytes, place: str) -> Backup:
+    """Read an archive and check all of it. Raises `FileFormatError` that names place and member."""
+    members = _members(data, place)
+    try:
+        manifest = json.loads(members.pop(MANIFEST))
+    except KeyError:
+        raise FileFormatError(f"{place}: not a backup: {MANIFEST} is missing") from None
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{place}: {MANIFEST}: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise FileFormatError(f'{place}: {MANIFEST}: expected "format": "{FORMAT}"')
+    if manifest.get("version") != VERSION:
+        raise FileFormatError(f"{place}: version {manifest.get('version')!r}, this edged reads {VERSION}")
+    listed = _table(manifest, "files", place)
+    for name in sorted(listed.keys() | members.keys()):
+        if name not in members or name not in listed:
+            where = "the archive" if name not in members else MANIFEST
+            raise FileFormatError(f"{place}: {name}: missing in {where}")
+        content = members[name]
+        stated = listed[name] if isinstance(listed[name], dict) else {}
+        if (stated.get("bytes"), stated.get("sha256")) != (len(content), hashlib.sha256(content).hexdigest()):
+            raise FileFormatError(f"{place}: {name}: checksum does not match: the archive is damaged")
+    texts = {key: manifest.get(key) for key in ("edged", "cell", "config", "fingerprint", "created")}
+    for key, text in texts.items():
+        if not isinstance(text, str) or not text.isprintable() or len(text) > 200:
+            raise FileFormatError(f"{place}: {MANIFEST}: {key}: expected a short text")
+    if texts["config"] not in members:
+        raise FileFormatError(f"{place}: {MANIFEST}: config: {texts['config']!r} is not in the archive")
+    try:
+        created = datetime.fromisoformat(str(texts["created"])).astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise FileFormatError(f"{place}: {MANIFEST}: created: {error}") from error
+    left_out = {str(key): str(file) for key, file in _table(manifest, "left_out", place).items()}
+    return Backup(
+        created,
+        str(texts["edged"]),
+        str(texts["cell"]),
+        str(texts["config"]),
+        str(texts["fingerprint"]),
+        members,
+        left_out,
+    )
+
+
+def _members(data: bytes, place: str) -> dict[str, bytes]:
+    """Content of the archive by name; only plain files with harmless names."""
+    found: dict[str, bytes] = {}
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            plain = packed.read(MAX_BYTES + 1)
+        if len(plain) > MAX_BYTES:
+            raise FileFormatError(f"{place}: unpacks to more than {MAX_BYTES // 2**20} MiB: not a backup")
+        with tarfile.open(fileobj=io.BytesIO(plain), mode="r:") as archive:
+            for info in archive:
+                problem = _wrong_name(info.name)
+                if info.name in found:
+                    problem = "it is there twice"
+                elif not info.isreg() or info.issparse():
+                    problem = "expected a plain file"
+                elif len(found) >= MAX_MEMBERS:
+                    problem = f"more than {MAX_MEMBERS} files"
+                if problem:
+                    raise FileFormatError(f"{place}: {info.name!r}: {problem}")
+                file = archive.extractfile(info)
+                found[info.name] = b"" if file is None else file.read()
+    except (tarfile.TarError, EOFError, OSError, zlib.error, ValueError) as error:
+        raise FileFormatError(f"{place}: not a backup, or damaged: {error}") from error
+    return found
+
+
+def _wrong_name(name: str) -> str:
+    """Why a member must not be called so; "" when it may."""
+    if all(PART.fullmatch(part) for part in name.split("/")) and len(name) <= 1000:
+        return ""
+    return "expected a relative path without .. and hidden parts, of letters, digits and _ . + @ = -"
+
+
+def _table(manifest: dict[str, Any], key: str, place: str) -> dict[str, Any]:
+    value = manifest.get(key)
+    if not isinstance(value, dict):
+        raise FileFormatError(f"{place}: {MANIFEST}: {key}: expected an object")
+    return value
+
+
+def _read(archive: Path) -> bytes:
+    try:
+        with archive.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise FileFormatError(f"{archive}: cannot read a backup: {error.strerror or error}") from error
+    if len(data) > MAX_BYTES:
+        raise FileFormatError(f"{archive}: larger than {MAX_BYTES // 2**20} MiB: not a backup")
+    return data
+
+
+# --- into the folder --------------------------------------------------------------------------
+
+
+def _write(folder: Path, taken: Backup) -> None:
+    for name, data in taken.files.items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, data)
+
+
+def _put_in_place(taken: Backup, output: Path, *, force: bool) -> Path | None:
+    """Make `output` the restored cell in one step; returns where a former folder is kept."""
+    output = output.resolve()
+    if output.exists() and not output.is_dir():
+        raise UserError(f"{output}: exists and is no folder")
+    in_use = output.is_dir() and any(output.iterdir())
+    if in_use and not force:
+        raise UserError(f"{output}: is not empty; choose another folder, or --force to replace it")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
+        try:
+            _write(draft, taken)
+            draft.chmod(0o755)
+            if not in_use:
+                draft.replace(output)
+                return None
+            draft = draft.rename(_unused(output.with_name(f"{output.name}.before-restore")))
+            exchange(draft, output)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+    return draft
+
+
+def _unused(path: Path) -> Path:
+    names = (path.with_name(f"{path.name}-{number}") for number in range(1, 10_000))
+    return next(name for name in names if not name.exists())

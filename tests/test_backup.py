@@ -1,0 +1,288 @@
+"""Backups: what comes back is the same cell, and no archive writes where or what it should not."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import tarfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from cells import small_rig
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from typer.testing import CliRunner
+
+from edged.app import load_cell
+from edged.cli import app
+from edged.commands import backup as module
+from edged.commands.backup import Backup, backup, pack, restore, unpack
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.config import load
+from edged.errors import ConfigError, FileFormatError, UserError
+from edged.sim.cell import VirtualCell, demo_part
+
+QUIET = Console(quiet=True)
+Archive = tuple[Path, bytes]
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration file with its rig and its job."""
+    folder = tmp_path_factory.mktemp("cell")
+    return prepare_cell(folder, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
+
+
+@pytest.fixture(scope="module")
+def archive(cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """Its backup: the file, and its bytes."""
+    file = tmp_path_factory.mktemp("backup") / "cell.tar.gz"
+    assert 0 == backup(cell, file, QUIET)
+    return file, file.read_bytes()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder."""
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()
+    }
+
+
+def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path: Path) -> None:
+    """Every file to the last byte, and the fingerprint that its results carry, in another folder."""
+    assert 0 == restore(archive[0], tmp_path / "new" / "cell", QUIET)
+
+    restored = contents(tmp_path / "new" / "cell")
+    assert restored.pop("registers.csv").startswith(b"address,")
+    assert contents(cell.parent) == restored
+    again = load_cell(tmp_path / "new" / "cell" / "cell.toml").setup.fingerprint
+    assert load_cell(cell).setup.fingerprint == again
+    assert ["cell"] == [entry.name for entry in (tmp_path / "new").iterdir()]
+
+
+def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path: Path) -> None:
+    """Absolute paths lead to the copies afterwards; comments stay; keys of the machine are not taken."""
+    here = tmp_path / "etc"
+    here.mkdir()
+    (here / "tls.key").write_text("secret")
+    (tmp_path / "fleet.json5").write_text("{}")
+    text = cell.read_text().replace(
+        'rig = "rig.json"', f"rig = '{cell.parent / 'rig.json'}'   # of the left table"
+    )
+    text = text.replace('jobs = "jobs"', f'jobs = "{cell.parent}/jobs"')
+    text = text.replace("[zenoh]", f'[zenoh]\nconfig_file = "{tmp_path}/fleet.json5"')
+    (here / "left.toml").write_text(text + '\n[web]\ncertificate = "tls.pem"\nkey = "tls.key"\n')
+
+    assert 0 == backup(here / "left.toml", tmp_path / "a.tar.gz", QUIET)
+    assert 0 == restore(tmp_path / "a.tar.gz", tmp_path / "new", QUIET)
+
+    config = load(tmp_path / "new" / "left.toml")
+    places = (config.cell.rig, config.cell.jobs, config.zenoh.config_file)
+    assert tuple(tmp_path / "new" / name for name in ("rig.json", "jobs", "fleet.json5")) == places
+    assert 'rig = "rig.json"   # of the left table' in (tmp_path / "new" / "left.toml").read_text()
+    taken = unpack((tmp_path / "a.tar.gz").read_bytes(), "there")
+    assert {"web.certificate", "web.key"} == set(taken.left_out)
+    assert not any(b"secret" in data for data in taken.files.values())
+
+
+def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> None:
+    """The mistakes are named now, not on the day the backup is needed; no file is left."""
+    for name, data in contents(cell.parent).items():
+        (tmp_path / "broken" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "broken" / name).write_bytes(data[: len(data) // 2] if name.endswith("npz") else data)
+
+    with pytest.raises(ConfigError, match=r"shape\.npz"):
+        backup(tmp_path / "broken" / "cell.toml", tmp_path / "a.tar.gz", QUIET)
+
+    assert not (tmp_path / "a.tar.gz").exists()
+
+
+def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_path: Path) -> None:
+    """Neither an archive nor a folder; with --force the folder is exchanged and the former one is kept."""
+    with pytest.raises(UserError, match="--force"):
+        backup(cell, archive[0], QUIET)
+    assert archive[0].read_bytes() == archive[1]
+    (tmp_path / "cell").mkdir()
+    (tmp_path / "cell" / "recording.zip").write_bytes(b"evidence")
+    with pytest.raises(UserError, match="--force"):
+        restore(archive[0], tmp_path / "cell", QUIET)
+    assert {"recording.zip": b"evidence"} == contents(tmp_path / "cell")
+
+    assert 0 == restore(archive[0], tmp_path / "cell", QUIET, force=True)
+    assert 0 == restore(archive[0], tmp_path / "cell", QUIET, force=True)
+
+    assert {"recording.zip": b"evidence"} == contents(tmp_path / "cell.before-restore-1")
+    assert contents(tmp_path / "cell.before-restore-2") == contents(tmp_path / "cell")
+    assert 3 == len(list(tmp_path.iterdir()))
+
+
+def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) -> None:
+    """What cannot be written half-way through leaves the folder as it was, and no draft beside it."""
+    taken = unpack(archive[1], "there")
+    blocked = tmp_path / "blocked.tar.gz"
+    # "rig.json" is written before "rig.json/more", which needs a folder of that name
+    blocked.write_bytes(pack(replace(taken, files={**taken.files, "rig.json/more": b""})))
+    (tmp_path / "cell").mkdir()
+    (tmp_path / "cell" / "old").write_bytes(b"old")
+
+    with pytest.raises(FileFormatError, match="cannot be written"):
+        restore(blocked, tmp_path / "cell", QUIET, force=True)
+
+    assert {"old": b"old"} == contents(tmp_path / "cell")
+    assert {"blocked.tar.gz", "cell"} == {entry.name for entry in tmp_path.iterdir()}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_damage_is_found(archive: Archive, data: st.DataObject) -> None:
+    """Cut or changed bytes: the same content or one kind of error that names the file."""
+    cut = data.draw(st.integers(0, len(archive[1])))
+    damaged = bytearray(archive[1][:cut])
+    for _ in range(data.draw(st.integers(0, 4))):
+        if damaged:
+            damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        taken = unpack(bytes(damaged), "there")
+    except FileFormatError as error:
+        assert str(error).startswith("there")
+    else:
+        assert unpack(archive[1], "there").files == taken.files
+
+
+def tar(*members: tarfile.TarInfo, data: bytes = b"") -> bytes:
+    """An archive by another hand."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for info in members:
+            info.size = len(data) if info.isreg() else 0
+            archive.addfile(info, io.BytesIO(data))
+    return gzip.compress(buffer.getvalue())
+
+
+def link(name: str, target: str, kind: bytes = tarfile.SYMTYPE) -> tarfile.TarInfo:
+    """A member that is no file."""
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname = kind, target
+    return info
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../evil",
+        "/etc/evil",
+        "jobs/../../evil",
+        "jobs//evil",
+        ".evil",
+        "jobs/.evil",
+        "a\\..\\evil",
+        "a\nb",
+        "x/",
+    ],
+)
+def test_a_name_that_leads_elsewhere_is_refused(name: str, tmp_path: Path) -> None:
+    """With the name and what was expected; nothing is written anywhere."""
+    hostile = tmp_path / "in" / "hostile.tar.gz"
+    hostile.parent.mkdir()
+    hostile.write_bytes(tar(tarfile.TarInfo("manifest.json"), tarfile.TarInfo(name), data=b"{}"))
+
+    with pytest.raises(FileFormatError, match="expected a relative path") as refused:
+        restore(hostile, tmp_path / "in" / "cell", QUIET, force=True)
+
+    assert str(hostile) in str(refused.value)
+    assert [hostile] == [entry for entry in tmp_path.rglob("*") if entry.is_file()]
+
+
+@pytest.mark.parametrize(
+    "member",
+    [
+        link("rig.json", "/etc/passwd"),
+        link("rig.json", "../../x", tarfile.LNKTYPE),
+        link("rig.json", "", tarfile.FIFOTYPE),
+        link("rig.json", "", tarfile.CHRTYPE),
+        link("jobs", "", tarfile.DIRTYPE),
+    ],
+    ids=["symbolic link", "hard link", "pipe", "device", "folder"],
+)
+def test_only_plain_files_are_taken(member: tarfile.TarInfo) -> None:
+    """A link would let the next member write elsewhere."""
+    with pytest.raises(FileFormatError, match="expected a plain file"):
+        unpack(tar(member), "there")
+
+
+def _with(change: Callable[[dict[str, bytes]], object], taken: Backup) -> bytes:
+    """An archive whose members no longer fit its manifest."""
+    with tarfile.open(fileobj=io.BytesIO(gzip.decompress(pack(taken)))) as archive:
+        members = {info.name: archive.extractfile(info).read() for info in archive}  # type: ignore[union-attr]
+    change(members)
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            archive.addfile(info, io.BytesIO(data))
+    return gzip.compress(buffer.getvalue())
+
+
+def _edit(old: bytes, new: bytes) -> Callable[[dict[str, bytes]], object]:
+    return lambda m: m.update({"manifest.json": m["manifest.json"].replace(old, new)})
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda m: m.pop("rig.json"), "rig.json: missing in the archive"),
+        (lambda m: m.update({"more": b""}), "more: missing in manifest.json"),
+        (lambda m: m.update({"rig.json": b"{}"}), "rig.json: checksum does not match"),
+        (lambda m: m.pop("manifest.json"), "manifest.json is missing"),
+        (lambda m: m.update({"manifest.json": b"[]"}), 'expected "format"'),
+        (_edit(b'"config": "cell.toml"', b'"config": "x"'), "config: 'x' is not in the archive"),
+        (_edit(b'"version": 1', b'"version": 9'), "version 9, this edged reads 1"),
+    ],
+)
+def test_what_does_not_fit_the_manifest_is_named(
+    archive: Archive, change: Callable[[dict[str, bytes]], object], expected: str
+) -> None:
+    """Which member, and what is wrong with it."""
+    with pytest.raises(FileFormatError, match=expected):
+        unpack(_with(change, unpack(archive[1], "there")), "there")
+
+
+def test_an_archive_made_to_fill_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packed it is small; unpacking stops at the limit."""
+    monkeypatch.setattr(module, "MAX_BYTES", 2**20)
+    bomb = tar(tarfile.TarInfo("manifest.json"), data=bytes(2**24))
+    assert len(bomb) < 2**16
+
+    with pytest.raises(FileFormatError, match="more than 1 MiB"):
+        unpack(bomb, "there")
+
+
+def test_a_backup_of_another_version_says_what_differs(archive: Archive, tmp_path: Path) -> None:
+    """An unknown key keeps it from running: restored all the same, exit code 1, and the key is named."""
+    taken = unpack(archive[1], "there")
+    files = dict(taken.files) | {"registers.csv": b"address\n"}
+    files["cell.toml"] += b"\n[laser]\npower = 3\n"
+    (tmp_path / "old.tar.gz").write_bytes(pack(replace(taken, files=files)))
+
+    run = CliRunner().invoke(app, ["restore", str(tmp_path / "old.tar.gz"), "-o", str(tmp_path / "new")])
+
+    assert 1 == run.exit_code
+    assert "laser: unknown key" in run.output
+    assert "Modbus map of this version is another one" in run.output
+    assert (tmp_path / "new" / "cell.toml").is_file()
+
+
+def test_the_commands_check_without_writing(cell: Path, tmp_path: Path) -> None:
+    """`edged restore FILE` alone says what is in it; the archive is whole or not there."""
+    runner = CliRunner()
+    made = runner.invoke(app, ["backup", str(cell), "-o", str(tmp_path / "a.tar.gz")])
+    checked = runner.invoke(app, ["restore", str(tmp_path / "a.tar.gz")])
+
+    assert (0, 0) == (made.exit_code, checked.exit_code)
+    assert "every checksum is right" in checked.output
+    assert load_cell(cell).setup.fingerprint in checked.output
+    assert ["a.tar.gz"] == [entry.name for entry in tmp_path.iterdir()]
