@@ -310,6 +310,7 @@ class Cycle:
             fingerprint=setup.fingerprint,
             simulated=setup.simulated,
             exposed_ns=pair.exposed_ns if pair is not None else 0,
+            exposed_bound_ns=pair.exposed_bound_ns if pair is not None else None,
             published_ns=self._utc_ns(),
             targets=outcome.targets if outcome is not None else (),
             timing_ms=stopwatch.timing_ms(),

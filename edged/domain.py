@@ -44,14 +44,25 @@ class Reject(enum.IntFlag):
     CALIBRATION = 1 << 8
 
 
+class TimeBase(enum.StrEnum):
+    """Where the time of an exposure comes from, best first."""
+
+    PTP = "ptp"
+    CAMERA = "camera"
+    HOST = "host"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One image of one camera.
 
     image : (H, W) uint8, owned by the frame (never a view of a driver's buffer).
     frame_id : the camera's own counter.
-    device_ns : the camera's time stamp, its own epoch.
-    exposed_ns : host UTC ns of the exposure, as well as it is known.
+    device_ns : the camera's time stamp, its own epoch; with `TimeBase.PTP` the epoch of all such cameras.
+    exposed_ns : host UTC ns of the exposure's begin, as well as it is known.
+    exposed_bound_ns : the true time, by the host's clock, is no further away; None: not known.
+    time_base : PTP and CAMERA: the camera's stamp, by a map between its clock and the host's. HOST: when the
+        command left, or the image arrived.
     """
 
     camera: str
@@ -59,6 +70,8 @@ class Frame:
     image: Image
     device_ns: int
     exposed_ns: int
+    exposed_bound_ns: int | None = None
+    time_base: TimeBase = TimeBase.HOST
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +84,16 @@ class FramePair:
     @property
     def exposed_ns(self) -> int:
         """The earlier of both exposures, UTC ns."""
-        return min(self.left.exposed_ns, self.right.exposed_ns)
+        return self._earlier.exposed_ns
+
+    @property
+    def exposed_bound_ns(self) -> int | None:
+        """The bound of its error; None: not known."""
+        return self._earlier.exposed_bound_ns
+
+    @property
+    def _earlier(self) -> Frame:
+        return min(self.left, self.right, key=lambda frame: frame.exposed_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,6 +333,7 @@ class Snapshot:
     """Everything that is published of one cycle; immutable.
 
     exposed_ns : UTC ns of the exposure; 0 if there was none.
+    exposed_bound_ns : bound of its error; None: not known.
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
@@ -335,6 +358,7 @@ class Snapshot:
     robot_from_rig: FloatArray | None = None
     registration_covariance: FloatArray | None = None
     drift: DriftState = DriftState()
+    exposed_bound_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

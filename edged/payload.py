@@ -101,6 +101,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "cycle": snapshot.cycle,
         "command": None if snapshot.command is None else command_to_json(snapshot.command),
         "exposed_ns": snapshot.exposed_ns or None,
+        "exposed_bound_ns": snapshot.exposed_bound_ns,
         "published_ns": snapshot.published_ns,
         "job": snapshot.job,
         "job_number": snapshot.job_number,

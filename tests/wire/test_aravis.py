@@ -18,7 +18,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
-from edged.adapters.aravis.clock import CLOCK_DRIFT, ClockMap, Reading
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
 from edged.adapters.aravis.session import BLOCK_IDS, FrameCounter
@@ -217,47 +216,6 @@ def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
     assert [13, 14] == [counter.count(raw) for raw in (1, 2)]
     counter.restart()
     assert [15] == [counter.count(raw) for raw in (7,)]
-
-
-# --- the camera's clock -------------------------------------------------------------------------------
-
-
-@given(
-    offset_ns=st.integers(-(2**60), 2**60),
-    drift=st.floats(-CLOCK_DRIFT / 2, CLOCK_DRIFT / 2),
-    asked=st.lists(
-        st.tuples(st.integers(0, 10**11), st.integers(0, 10**7), st.floats(0, 1)), min_size=1, max_size=100
-    ),
-    exposed_ns=st.integers(0, 10**11),
-)
-def test_the_true_time_is_always_within_the_stated_bound(
-    offset_ns: int, drift: float, asked: list[tuple[int, int, float]], exposed_ns: int
-) -> None:
-    """Whatever offset, drift and network delays: the error of the mapped time is bounded as stated."""
-    clocks = ClockMap()
-    for sent_ns, round_trip_ns, share in sorted(asked):
-        latched_ns = sent_ns + round(round_trip_ns * share)
-        device_ns = latched_ns + round(latched_ns * drift) - offset_ns
-        clocks.add(Reading(sent_ns, sent_ns + round_trip_ns, device_ns))
-
-    mapped = clocks.utc_ns(exposed_ns + round(exposed_ns * drift) - offset_ns)
-
-    assert mapped is not None
-    assert abs(exposed_ns - mapped[0]) <= mapped[1] + 3  # ns of rounding
-
-
-def test_without_a_reading_there_is_no_map() -> None:
-    """A camera without a latch gets no invented time."""
-    assert ClockMap().utc_ns(5) is None
-
-
-def test_the_quietest_reading_counts() -> None:
-    """A reading with a round trip of 10 ms does not spoil one of 0.1 ms a second ago."""
-    clocks = ClockMap()
-    clocks.add(Reading(1_000_000_000, 1_000_100_000, 0))
-    clocks.add(Reading(2_000_000_000, 2_010_000_000, 1_009_000_000))
-
-    assert (2_000_050_000, 50_000 + 200_000) == clocks.utc_ns(1_000_000_000)
 
 
 # --- features ---------------------------------------------------------------------------------------

@@ -4,10 +4,10 @@ Responsible for: one control thread and one pump thread, deadlines, and the proo
 the last trigger. Not responsible for: trying again (`capture` does), what is in the image.
 
 Times. `device_ns` is the camera's own time stamp of the image. `exposed_ns` is the same moment in host UTC,
-by a map between both clocks that is kept up to date with every trigger; `clock_bound_ns` bounds its error.
-For a camera whose clock cannot be read it is, with the software trigger, the moment the command left this
-program (the exposure follows by the network's and the camera's delay, 0.1 ms on a quiet network; a command
-that had to be repeated is a fault), and with every other trigger source the arrival of the first packet.
+by a map between both clocks that is kept up to date with every trigger (`clock`); `exposed_bound_ns` bounds
+its error. A camera whose clock cannot be read is mapped by its images: each was exposed between its command
+and its arrival. One that stamps nothing is taken to have exposed when the command left this program (a
+command that had to be repeated is a fault), or, with every other trigger source, when the first packet came.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from edged.adapters.aravis.clock import CLOCK_DRIFT
+from edged.adapters.aravis.clock import Mapped, to_utc
 from edged.adapters.aravis.session import AravisSettings, Arrival, Session
-from edged.domain import Frame
+from edged.domain import Frame, TimeBase
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 
 log = logging.getLogger(__name__)
@@ -42,8 +42,11 @@ thread for up to 10 s, but then there is no control to give up."""
 FRAME_S = 10.0
 """No image is waited for longer than this, whatever the caller's own deadline."""
 
-CLOCK_STEP_NS = 1_000_000
-"""Some cameras count time in steps of a millisecond."""
+STAMP_NS = 1_000_000
+"""Firmware stamps an exposure up to so long before the command's echo, or after the first packet."""
+
+DELIVERY_NS = 100_000_000
+"""A camera that stamps nothing: its first packet leaves no later than this after the exposure's begin."""
 
 Result = TypeVar("Result")
 
@@ -105,10 +108,7 @@ def _bare(error: CaptureError) -> CaptureError:
 
 
 class AravisCamera:
-    """One GenICam camera. Construct it anywhere; use it from one event loop.
-
-    clock_bound_ns : bound of the error of the last frame's `exposed_ns`; None where there is no clock map.
-    """
+    """One GenICam camera. Construct it anywhere; use it from one event loop."""
 
     def __init__(self, name: str, settings: AravisSettings) -> None:
         self._name = name
@@ -120,10 +120,8 @@ class AravisCamera:
         self._awaiting = False
         self._triggers = 0
         self._sent_ns = 0
-        self._reference: tuple[int, int] | None = None
         self._last_frame_id = 0
-        self._clock_fits = True
-        self.clock_bound_ns: int | None = None
+        self._stamps_fit = True
 
     @property
     def name(self) -> str:
@@ -149,8 +147,7 @@ class AravisCamera:
         self._arrivals, self._news = arrivals, news
         self._awaiting = False
         self._triggers = 0
-        self._reference = None
-        self._clock_fits = True
+        self._stamps_fit = True
 
         def arrived(arrival: Arrival) -> None:
             arrivals.append(arrival)
@@ -192,9 +189,11 @@ class AravisCamera:
         if arrival.image is None:
             raise FrameIncomplete(self._name, arrival.problem)
         self._last_frame_id = arrival.frame_id
-        self._reference = (arrival.arrived_ns, arrival.device_ns)
-        exposed_ns, self.clock_bound_ns = self._exposed(session, arrival)
-        return Frame(self._name, arrival.frame_id, arrival.image, arrival.device_ns, exposed_ns)
+        exposed, base = self._exposed(session, arrival)
+        utc = to_utc(exposed)
+        return Frame(
+            self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base
+        )
 
     async def close(self) -> None:
         """Give up the camera; safe to call twice and on a camera that never opened.
@@ -248,35 +247,29 @@ class AravisCamera:
         """Whether a buffer was exposed before the last trigger command was sent."""
         if not session.by_software or self._triggers == 1:
             return False  # the first trigger of a connection: there was nothing before it
-        mapped = session.clock.utc_ns(arrival.device_ns) if self._clock_fits else None
-        if mapped is not None:
-            return mapped[0] + mapped[1] + CLOCK_STEP_NS < self._sent_ns
-        # Without a map: the image before had been exposed when its first packet came in, this one cannot have
-        # been before its command: at least so much must have passed on the camera's clock, but for its drift.
-        if self._reference is None:
-            return False
-        arrived_ns, reference_device_ns = self._reference
-        passed_ns = arrival.device_ns - reference_device_ns
-        if passed_ns == 0:  # a camera without a clock
-            return False
-        return passed_ns < (self._sent_ns - arrived_ns) * (1 - CLOCK_DRIFT) - CLOCK_STEP_NS
+        mapped = session.clock.at(arrival.device_ns) if self._stamps_fit else None
+        return mapped is not None and mapped.at_ns + mapped.bound_ns + STAMP_NS < self._sent_ns
 
-    def _exposed(self, session: Session, arrival: Arrival) -> tuple[int, int | None]:
-        """Host UTC ns of the exposure, and the bound of its error where it is known."""
-        mapped = session.clock.utc_ns(arrival.device_ns) if self._clock_fits else None
+    def _exposed(self, session: Session, arrival: Arrival) -> tuple[Mapped, TimeBase]:
+        """Host time of the exposure, the bound of its error, and where it comes from."""
+        earliest_ns = self._sent_ns if session.by_software else arrival.arrived_ns - DELIVERY_NS
+        session.note_exposure(earliest_ns, arrival)
+        mapped = session.clock.at(arrival.device_ns) if arrival.device_ns else None
         if mapped is not None:
-            exposed_ns, bound_ns = mapped
-            earliest_ns = self._sent_ns if session.by_software else 0
-            margin_ns = bound_ns + CLOCK_STEP_NS
-            if earliest_ns - margin_ns <= exposed_ns <= arrival.arrived_ns + margin_ns:
-                return mapped
-            self._clock_fits = False
-            log.warning(
-                "camera %s: its time stamps do not fit its clock (%.3f s off): host time is used",
-                self._name,
-                (exposed_ns - self._sent_ns) * 1e-9,
-            )
-        return (self._sent_ns if session.by_software else arrival.arrived_ns), None
+            margin_ns = mapped.bound_ns + STAMP_NS
+            fits = earliest_ns - margin_ns <= mapped.at_ns <= arrival.arrived_ns + margin_ns
+            if not fits and self._stamps_fit:
+                off_s = (mapped.at_ns - earliest_ns) * 1e-9
+                log.warning(
+                    "camera %s: its time stamps do not fit its clock (%.3f s off): host time is used",
+                    self._name,
+                    off_s,
+                )
+            self._stamps_fit = fits
+            if fits:
+                return mapped, TimeBase.PTP if session.ptp else TimeBase.CAMERA
+        bound_ns = arrival.arrived_ns - earliest_ns
+        return Mapped(earliest_ns if session.by_software else arrival.arrived_ns, bound_ns), TimeBase.HOST
 
 
 def _on_loop(action: Callable[..., object]) -> Callable[..., None]:

@@ -1,90 +1,216 @@
 """The camera's clock against the host's: when, in UTC, was that exposure?
 
-The camera latches its clock on command, and the host knows between which two moments that happened. One
-such reading bounds the offset of both clocks; the best bound there is, its age and the drift of crystals
-considered, is the one that is used.
+The camera latches its clock on command, and the host knows between which two moments that happened. Each
+such reading is a gate that the line "host time against device time" passes through. All lines that pass all
+gates bound the true one: at any device time the middle of what they leave open is the estimate, half of it
+the bound of its error. This is rigorous, whatever the network's delays are distributed like; a quiet moment
+narrows the gate, a busy one does no harm. (S. B. Moon, P. Skelly, D. Towsley, "Estimation and Removal of
+Clock Skew from Network Delay Measurements", INFOCOM 1999, finds the line by the same linear program.)
+
+Host time here is `CLOCK_MONOTONIC_RAW`: no NTP slews or steps it, so that two free crystals are compared.
+UTC is taken from the host's clock at the end, for an age of milliseconds.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
 
 from edged.adapters.aravis.features import Features
 
 CLOCK_DRIFT = 200e-6
-"""A camera's crystal against the host's, over temperature and age; the host's may be slewed by NTP too."""
+"""A camera's crystal against the host's, over temperature and age."""
 
-KEPT = 64
-"""Readings; the best of them is as good as the network was quiet once."""
+RATE_WANDER = 5e-6
+"""How far a crystal's rate may move within the window: warming up by 20 K, or a PTP servo at work."""
+
+UTC_SLEW = 500e-6
+"""The kernel slews the host's UTC by no more than this against its own crystal (adjtimex, MAXFREQ)."""
+
+SLOT_NS = 2_000_000_000
+"""Of the readings within so long only the narrowest is kept."""
+
+SLOTS = 16
+"""Readings that are kept: half a minute, while the camera is looked after each second."""
+
+TICK_HZ_HIGH, TICK_HZ_LOW = 0x093C, 0x0940
+TIMESTAMP_CONTROL, TIMESTAMP_HIGH, TIMESTAMP_LOW = 0x0944, 0x0948, 0x094C
+TIMESTAMP_LATCH = 0x2
+"""Bootstrap registers of the camera's clock, and the control bit that latches it."""
+
+COARSEST_STEP_NS = 16_000_000
+"""Some cameras count in steps of a millisecond, or of 1/64 s; what all readings have in common tells."""
+
+
+def host_ns() -> int:
+    """Now, in the host time of this module."""
+    return time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The camera's clock showed device_ns at some moment between two host UTC times."""
+    """The camera's clock showed device_ns at some moment between two host times."""
 
     before_ns: int
     after_ns: int
     device_ns: int
 
-
-class ClockMap:
-    """Host UTC for times of one camera's clock."""
-
-    def __init__(self) -> None:
-        self._readings: deque[Reading] = deque(maxlen=KEPT)
-
-    def add(self, reading: Reading) -> None:
-        """Take note of one more reading; they come in the order of time."""
-        self._readings.append(reading)
-
-    def utc_ns(self, device_ns: int) -> tuple[int, int] | None:
-        """Host UTC ns of a time of the camera and the bound of its error in ns; None without a reading."""
-        best: tuple[int, int] | None = None
-        for reading in tuple(self._readings):  # another thread may be adding
-            away_ns = device_ns - reading.device_ns
-            bound_ns = (reading.after_ns - reading.before_ns + 1) // 2 + round(abs(away_ns) * CLOCK_DRIFT)
-            if best is None or bound_ns < best[1]:
-                best = ((reading.before_ns + reading.after_ns) // 2 + away_ns, bound_ns)
-        return best
+    @property
+    def width_ns(self) -> int:
+        """How much the reading leaves open."""
+        return self.after_ns - self.before_ns
 
 
 @dataclass(frozen=True, slots=True)
-class Latch:
-    """The feature nodes that latch a camera's clock and show what was latched.
+class Mapped:
+    """A moment in host time or UTC, ns, and the bound of its error."""
 
-    tick_hz : name of the node with the clock's frequency, "" where it counts ns.
+    at_ns: int
+    bound_ns: int
+
+
+class ClockMap:
+    """Host time for times of one camera's clock.
+
+    Used from several threads: readings are replaced, not edited.
+    readings : those that are kept.
+    jumps : how often the clock was seen to jump (set, reset, wrapped); the map then begins anew.
     """
+
+    def __init__(self) -> None:
+        self.jumps = 0
+        self.readings: tuple[Reading, ...] = ()
+        self._step_ns = 0
+
+    def add(self, reading: Reading) -> None:
+        """Take note of one more reading; they come in the order of host time."""
+        expected = self.at(reading.device_ns)
+        self._step_ns = math.gcd(self._step_ns, reading.device_ns)
+        if expected is not None and not _meets(expected, reading, self._step()):
+            self.jumps += 1
+            self.readings = (reading,)
+            return
+        kept = self.readings
+        if len(kept) > 1 and reading.before_ns - kept[-2].before_ns < SLOT_NS:
+            kept, reading = kept[:-1], min(kept[-1], reading, key=lambda one: one.width_ns)
+        self.readings = (*kept[1 - SLOTS :], reading)
+
+    def at(self, device_ns: int) -> Mapped | None:
+        """Host ns of a time of the camera; None without a reading."""
+        readings, step_ns = self.readings, self._step()
+        if not readings:
+            return None
+        origin_ns = readings[-1].before_ns
+        # x: device time from the asked one; low, high: the gate for (host time - x), both from an origin
+        x = np.array([one.device_ns - device_ns for one in readings], dtype=np.float64)
+        doubt = RATE_WANDER * np.abs(x) + step_ns / 2
+        low = np.array([one.before_ns - origin_ns for one in readings]) - x - doubt
+        high = np.array([one.after_ns - origin_ns for one in readings]) - x + doubt
+        earliest, latest = _extremes(x, low, high)
+        middle = origin_ns + round((earliest + latest) / 2)
+        return Mapped(middle, math.ceil((latest - earliest + step_ns) / 2) + 1)
+
+    def utc(self, device_ns: int) -> Mapped | None:
+        """Host UTC ns of a time of the camera; None without a reading."""
+        mapped = self.at(device_ns)
+        return None if mapped is None else to_utc(mapped)
+
+    def _step(self) -> int:
+        return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # all readings 0: it tells nothing
+
+
+def _meets(expected: Mapped, reading: Reading, step_ns: int) -> bool:
+    margin_ns = expected.bound_ns + step_ns
+    return reading.before_ns - margin_ns <= expected.at_ns <= reading.after_ns + margin_ns
+
+
+def _extremes(x: Any, low: Any, high: Any) -> tuple[float, float]:
+    """The least and the greatest a of all lines a + b x, |b| <= CLOCK_DRIFT, with low <= a + b x <= high.
+
+    The extremes lie where two bounds are met at once, so every such b is tried: n <= 16 gates, some 500 of
+    them. Where no line passes all gates the last gate decides alone.
+    """
+    i, j = np.triu_indices(len(x), 1)
+    run = x[i] - x[j]
+    i, j, run = i[run != 0], j[run != 0], run[run != 0]
+    rises = [(ours[i] - theirs[j]) / run for ours in (low, high) for theirs in (low, high)]
+    b = np.clip(np.concatenate([*rises, [-CLOCK_DRIFT, CLOCK_DRIFT]]), -CLOCK_DRIFT, CLOCK_DRIFT)
+    floor = (low[:, None] - x[:, None] * b).max(axis=0)
+    ceiling = (high[:, None] - x[:, None] * b).min(axis=0)
+    passes = floor <= ceiling + 1.0  # ns of rounding
+    if not passes.any():
+        slope = CLOCK_DRIFT * abs(x[-1])
+        return float(low[-1] - slope), float(high[-1] + slope)
+    return float(floor[passes].min()), float(max(ceiling[passes].max(), floor[passes].min()))
+
+
+def to_utc(host: Mapped, raw: Callable[[], int] = host_ns, utc: Callable[[], int] = time.time_ns) -> Mapped:
+    """A host time of the last moments as UTC of the host's clock, as that stands now."""
+    before_ns = raw()
+    utc_ns = utc()
+    after_ns = raw()
+    age_ns = (before_ns + after_ns) // 2 - host.at_ns
+    bound_ns = host.bound_ns + (after_ns - before_ns + 1) // 2 + math.ceil(UTC_SLEW * abs(age_ns))
+    return Mapped(utc_ns - age_ns, bound_ns)
+
+
+class Latch(Protocol):
+    """A way to read a camera's clock."""
+
+    def read(self, device: Any) -> Reading:
+        """Latch the clock once; GLib errors pass through."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterLatch:
+    """The bootstrap registers of GigE Vision (2.0, 28.46 ff.), in whose ticks images are stamped too."""
+
+    tick_hz: int
+
+    def read(self, device: Any) -> Reading:
+        """One write, two reads."""
+        before_ns = host_ns()
+        device.write_register(TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
+        after_ns = host_ns()
+        ticks = device.read_register(TIMESTAMP_HIGH) << 32 | device.read_register(TIMESTAMP_LOW)
+        return Reading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeLatch:
+    """SFNC nodes. tick_hz : of the node's clock."""
 
     command: str
     value: str
-    tick_hz: str = ""
+    tick_hz: int
+
+    def read(self, device: Any) -> Reading:
+        """One command, one read."""
+        before_ns = host_ns()
+        device.execute_command(self.command)
+        after_ns = host_ns()
+        ticks = int(device.get_integer_feature_value(self.value))
+        return Reading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
 
 
-LATCHES = (
-    Latch("TimestampLatch", "TimestampLatchValue"),  # SFNC 2: ns
-    Latch("GevTimestampControlLatch", "GevTimestampValue", "GevTimestampTickFrequency"),  # SFNC 1.5
-)
-
-
-def find_latch(device: Any, features: Features) -> Latch | None:
+def find_latch(device: Any, features: Features, *, gige: bool) -> Latch | None:
     """The way this camera's clock can be read, if any."""
-    for latch in LATCHES:
-        names = [name for name in (latch.command, latch.value, latch.tick_hz) if name]
-        if all(features.exists(name) for name in names):
-            if latch.tick_hz and device.get_integer_feature_value(latch.tick_hz) <= 0:
-                continue
-            return latch
+    if gige:
+        hz = device.read_register(TICK_HZ_HIGH) << 32 | device.read_register(TICK_HZ_LOW)
+        if hz > 0:
+            return RegisterLatch(hz)
+    if features.exists("TimestampLatch") and features.exists("TimestampLatchValue"):
+        return NodeLatch("TimestampLatch", "TimestampLatchValue", 10**9)
     return None
 
 
-def read_clock(device: Any, latch: Latch) -> Reading:
-    """Latch the clock once; GLib errors pass through."""
-    before_ns = time.time_ns()
-    device.execute_command(latch.command)
-    after_ns = time.time_ns()
-    value = int(device.get_integer_feature_value(latch.value))
-    tick_hz = int(device.get_integer_feature_value(latch.tick_hz)) if latch.tick_hz else 10**9
-    return Reading(before_ns, after_ns, value * 10**9 // tick_hz)
+def ptp_locked(device: Any, features: Features) -> bool:
+    """Whether the camera says that its clock is the PTP network's: locked to a master, or the master."""
+    name = features.first("PtpStatus", "GevIEEE1588Status")
+    return bool(name) and device.get_string_feature_value(name) in ("Slave", "Master")

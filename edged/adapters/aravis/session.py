@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from edged.adapters.aravis.clock import ClockMap, Latch, find_latch, read_clock
+from edged.adapters.aravis.clock import ClockMap, Latch, Reading, find_latch, host_ns, ptp_locked
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
@@ -80,7 +80,7 @@ class Arrival:
     """A buffer that came out of the stream.
 
     image : (H, W) uint8, or None with the `problem`. frame_id : counted on over restarts and over the
-    wrap of 16-bit counters. arrived_ns : host UTC ns of the first packet.
+    wrap of 16-bit counters. arrived_ns : host time (`clock.host_ns`) of the first packet.
     """
 
     frame_id: int
@@ -110,7 +110,9 @@ class Session:
         self.settings = settings
         self.lost = threading.Event()
         self.clock = ClockMap()
+        self.ptp = False
         self._latch: Latch | None = None
+        self._features: Features | None = None
         self._library = library(name)
         self._on_lost = lost
         self._deliver = deliver
@@ -136,26 +138,34 @@ class Session:
         return self.settings.trigger_source == "Software"
 
     def trigger(self) -> int:
-        """Start an exposure; host UTC ns at which the command left.
+        """Start an exposure; host time at which the command left.
 
         Aravis repeats a command that is not answered; when the exposure began is then anybody's guess, and
         that is a `FrameTimeout`. For a trigger source other than software there is no command to send.
         """
-        sent_ns = time.time_ns()
+        sent_ns = host_ns()
         if self.by_software:
-            began_s = time.monotonic()
             with self._talking("software trigger"):
                 self._camera.software_trigger()
-            took_s = time.monotonic() - began_s
+            took_s = (host_ns() - sent_ns) * 1e-9
             if took_s >= REPEAT_S:
                 raise FrameTimeout(self.name, f"the trigger command was answered only after {took_s:.2f} s")
-            self._read_clock()
+        self._read_clock()
         return sent_ns
 
     def _read_clock(self) -> None:
-        if self._latch is not None:
-            with self._talking("reading its clock"):
-                self.clock.add(read_clock(self._camera.get_device(), self._latch))
+        if self._latch is None:
+            return
+        jumps = self.clock.jumps
+        with self._talking("reading its clock"):
+            self.clock.add(self._latch.read(self._camera.get_device()))
+        if self.clock.jumps > jumps:
+            log.warning("camera %s: its clock has jumped", self.name)
+
+    def note_exposure(self, sent_ns: int, arrival: Arrival) -> None:
+        """Without a clock that can be read: the exposure lay between its command and its arrival."""
+        if self._latch is None and arrival.device_ns > 0:
+            self.clock.add(Reading(sent_ns, arrival.arrived_ns, arrival.device_ns))
 
     def restart(self) -> None:
         """Stop and start acquisition: an exposure that is still under way is given up."""
@@ -171,6 +181,7 @@ class Session:
         restarted belongs to nobody, and may take writes from anybody: hence the read.
         """
         if not self._camera.is_gv_device():
+            self._look_at_clock()
             return  # USB tells by itself when it is unplugged
         device = self._camera.get_device()
         with self._talking("looking whether it is alive"):
@@ -178,6 +189,13 @@ class Session:
             privilege = device.read_register(CONTROL_PRIVILEGE_REGISTER)
             if privilege & CONTROLLED == 0:
                 raise CameraUnreachable(self.name, "it has been restarted, or gave up the connection")
+        self._look_at_clock()
+
+    def _look_at_clock(self) -> None:
+        self._read_clock()
+        if self._features is not None:
+            with self._talking("reading its PTP state"):
+                self.ptp = ptp_locked(self._camera.get_device(), self._features)
 
     def close(self) -> None:
         """Take everything down, politely if the camera still answers; never raises."""
@@ -224,9 +242,10 @@ class Session:
         features.require(self._ordinary_features(features))
         features.require(self._exposure_features(features))
         self._arm(features)
-        self._latch = find_latch(device, features)
+        self._features = features
+        self._latch = find_latch(device, features, gige=camera.is_gv_device())
         for _ in range(CLOCK_READINGS):
-            self._read_clock()
+            self._look_at_clock()
         self._start_stream()
 
     def _ordinary_features(self, features: Features) -> dict[str, Value]:
@@ -367,7 +386,8 @@ def _pump(
 
 def _arrival(aravis: Any, buffer: Any, counter: FrameCounter) -> Arrival:
     frame_id = counter.count(buffer.get_frame_id())
-    device_ns, arrived_ns = buffer.get_timestamp(), buffer.get_system_timestamp()
+    device_ns = buffer.get_timestamp()
+    arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
 
     def failed(problem: str) -> Arrival:
         return Arrival(frame_id, device_ns, arrived_ns, None, problem)
