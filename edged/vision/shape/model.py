@@ -187,8 +187,12 @@ def _repetition(points: FloatArray) -> float:
 
     Bicubic samples of white noise half a pixel apart correlate by about 0.6: a Gaussian of sigma 0.5 px.
     """
-    squared = np.sum((points[:, None] - points[None]) ** 2, axis=2)
-    return float(np.exp(-2 * squared).sum(axis=1).mean())
+    squared = np.zeros((len(points), len(points)))
+    for column in points.T:
+        apart = np.subtract.outer(column, column)
+        squared += np.square(apart, out=apart)
+    squared *= -2
+    return float(np.exp(squared, out=squared).sum(axis=1).mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,15 +215,16 @@ def strong_edges(image: Image, mask: Image, smoothing_px: float = 2.0) -> Strong
     gy = cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3)
     thin = cv2.Canny(gx, gy, 8, 16, L2gradient=True)
     thin[mask == 0] = 0
-    magnitude = np.hypot(gx.astype(np.float64), gy) / 8
-    values = magnitude[thin > 0]
-    if len(values) < MIN_POINTS:
+    at = np.nonzero(thin)
+    slopes = np.hypot(gx[at].astype(np.float64), gy[at]) / 8
+    if len(slopes) < MIN_POINTS:
         return None
     # hysteresis with thresholds from the region itself
-    high = EDGE_SHARE * float(np.percentile(values, 95))
-    linked = ((thin > 0) & (magnitude > 0.6 * high)).astype(np.uint8)
+    high = EDGE_SHARE * float(np.percentile(slopes, 95))
+    linked = np.zeros_like(thin)
+    linked[at] = slopes > 0.6 * high
     _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
-    strong = np.bincount(labels[(thin > 0) & (magnitude > high)], minlength=len(stats))
+    strong = np.bincount(labels[at][slopes > high], minlength=len(stats))
     keep = (stats[:, cv2.CC_STAT_AREA] >= 0.08 * np.sqrt(np.count_nonzero(mask))) & (strong >= 4)
     keep[0] = False
     return StrongEdges(keep[labels].astype(np.uint8), gx, gy)  # type: ignore[arg-type]
@@ -254,10 +259,12 @@ def _spread(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
         return order
     # the largest distance at which enough points remain: points closer than that repeat each other
     low, high = 0.0, float(np.ptp(points, axis=0).max())
-    best = order[:count]
+    best, shuffled = order[:count], points[order]
     for _ in range(12):
         middle = 0.5 * (low + high)
-        cells = np.unique(np.floor(points[order] / max(middle, 1e-9)), axis=0, return_index=True)[1]
+        columns, rows = np.floor(shuffled / max(middle, 1e-9)).astype(np.int64).T
+        numbers = (rows - rows.min()) * (int(np.ptp(columns)) + 1) + columns - columns.min()
+        cells = np.unique(numbers, return_index=True)[1]
         if len(cells) >= count:
             low, best = middle, order[np.sort(cells)][:count]
         else:
