@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,9 +47,11 @@ from edged.jobs import job_folders, load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.ports import Camera, Publisher
 from edged.robots import Convention
-from edged.sim.world import VirtualWorld
 from edged.store import load_rig
 from edged.vision.job import Job
+
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
+    from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
 

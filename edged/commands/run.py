@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import os
 import signal
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from edged.app import Daemon, load_cell, warm_up
-from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +60,8 @@ def run(path: Path) -> int:
     )
     source = loaded.config.cameras.source
     if source.startswith("virtual"):
+        from edged.sim.world import VirtualWorld  # a cell with real cameras starts without it
+
         with VirtualWorld(gige=source == "virtual") as world:
             asyncio.run(serve(lambda: Daemon(path, loaded, world=world)))
     else:
@@ -69,6 +71,10 @@ def run(path: Path) -> int:
 
 async def serve(build: Callable[[], Daemon]) -> None:
     """Run a daemon with the signals of a service: TERM and INT stop, HUP reloads."""
+    # what is loaded by now stays: looking through it for garbage again and again would hold up the loop
+    # for a tenth of a second each time
+    gc.freeze()
+    gc.enable()
     daemon = build()
     loop = asyncio.get_running_loop()
     reloads: set[asyncio.Task[bool]] = set()

@@ -1,0 +1,59 @@
+"""How the daemon's process is run: what it imports, and what it does with the collector of garbage."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import subprocess
+import sys
+from typing import cast
+
+from edged.app import Daemon
+from edged.commands.run import serve
+
+
+class _Daemon:
+    """Notes how it finds the collector."""
+
+    def __init__(self) -> None:
+        self.frozen = 0
+        self.enabled = False
+
+    async def run(self) -> None:
+        self.frozen, self.enabled = gc.get_freeze_count(), gc.isenabled()
+
+    def stop(self) -> None: ...
+
+
+def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
+    """A full collection of all modules would hold up the loop; garbage of cycles is still collected."""
+    daemon = _Daemon()
+    gc.disable()  # as `edged run` does while it loads
+    try:
+        asyncio.run(serve(lambda: cast(Daemon, daemon)))
+    finally:
+        gc.unfreeze()
+        gc.enable()
+
+    assert daemon.frozen > 50_000
+    assert daemon.enabled
+
+
+def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
+    """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
+    program = (
+        "import sys, edged.commands.run; print(*(name for name in sys.modules if name.startswith('edged')))"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout.split()
+
+    assert "edged.app" in loaded
+    others = (
+        "edged.sim",
+        "edged.report",
+        "edged.vision.calibration",
+        "edged.vision.chessboard",
+        "edged.clients",
+    )
+    assert [] == [name for name in loaded if name.startswith(others)]
