@@ -392,7 +392,8 @@ def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
     "settings, reason",
     [
         ({"features": {"Nonsense": 1}}, "Nonsense: the camera has no such feature"),
-        ({"features": {"PixelFormat": "RGB8"}}, "PixelFormat: only"),
+        ({"features": {"PixelFormat": "RGB8"}}, "PixelFormat: 'RGB8' is not understood, only Mono8, Mono10"),
+        ({"features": {"PixelFormat": "Mono14"}}, "PixelFormat: 'Mono14' is none of Mono8"),
         ({"exposure_us": 1e9}, "ExposureTime: 1000000000.0 is outside"),
         ({"gain_db": 59.0}, "Gain: 59.0 is outside"),
         ({"features": {"DeviceVendorName": "me"}}, "DeviceVendorName: can only be read"),

@@ -28,6 +28,7 @@ from edged.adapters.aravis.library import (
 )
 from edged.domain import Image
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, FrameTimeout
+from edged.vision.pixelformats import BY_CODE, FORMATS, grey8
 
 log = logging.getLogger(__name__)
 
@@ -253,9 +254,10 @@ class Session:
         ours = ("TriggerMode", "TriggerSource", "TriggerSelector", "AcquisitionMode")
         values: dict[str, Value] = {"PixelFormat": "Mono8"}
         values.update({name: value for name, value in self.settings.features.items() if name not in ours})
-        if values["PixelFormat"] != "Mono8":
+        if values["PixelFormat"] not in FORMATS:
             raise CameraSetupError(
-                self.name, f"PixelFormat: only Mono8 is understood, not {values['PixelFormat']!r}"
+                self.name,
+                f"PixelFormat: {values['PixelFormat']!r} is not understood, only {', '.join(FORMATS)}",
             )
         if self.settings.packet_size is not None:
             if not self._camera.is_gv_device():
@@ -397,14 +399,13 @@ def _arrival(aravis: Any, buffer: Any, counter: FrameCounter) -> Arrival:
         return failed(f"frame {frame_id} is incomplete: {status.value_nick.replace('-', ' ')}")
     if buffer.get_payload_type() != aravis.BufferPayloadType.IMAGE:
         return failed(f"frame {frame_id} carries {buffer.get_payload_type().value_nick}, not an image")
-    if buffer.get_image_pixel_format() != aravis.PIXEL_FORMAT_MONO_8:
-        return failed(f"frame {frame_id} has pixel format 0x{buffer.get_image_pixel_format():08x}, not Mono8")
+    pixels = BY_CODE.get(buffer.get_image_pixel_format())
+    if pixels is None:
+        return failed(f"frame {frame_id} has an unknown pixel format 0x{buffer.get_image_pixel_format():08x}")
     width, height = buffer.get_image_width(), buffer.get_image_height()
-    data = buffer.get_data()
-    if len(data) != width * height:
-        return failed(
-            f"frame {frame_id} has {len(data)} bytes, {width}x{height} pixels need {width * height}"
-        )
-    # get_data() copied already, but into immutable bytes: frames are ordinary writable arrays
-    image = np.frombuffer(data, np.uint8).reshape(height, width).copy()
+    data = np.frombuffer(buffer.get_data(), np.uint8)
+    try:
+        image = grey8(data, pixels, width, height)
+    except ValueError as error:
+        return failed(f"frame {frame_id}: {error}")
     return Arrival(frame_id, device_ns, arrived_ns, image)
