@@ -103,15 +103,20 @@ def test_scan_without_inversion_ignores_negative_sums() -> None:
 
 
 def test_group_sums_and_extremes() -> None:
-    """16 rows of bytes are added without overflow, and the largest magnitude is found."""
+    """16 rows of bytes are added without overflow, group to group, and the largest magnitude is found."""
     maps = RNG.integers(-7, 8, 4000).astype(np.int8)
-    offsets = RNG.integers(0, 3000, 16)
-    words = np.zeros(scan.BLOCK, np.int16)
-    scan.add_group(maps, offsets, 5, 700, np.empty(scan.BLOCK, np.int8), words)
-    expected = sum(maps[o + 5 : o + 705].astype(int) for o in offsets)
-    np.testing.assert_array_equal(words[:700], expected)
-    assert scan.highest(words, 700, False) == expected.max()  # type: ignore[union-attr]
-    assert scan.highest(words, 700, True) == np.abs(expected).max()
+    maps[100:1000] = 7
+    offsets = RNG.integers(0, 3000, (2, 32))
+    offsets[1, :16] = 50
+    words = np.full(scan.BLOCK, 999, np.int16)
+    length = 2 * scan.LANES + 37
+    for n in (0, 16):
+        scan.add_group(maps, offsets, 1, n, 5, length, words)
+    expected = sum(maps[o + 5 : o + 5 + length].astype(int) for o in offsets[1])
+    np.testing.assert_array_equal(words[:length], expected)
+    assert (words[3 * scan.LANES :] == 999).all()
+    assert scan.highest(words, length, False) == expected.max()  # type: ignore[union-attr]
+    assert scan.highest(words, length, True) == np.abs(expected).max()
 
 
 def test_peaks_are_local_maxima_and_the_best_survive() -> None:

@@ -81,6 +81,7 @@ def gradient_edges(
     inner = int(np.ceil(reach)) + 1
     slopes = np.empty(2 * inner + 1)
     across = np.empty(2 * inner + 1)
+    one = np.uint64(1)
     for n in range(placed.shape[0]):
         edges[n, 0], edges[n, 1] = np.nan, 0.0
         x0, y0, nx, ny = placed[n, 0], placed[n, 1], placed[n, 2], placed[n, 3]
@@ -88,11 +89,12 @@ def gradient_edges(
             continue
         for s in range(2 * inner + 1):
             x, y = x0 + (s - inner) * nx, y0 + (s - inner) * ny
-            ix, iy = int(x), int(y)
+            # inside the image, see above: as unsigned numbers they need no check for negative indices
+            ix, iy = np.uint64(x), np.uint64(y)
             fx, fy = x - ix, y - iy
             w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            u = w00 * gx[iy, ix] + w01 * gx[iy, ix + 1] + w10 * gx[iy + 1, ix] + w11 * gx[iy + 1, ix + 1]
-            v = w00 * gy[iy, ix] + w01 * gy[iy, ix + 1] + w10 * gy[iy + 1, ix] + w11 * gy[iy + 1, ix + 1]
+            u = w00 * gx[iy, ix] + w01 * gx[iy, ix + one] + w10 * gx[iy + one, ix] + w11 * gx[iy + one, ix + one]
+            v = w00 * gy[iy, ix] + w01 * gy[iy, ix + one] + w10 * gy[iy + one, ix] + w11 * gy[iy + one, ix + one]
             slopes[s] = u * nx + v * ny
             across[s] = -u * ny + v * nx
         best = 0.0
@@ -321,4 +323,37 @@ def robust_step(
             agreeing += 1
             cosines += max(edges[n, 1], 0.0)
     summary[0], summary[1], summary[2] = cosines / count, agreeing / count, scale
+    return True
+
+
+@kernel(
+    "b1(f8[:, ::1], f8[:, ::1], i2[:, ::1], i2[:, ::1], f8[:, ::1], i8, f8, f8, f8, f8[::1], f8[::1])"
+)
+def settle(
+    points: Array,
+    normals: Array,
+    gx: Array,
+    gy: Array,
+    steps: Array,
+    sign: int,
+    minimum: float,
+    tilt_prior: float,
+    least: float,
+    pose: Array,
+    summary: Array,
+) -> bool:
+    """Move `pose` by robust steps on one gradient image; False when the edges do not determine it.
+
+    steps (S, 2) : reach in px and degrees of freedom of each.  least : score below which the steps that
+    are left would not save it.  summary (3,) : of the last step, see `robust_step`.
+    """
+    placed, edges = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 2))
+    matrix = np.empty((8, 8))
+    for s in range(steps.shape[0]):
+        place(points, normals, pose, placed)
+        gradient_edges(gx, gy, placed, steps[s, 0], sign, minimum, edges)
+        if not robust_step(points, placed, edges, pose, int(steps[s, 1]), tilt_prior, 4, summary, matrix):
+            return False
+        if summary[0] < least:
+            return False
     return True

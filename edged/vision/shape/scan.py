@@ -15,15 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.vision.jit import kernel
+from edged.vision.shape.simd import GROUP, LANES, add_vectors
 
 ORIENTATIONS = 16
 PEAK = 7  # response of full agreement: 16 points fit into a signed byte
 SECTORS = 8  # rivals of another 45° sector never hide a pose
-GROUP = 16  # points summed in bytes
 TOP_POINTS = 96  # a multiple of GROUP
 STEP_PX = 2.0
 """Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
-BLOCK = 1024  # positions per block: sums of bytes and words stay in the first-level cache
+BLOCK = 4 * LANES  # positions per block: few enough that the points of one pose stay in the first-level cache
 
 SPREAD = 3 * PEAK * 0.45
 """Three sigma of the sum over a random part of the points: a response varies by at most 0.45 of its peak
@@ -33,9 +33,14 @@ Array = npt.NDArray[Any]
 
 
 def map_geometry(height: int, width: int, reach: int) -> tuple[int, int, int]:
-    """(rows, columns, pad) of one parity grid for points at most `reach` px from the origin."""
+    """(rows, columns, pad) of one parity grid for points at most `reach` px from the origin.
+
+    The zeros left of a row also serve the row above, whose points leave on the right. The last rows hold
+    what a vector reads past the end.
+    """
     pad = 2 * (reach // 2 + 2)
-    return (height + 1) // 2 + pad + 2, (width + 1) // 2 + pad + 2, pad
+    columns = (width + 1) // 2 + pad // 2 + 2
+    return (height + 1) // 2 + pad + 2 + LANES // columns + 1, columns, pad
 
 
 @kernel("void(i2[:, ::1], i2[:, ::1], u1[:, ::1], i8, b1, i8, f4[:, :, :, :, ::1], i1[:, :, :, :, ::1])")
@@ -84,36 +89,22 @@ def fill_responses(
             target[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
 
 
-@kernel("void(i1[::1], i8[::1], i8, i8, i1[::1], i2[::1])")
+@kernel("void(i1[::1], i8[:, ::1], i8, i8, i8, i8, i2[::1])")
 def add_group(
     maps: Array,
     offsets: Array,
+    p: int,
+    n: int,
     first: int,
     length: int,
-    bytes_: Array,
     words: Array,
 ) -> None:
-    """Add 16 points' responses at `length` positions from `first` to `words`."""
-    # slices that start at 0: otherwise each access checks for a negative index, and there is no SIMD
-    total = bytes_[:length]
-    for half in range(0, 16, 8):
-        a = maps[offsets[half] + first : offsets[half] + first + length]
-        b = maps[offsets[half + 1] + first : offsets[half + 1] + first + length]
-        c = maps[offsets[half + 2] + first : offsets[half + 2] + first + length]
-        d = maps[offsets[half + 3] + first : offsets[half + 3] + first + length]
-        e = maps[offsets[half + 4] + first : offsets[half + 4] + first + length]
-        f = maps[offsets[half + 5] + first : offsets[half + 5] + first + length]
-        g = maps[offsets[half + 6] + first : offsets[half + 6] + first + length]
-        h = maps[offsets[half + 7] + first : offsets[half + 7] + first + length]
-        if half == 0:
-            for i in range(length):
-                total[i] = a[i] + b[i] + c[i] + d[i] + e[i] + f[i] + g[i] + h[i]
-        else:
-            for i in range(length):
-                total[i] += a[i] + b[i] + c[i] + d[i] + e[i] + f[i] + g[i] + h[i]
-    target = words[:length]
-    for i in range(length):
-        target[i] += total[i]
+    """Add the responses of points n to n + 15 of pose p at `length` positions from `first` to `words`.
+
+    With n = 0 the words begin anew. Whole vectors are read and written, see `map_geometry`.
+    """
+    for i in range(0, length, LANES):
+        add_vectors(maps, offsets, p, n, first + i, words, i)
 
 
 @kernel("i8(i2[::1], i8, b1)")
@@ -148,15 +139,13 @@ def scan(
     best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
     """
     count = offsets.shape[1]
-    bytes_ = np.empty(BLOCK, np.int8)
     words = np.empty(BLOCK, np.int16)
     for first in range(0, positions, BLOCK):
         length = min(BLOCK, positions - first)
         for p in range(offsets.shape[0]):
-            words[:length] = 0
             top = 0
             for n in range(0, count, GROUP):
-                add_group(maps, offsets[p, n : n + GROUP], first, length, bytes_, words)
+                add_group(maps, offsets, p, n, first, length, words)
                 done = n + GROUP
                 if done == 2 * GROUP or done == 4 * GROUP or done == count:
                     top = highest(words, length, both)
@@ -199,6 +188,9 @@ def collect_peaks(
             for sector in range(best.shape[1]):
                 score = best[sign, sector]
                 for y in range(rows):
+                    # most rows hold nothing: their maximum takes a tenth of the time
+                    if highest(score[y * stride : y * stride + columns], columns, False) < max(cut, 1):
+                        continue
                     for x in range(columns):
                         value = score[y * stride + x]
                         if (

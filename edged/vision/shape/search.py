@@ -62,6 +62,7 @@ DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
 Deadline = Callable[[], bool]
+LEAST = 0.0
 DEFAULTS = SearchParams()
 
 
@@ -167,22 +168,26 @@ class _Search:
         """Robust steps on the gradient of a coarse level."""
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
         gx, gy = self.work.gradient(level)
-        placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
         limit = self._freedom() or refine.SIMILARITY
         # a few points do not carry a tilt
         coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
         start = min(limit, refine.STRETCH if self._stretches() else refine.SIMILARITY)
         steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
-        pose = hypothesis.pose.copy()
-        summary, matrix = np.zeros(3), np.zeros((8, 8))
-        for reach, freedom in steps:
-            refine.place(points, normals, pose, placed)
-            refine.gradient_edges(
-                gx, gy, placed, reach, self._sign(hypothesis), 8 * self.params.min_contrast, edges
-            )
-            prior = TILT_PRIOR / self._radius(level)
-            if not refine.robust_step(points, placed, edges, pose, freedom, prior, 4, summary, matrix):
-                return None
+        pose, summary = hypothesis.pose.copy(), np.zeros(3)
+        if not refine.settle(
+            points,
+            normals,
+            gx,
+            gy,
+            np.array(steps),
+            self._sign(hypothesis),
+            8 * self.params.min_contrast,
+            TILT_PRIOR / self._radius(level),
+            LEAST,
+            pose,
+            summary,
+        ):
+            return None
         score = float(summary[0])
         if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.06):
             return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -58,7 +59,7 @@ class Workspace:
         self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike, slot: int = 0
     ) -> npt.NDArray[Any]:
         """An array of this shape, not cleared; its memory is kept and reused."""
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         flat = self._pool.get((name, slot))
         if flat is None or flat.size < size or flat.dtype != np.dtype(dtype):
             flat = np.empty(size, dtype)
