@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -35,8 +37,8 @@ class Hypothesis:
     @property
     def angle(self) -> float:
         """Rotation of the affine part, rad in (-pi, pi]."""
-        a, b, c, d = self.pose[2:6]
-        return float(np.arctan2(c - b, a + d))
+        a, b, c, d = self.pose[2:6].tolist()
+        return math.atan2(c - b, a + d)
 
     def at(self, pose: FloatArray) -> Hypothesis:
         """The same at another pose."""
@@ -47,6 +49,58 @@ def scan_top(
     work: Workspace, model: ShapeModel, top: int, params: SearchParams, valid: Image | None
 ) -> Iterator[Hypothesis]:
     """Poses of the top level that may be the model, best first."""
+    height, width = work.images[top].shape
+    plan = _plan(model, top, params, height, width)
+    shape = (scan.ORIENTATIONS, 2, 2, plan.rows, plan.columns)
+    maps = work.buffer("maps", shape, np.int8, top)
+    gx, gy = work.gradient(top)
+    unsigned = params.polarity in ("local", "ignore")
+    scratch = work.buffer("directions", (2, *shape[1:]), np.float32, top)
+    minimum = int((8 * params.min_contrast) ** 2)
+    scan.fill_responses(gx, gy, _at_level(valid, gx.shape), minimum, unsigned, plan.pad, scratch, maps)
+    threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * len(plan.points))
+    used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
+    positions = used_rows * plan.columns
+    best = work.buffer("best", (2, scan.SECTORS, positions), np.int16, top)
+    pose = work.buffer("pose", (2, scan.SECTORS, positions), np.int32, top)
+    best[:] = 0
+    inverted = params.polarity == "global"
+    scan.scan(maps.reshape(-1), plan.offsets, plan.sectors, positions, threshold, inverted, best, pose)
+    peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
+    number = scan.collect_peaks(best, used_rows, used_columns, plan.columns, threshold, peaks)
+    limit = MAX_POLISHED + 2 * params.max_matches
+    chosen = _choose(peaks[:number], pose, plan.poses, plan.columns, 3.2 * float(plan.steps[0]), limit)
+    values = np.zeros(len(chosen))
+    scan.polish(maps, plan.points, plan.directions, plan.pad, plan.steps, chosen, values)
+    order = np.argsort(-values, kind="stable")[: 24 + 2 * params.max_matches]
+    good = order[values[order] >= POLISHED_SHARE * params.min_score]
+    return (
+        Hypothesis(refine.start_pose(*chosen[i, :5].tolist()), int(chosen[i, 5]), float(values[i]))
+        for i in good
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """What a scan needs and no image changes.
+
+    points (N, 2), directions (N,) rad; poses (P, 3), steps (3,): see `pose_grid`; sectors (P,) of 45°;
+    offsets (P, N) of the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
+    """
+
+    points: FloatArray
+    directions: FloatArray
+    poses: FloatArray
+    steps: FloatArray
+    sectors: npt.NDArray[np.int64]
+    offsets: npt.NDArray[np.int64]
+    rows: int
+    columns: int
+    pad: int
+
+
+@lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
+def _plan(model: ShapeModel, top: int, params: SearchParams, height: int, width: int) -> _Plan:
     level = model.levels[top]
     count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
     points, normals = level.points[:count], level.normals[:count]
@@ -54,38 +108,11 @@ def scan_top(
     radius = float(np.linalg.norm(points, axis=1).max())
     poses, steps = pose_grid(radius, params)
     reach = int(np.ceil(radius * poses[:, 1:].max())) + 2
-    height, width = work.images[top].shape
     rows, columns, pad = scan.map_geometry(height, width, reach)
-    maps = work.buffer("maps", (scan.ORIENTATIONS, 2, 2, rows, columns), np.int8, top)
-    gx, gy = work.gradient(top)
-    unsigned = params.polarity in ("local", "ignore")
-    scratch = work.buffer("directions", (2, 2, 2, rows, columns), np.float32, top)
-    minimum = int((8 * params.min_contrast) ** 2)
-    scan.fill_responses(gx, gy, _at_level(valid, gx.shape), minimum, unsigned, pad, scratch, maps)
-    threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * count)
-    used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
-    positions = used_rows * columns
-    best = work.buffer("best", (2, scan.SECTORS, positions), np.int16, top)
-    pose = work.buffer("pose", (2, scan.SECTORS, positions), np.int32, top)
-    best[:] = 0
     offsets = np.empty((len(poses), count), np.int64)
     scan.pose_offsets(points, directions, poses, rows, columns, pad, offsets)
     sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
-    scan.scan(
-        maps.reshape(-1), offsets, sectors, positions, threshold, params.polarity == "global", best, pose
-    )
-    peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
-    number = scan.collect_peaks(best, used_rows, used_columns, columns, threshold, peaks)
-    limit = MAX_POLISHED + 2 * params.max_matches
-    chosen = _choose(peaks[:number].copy(), pose, poses, columns, 3.2 * steps[0], limit)
-    values = np.zeros(len(chosen))
-    scan.polish(maps, points, directions, pad, steps, chosen, values)
-    order = np.lexsort((np.arange(len(values)), -values))[: 24 + 2 * params.max_matches]
-    good = order[values[order] >= POLISHED_SHARE * params.min_score]
-    return (
-        Hypothesis(refine.start_pose(*chosen[i, :5].tolist()), int(chosen[i, 5]), float(values[i]))
-        for i in good
-    )
+    return _Plan(points, directions, poses, steps, sectors, offsets, rows, columns, pad)
 
 
 def pose_grid(radius: float, params: SearchParams) -> tuple[FloatArray, FloatArray]:

@@ -20,6 +20,8 @@ RIGID, SIMILARITY, STRETCH, AFFINE, PROJECTIVE = 3, 4, 5, 6, 8
 """Degrees of freedom: position and angle; one scale; scales along the model's x and y; shear; tilt."""
 AGREES_PX = 1.0
 """Residual up to which an edge is taken for the model's; px of the level."""
+SETTLED_PX = 0.5
+"""A step shorter than this leaves less than a tenth of it: the next one is not worth its time."""
 TUKEY = 4.685
 """95 % efficiency for normal errors (P. W. Holland and R. E. Welsch, 1977)."""
 
@@ -93,8 +95,18 @@ def gradient_edges(
             ix, iy = np.uint64(x), np.uint64(y)
             fx, fy = x - ix, y - iy
             w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            u = w00 * gx[iy, ix] + w01 * gx[iy, ix + one] + w10 * gx[iy + one, ix] + w11 * gx[iy + one, ix + one]
-            v = w00 * gy[iy, ix] + w01 * gy[iy, ix + one] + w10 * gy[iy + one, ix] + w11 * gy[iy + one, ix + one]
+            u = (
+                w00 * gx[iy, ix]
+                + w01 * gx[iy, ix + one]
+                + w10 * gx[iy + one, ix]
+                + w11 * gx[iy + one, ix + one]
+            )
+            v = (
+                w00 * gy[iy, ix]
+                + w01 * gy[iy, ix + one]
+                + w10 * gy[iy + one, ix]
+                + w11 * gy[iy + one, ix + one]
+            )
             slopes[s] = u * nx + v * ny
             across[s] = -u * ny + v * nx
         best = 0.0
@@ -238,6 +250,23 @@ def median_magnitude(
     return float(np.median(buffer[:count]))
 
 
+@kernel("f8(f8[:, ::1], f8[::1], f8[::1])")
+def motion(
+    points: Array,
+    before: Array,
+    after: Array,
+) -> float:
+    """Upper limit of how far in px, along x or y, any of the points (N, 2) moves between two poses."""
+    far_x = far_y = 0.0
+    for n in range(points.shape[0]):
+        far_x, far_y = max(far_x, abs(points[n, 0])), max(far_y, abs(points[n, 1]))
+    # the tilt turns a little of the size into distance
+    reach = 1.0 + far_x * abs(after[6] - before[6]) + far_y * abs(after[7] - before[7])
+    x = abs(after[0] - before[0]) + far_x * abs(after[2] - before[2]) + far_y * abs(after[3] - before[3])
+    y = abs(after[1] - before[1]) + far_x * abs(after[4] - before[4]) + far_y * abs(after[5] - before[5])
+    return float(max(x, y) + (reach - 1.0) * max(far_x, far_y))
+
+
 @kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, f8, i8, f8[::1], f8[:, ::1])")
 def robust_step(
     points: Array,
@@ -326,9 +355,7 @@ def robust_step(
     return True
 
 
-@kernel(
-    "b1(f8[:, ::1], f8[:, ::1], i2[:, ::1], i2[:, ::1], f8[:, ::1], i8, f8, f8, f8, f8[::1], f8[::1])"
-)
+@kernel("b1(f8[:, ::1], f8[:, ::1], i2[:, ::1], i2[:, ::1], f8[:, ::1], i8, f8, f8, f8[::1], f8[::1])")
 def settle(
     points: Array,
     normals: Array,
@@ -338,22 +365,26 @@ def settle(
     sign: int,
     minimum: float,
     tilt_prior: float,
-    least: float,
     pose: Array,
     summary: Array,
 ) -> bool:
     """Move `pose` by robust steps on one gradient image; False when the edges do not determine it.
 
-    steps (S, 2) : reach in px and degrees of freedom of each.  least : score below which the steps that
-    are left would not save it.  summary (3,) : of the last step, see `robust_step`.
+    steps (S, 2) : reach in px and degrees of freedom of each; one that would repeat a step of less than
+    SETTLED_PX is left out.  summary (3,) : of the last step, see `robust_step`.
     """
     placed, edges = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 2))
-    matrix = np.empty((8, 8))
+    before, matrix = np.empty(8), np.empty((8, 8))
     for s in range(steps.shape[0]):
+        before[:] = pose
         place(points, normals, pose, placed)
         gradient_edges(gx, gy, placed, steps[s, 0], sign, minimum, edges)
         if not robust_step(points, placed, edges, pose, int(steps[s, 1]), tilt_prior, 4, summary, matrix):
             return False
-        if summary[0] < least:
-            return False
+        if (
+            s + 1 < steps.shape[0]
+            and steps[s, 1] == steps[s + 1, 1]
+            and motion(points, before, pose) < SETTLED_PX
+        ):
+            break
     return True

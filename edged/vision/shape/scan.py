@@ -79,14 +79,21 @@ def fill_responses(
                 a, b = a * inverse, b * inverse
             directions[0, y & 1, x & 1, row, column] = a
             directions[1, y & 1, x & 1, row, column] = b
-    u, v = directions[0].reshape(-1), directions[1].reshape(-1)
+    # the rows above and below the image stay zero
+    first, last = (pad >> 1) * maps.shape[4], ((height + 1 + pad) >> 1) * maps.shape[4]
     for o in range(16):
         angle = (4.0 if unsigned else 2.0) * np.pi * o / 16
         cosine, sine = np.float32(np.cos(angle) * 7), np.float32(np.sin(angle) * 7)
-        target = maps[o].reshape(-1)
-        for i in range(len(u)):
-            # rounds to nearest: truncation of what is made positive first
-            target[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
+        for parity in range(4):
+            target = maps[o, parity >> 1, parity & 1].reshape(-1)
+            target[:first] = 0
+            target[last:] = 0
+            inner = target[first:last]
+            u = directions[0, parity >> 1, parity & 1].reshape(-1)[first:last]
+            v = directions[1, parity >> 1, parity & 1].reshape(-1)[first:last]
+            for i in range(len(inner)):
+                # rounds to nearest: truncation of what is made positive first
+                inner[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
 
 
 @kernel("void(i1[::1], i8[:, ::1], i8, i8, i8, i8, i2[::1])")
@@ -257,11 +264,13 @@ def response_sum(
 ) -> int:
     """Similarity of placed points with the origin at pixel (x, y), any parity."""
     rows, columns = maps.shape[3], maps.shape[4]
-    total = 0
+    flat, total = maps.reshape(-1), 0
     for n in range(placed.shape[0]):
         px, py = x + placed[n, 0], y + placed[n, 1]
         if px >= 0 and py >= 0 and (py >> 1) < rows and (px >> 1) < columns:
-            total += maps[placed[n, 2], py & 1, px & 1, py >> 1, px >> 1]
+            plane = (placed[n, 2] * 2 + (py & 1)) * 2 + (px & 1)
+            # inside the maps, see above: an unsigned number needs no check for a negative index
+            total += flat[np.uint64((plane * rows + (py >> 1)) * columns + (px >> 1))]
     return total
 
 

@@ -6,6 +6,7 @@ least squares on sub-pixel edges (`refine`), level by level. Rivals are dropped 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -45,8 +46,8 @@ MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
 STRETCHES = 4
 """Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
-MIN_FIRST = 200
-"""Points of the first step on the finest level."""
+FIRST = 128
+"""Points of the first step on the finest level: enough to come near, as they are in random order."""
 SAME_PLACE = 0.25
 """Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
 APART_PX = 2.0
@@ -62,7 +63,6 @@ DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
 Deadline = Callable[[], bool]
-LEAST = 0.0
 DEFAULTS = SearchParams()
 
 
@@ -183,7 +183,6 @@ class _Search:
             self._sign(hypothesis),
             8 * self.params.min_contrast,
             TILT_PRIOR / self._radius(level),
-            LEAST,
             pose,
             summary,
         ):
@@ -201,8 +200,7 @@ class _Search:
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
         sign = self._sign(hypothesis)
-        # points are in random order: every second one is enough to come near
-        for count, reach in ((max(len(level.points) // 2, MIN_FIRST), 2.0), (len(level.points), 1.5)):
+        for count, reach in ((FIRST, 2.0), (len(level.points), 1.5)):
             points, normals = level.points[:count], level.normals[:count]
             placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
             refine.place(points, normals, pose, placed)
@@ -244,26 +242,22 @@ class _Search:
 
     def _plausible(self, pose: FloatArray, slack: float) -> bool:
         """Whether size, stretch, angle and place are what was asked for, with the slack of a refinement."""
-        if not np.isfinite(pose).all():
+        a, b, c, d = pose[2:6].tolist()
+        p, determinant = self.params, a * d - b * c
+        if not (determinant > 0 and np.isfinite(pose).all()):
             return False
-        p = self.params
-        a, b, c, d = pose[2:6]
-        determinant = a * d - b * c
-        if determinant <= 0:
-            return False
-        size_x, size_y = np.hypot(a, c), np.hypot(b, d)
+        size_x, size_y = math.hypot(a, c), math.hypot(b, d)
         low, high = 1 - slack, 1 + slack
         if p.scale_y_min is not None and p.scale_y_max is not None:
             fits = low * p.scale_min <= size_x <= high * p.scale_max
             fits = fits and low * p.scale_y_min <= size_y <= high * p.scale_y_max
         else:
-            size = np.sqrt(determinant)
-            fits = low * p.scale_min <= size <= high * p.scale_max
+            fits = low * p.scale_min <= math.sqrt(determinant) <= high * p.scale_max
             fits = fits and max(size_x, size_y) < MAX_STRETCH * min(size_x, size_y)
-        if p.angle_extent_rad < 2 * np.pi - 1e-9:
-            turn = np.arctan2(c - b, a + d) - p.angle_start_rad + slack
-            fits = fits and turn % (2 * np.pi) <= p.angle_extent_rad + 2 * slack
-        return bool(fits)
+        if p.angle_extent_rad < 2 * math.pi - 1e-9:
+            turn = math.atan2(c - b, a + d) - p.angle_start_rad + slack
+            fits = fits and turn % (2 * math.pi) <= p.angle_extent_rad + 2 * slack
+        return fits
 
     # --- rivals ------------------------------------------------------------------------------------
 
@@ -274,7 +268,7 @@ class _Search:
         origin = (h.pose[:2] + 0.5) * shrink - 0.5
         margin = RIVAL_MARGIN[min(level, 2)]
         for better in found:
-            distance = float(np.hypot(*(origin - better.pose[:2])))
+            distance = math.dist(origin, better.pose[:2])
             turned = radius * _turn(h.angle, better.angle)
             if h.score > better.score + 0.02:
                 continue
@@ -467,7 +461,7 @@ def _covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray
 
 
 def _turn(one: float, other: float) -> float:
-    return float(abs((one - other + np.pi) % (2 * np.pi) - np.pi))
+    return abs((one - other + math.pi) % (2 * math.pi) - math.pi)
 
 
 def _overlap(distance: float, radius: float) -> float:
@@ -475,7 +469,7 @@ def _overlap(distance: float, radius: float) -> float:
     half = distance / (2 * radius)
     if half >= 1:
         return 0.0
-    return float(2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2)))
+    return 2 / math.pi * (math.acos(half) - half * math.sqrt(1 - half**2))
 
 
 def _without_overlap(matches: list[_Placed], params: SearchParams) -> list[ShapeMatch]:

@@ -18,7 +18,7 @@ WORDS = ir.VectorType(ir.IntType(16), LANES)
 
 @intrinsic  # type: ignore[untyped-decorator]
 def add_vectors(
-    context: Any, maps: Any, offsets: Any, p: Any, n: Any, position: Any, words: Any, at: Any
+    _context: Any, maps: Any, offsets: Any, p: Any, n: Any, position: Any, words: Any, at: Any
 ) -> Any:
     """words[at + l] += sum of maps[offsets[p, n + k] + position + l] over k < GROUP, for each l < LANES.
 
