@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
+from edged.vision.shape.simd import GROUP
 from edged.vision.shape.workspace import Workspace
 
 SCAN_SHARE = 0.55
@@ -25,7 +26,7 @@ MAX_POLISHED = 40
 """... and two more for each match that is asked for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
     """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far."""
 
@@ -34,7 +35,12 @@ class Hypothesis:
     score: float
     covariance: FloatArray | None = None
 
-    @property
+    @cached_property
+    def origin(self) -> tuple[float, float]:
+        """Where the model's origin is, px of the level."""
+        return float(self.pose[0]), float(self.pose[1])
+
+    @cached_property
     def angle(self) -> float:
         """Rotation of the affine part, rad in (-pi, pi]."""
         a, b, c, d = self.pose[2:6].tolist()
@@ -102,7 +108,7 @@ class _Plan:
 @lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
 def _plan(model: ShapeModel, top: int, params: SearchParams, height: int, width: int) -> _Plan:
     level = model.levels[top]
-    count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
+    count = max(GROUP, min(scan.TOP_POINTS, len(level.points)) // GROUP * GROUP)
     points, normals = level.points[:count], level.normals[:count]
     directions = np.arctan2(normals[:, 1], normals[:, 0])
     radius = float(np.linalg.norm(points, axis=1).max())

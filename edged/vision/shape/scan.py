@@ -65,20 +65,20 @@ def fill_responses(
     masked = valid.shape[0] == height and valid.shape[1] == width
     directions[:] = 0
     for y in range(height):
-        row = (y + pad) >> 1
-        for x in range(width):
-            a, b = np.float32(gx[y, x]), np.float32(gy[y, x])
-            power = a * a + b * b
-            if power < minimum or power == 0 or (masked and valid[y, x] == 0):
-                continue
-            column = (x + pad) >> 1
-            if unsigned:
-                a, b = (a * a - b * b) / power, np.float32(2) * a * b / power
-            else:
-                inverse = np.float32(1) / np.sqrt(power)
-                a, b = a * inverse, b * inverse
-            directions[0, y & 1, x & 1, row, column] = a
-            directions[1, y & 1, x & 1, row, column] = b
+        for parity in range(2):  # pad is even: so is the parity of x + pad
+            u_row = directions[0, y & 1, parity, (y + pad) >> 1, pad >> 1 :]
+            v_row = directions[1, y & 1, parity, (y + pad) >> 1, pad >> 1 :]
+            for k in range((width + 1 - parity) >> 1):
+                x = np.uint64(2 * k + parity)
+                a, b = np.float32(gx[y, x]), np.float32(gy[y, x])
+                power = a * a + b * b
+                seen = power >= minimum and power > 0 and not (masked and valid[y, x] == 0)
+                if unsigned:
+                    gain = np.float32(1) / power if seen else np.float32(0)
+                    u_row[k], v_row[k] = (a * a - b * b) * gain, np.float32(2) * a * b * gain
+                else:
+                    gain = np.float32(1) / np.sqrt(power) if seen else np.float32(0)
+                    u_row[k], v_row[k] = a * gain, b * gain
     # the rows above and below the image stay zero
     first, last = (pad >> 1) * maps.shape[4], ((height + 1 + pad) >> 1) * maps.shape[4]
     for o in range(16):

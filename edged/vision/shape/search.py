@@ -265,13 +265,13 @@ class _Search:
         """Whether a finished hypothesis is the same pose or a tried variant, or much better at this place."""
         shrink = 2.0**level
         radius = self.model.radius_px
-        origin = (h.pose[:2] + 0.5) * shrink - 0.5
+        origin = [(place + 0.5) * shrink - 0.5 for place in h.origin]
         margin = RIVAL_MARGIN[min(level, 2)]
         for better in found:
-            distance = math.dist(origin, better.pose[:2])
-            turned = radius * _turn(h.angle, better.angle)
+            distance = math.dist(origin, better.origin)
             if h.score > better.score + 0.02:
                 continue
+            turned = radius * _turn(h.angle, better.angle)
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
