@@ -114,7 +114,7 @@ class SystemdNotifier:
             self._socket.sendto("\n".join(lines).encode(errors="replace"), self._address)
         except OSError as error:  # full queue, or the manager is gone: nothing that stops a cell
             if not self._complained:
-                log.warning("systemd does not listen at %s: %s", self._address, error)
+                log.warning("systemd does not listen at %s: %s", self._address.replace("\0", "@"), error)
             self._complained = True
             return False
         self._told_s = self._monotonic_s()

@@ -15,11 +15,12 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
+from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings
+from edged.adapters.web import Sources, WebPublisher, WebSettings, page
 from edged.adapters.web.access import Access, TooManyAttempts, hash_password, is_hash
-from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines
+from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
 from edged.domain import CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
 from edged.errors import ListenError
@@ -203,6 +204,32 @@ def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
                     assert answer.status == 404
 
     run(test)
+
+
+@pytest.mark.parametrize("width_px", [960, 200])
+def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sampled at once at the size of the page it shows the same, in the same place, as shrunk afterwards."""
+    monkeypatch.setattr(page, "WIDTH_PX", width_px)
+    pair = frame_pair(flange().left, flange().right)
+    rectification = make_rectification(flange().rig)
+    for side, rectify, image in (
+        ("left", rectification.left_image, pair.left.image),
+        ("right", rectification.right_image, pair.right.image),
+    ):
+        shown = cv2.imdecode(
+            np.frombuffer(picture(pair, rectification, side), np.uint8),  # type: ignore[arg-type]
+            cv2.IMREAD_UNCHANGED,
+        )
+        assert shown is not None
+        assert shown.shape[1] == min(width_px, rectification.size[0])
+        whole = cv2.resize(rectify(image), shown.shape[::-1], interpolation=cv2.INTER_AREA).astype(float)
+        apart = {
+            (dx, dy): float(np.std((np.roll(whole, (dy, dx), (0, 1)) - shown)[2:-2, 2:-2]))
+            for dx in (-1, 0, 1)
+            for dy in (-1, 0, 1)
+        }
+        assert min(apart, key=lambda shift: apart[shift]) == (0, 0)
+        assert apart[0, 0] < 4.0
 
 
 def test_marks_lie_on_the_parts_edge() -> None:

@@ -1,0 +1,213 @@
+"""A cell that costs little: pictures of 320x240 and a part with one circle, measured by the real pipeline.
+
+For what is about the service and not about the pictures: endurance, kill -9, broken disks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain import Image
+from edged.sim.cell import CAMERAS, Motion, VirtualCell, demo_rig
+from edged.sim.exposure import ExposureRequest
+from edged.sim.inprocess import InProcessCamera
+from edged.sim.scene import Disc, Part, Surface
+from edged.sim.world import VirtualWorld
+from edged.vision.camera import CameraModel, StereoRig
+
+SHRINK = 4
+WIDTH, HEIGHT = 1280 // SHRINK, 960 // SHRINK
+TOKEN = Part("token", Disc(0.0, 0.0, 14.0), Surface(albedo=0.62, contrast=0.1, feature_mm=0.35, seed=1))
+STILL_UPRIGHT = Motion(turn_rad=0.1)
+
+
+def tiny_rig() -> StereoRig:
+    """The demo's rig with pixels of four times the size."""
+
+    def shrunk(camera: CameraModel) -> CameraModel:
+        return replace(
+            camera,
+            width=camera.width // SHRINK,
+            height=camera.height // SHRINK,
+            fx=camera.fx / SHRINK,
+            fy=camera.fy / SHRINK,
+            cx=(camera.cx + 0.5) / SHRINK - 0.5,
+            cy=(camera.cy + 0.5) / SHRINK - 0.5,
+        )
+
+    rig = demo_rig()
+    return replace(rig, left=shrunk(rig.left), right=shrunk(rig.right))
+
+
+def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image, Image]]:
+    """Pairs of the part at so many places, each followed by so many of an empty table."""
+    pairs = []
+    for number in range(parts):
+        request = ExposureRequest(number + 1, number * 10**9, number * 10**9, 2000.0, 0.0, WIDTH, HEIGHT)
+        left, right = (cell.exposure(side)(request) for side in CAMERAS)
+        pairs.append((left, right))
+        rng = np.random.default_rng(number)
+        for _ in range(empty):
+            left, right = (rng.integers(20, 30, (HEIGHT, WIDTH), np.uint8) for _ in CAMERAS)
+            pairs.append((left, right))
+    return pairs
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class SmallCell:
+    """Folder, ports and configuration. source : "replay" or "virtual-inprocess" (needs `SmallWorld`).
+
+    recordings : where the recorder writes, None for no recorder.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        source: str = "replay",
+        period_s: float = 0.05,
+        recordings: Path | None = None,
+        min_free_mib: int = 0,
+    ) -> None:
+        self.folder, self.recordings = folder, recordings
+        self.modbus_port, self.zenoh_port, self.web_port = free_port(), free_port(), free_port()
+        self.virtual = VirtualCell(tiny_rig(), TOKEN, motion=STILL_UPRIGHT)
+        options = DemoOptions(
+            period_s=period_s,
+            modbus_port=self.modbus_port,
+            zenoh_port=self.zenoh_port,
+            web_port=self.web_port,
+        )
+        self.config = prepare_cell(folder, self.virtual, options, gige=False)
+        text = self.config.read_text()
+        if source == "replay":
+            text = text.replace('source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
+            (folder / "pairs").mkdir(exist_ok=True)
+            for number, pair in enumerate(pictures(self.virtual, 3)):
+                for side, image in zip(CAMERAS, pair, strict=True):
+                    cv2.imwrite(str(folder / "pairs" / f"{number}_{side}.png"), image)
+        if recordings is not None:
+            text += f'\n[recorder]\nfolder = "{recordings}"\nkeep_good = 60\nmin_free_mib = {min_free_mib}\n'
+        self.config.write_text(text)
+        job = folder / "jobs" / "flange" / "job.toml"
+        # the part is never turned: the search need not look all around
+        text = job.read_text().replace("angle_start_deg = -180", "angle_start_deg = -10")
+        job.write_text(text.replace("angle_extent_deg = 360", "angle_extent_deg = 20"))
+
+
+class SmallWorld(VirtualWorld):
+    """Two cameras of this process that show prepared pictures again and again: rendering costs nothing."""
+
+    def __init__(self, pairs: list[tuple[Image, Image]]) -> None:
+        super().__init__(gige=False)
+        self._pairs = pairs
+
+    def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
+        """Both show the same pair at the same frame."""
+
+        def camera(index: int) -> InProcessCamera:
+            def expose(request: ExposureRequest) -> Image:
+                return self._pairs[request.frame_id % len(self._pairs)][index]
+
+            return InProcessCamera(CAMERAS[index], expose, width=WIDTH, height=HEIGHT)
+
+        return camera(0), camera(1)
+
+
+class DaemonProcess:
+    """`edged run` as a process, with its log and what it tells systemd.
+
+    environment : added to our own.
+    """
+
+    def __init__(self, config: Path, environment: dict[str, str] | None = None) -> None:
+        self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._notify.bind(f"\0edged-test-{os.getpid()}-{id(self)}")
+        address = "@" + self._notify.getsockname()[1:].decode()
+        self.started_s = time.monotonic()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "edged", "run", str(config)],
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "NOTIFY_SOCKET": address, **(environment or {})},
+        )
+        self.log: list[str] = []
+        self._ready = threading.Event()
+        self._ready_s = 0.0
+        self._threads = [threading.Thread(target=work) for work in (self._read_log, self._read_notices)]
+        for thread in self._threads:
+            thread.start()
+
+    def _read_log(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as pipe:
+            self.log.extend(line.rstrip() for line in pipe)
+
+    def _read_notices(self) -> None:
+        """As systemd does: all of them, for as long as the process lives."""
+        self._notify.settimeout(0.1)
+        while self.process.poll() is None:
+            with contextlib.suppress(TimeoutError):
+                if b"READY=1" in self._notify.recv(4096).split(b"\n") and not self._ready.is_set():
+                    self._ready_s = time.monotonic() - self.started_s
+                    self._ready.set()
+
+    def wait_ready(self, timeout_s: float = 60.0) -> float:
+        """Seconds from the start of the process to READY=1."""
+        deadline_s = time.monotonic() + timeout_s
+        while not self._ready.wait(0.1):
+            assert self.process.poll() is None, "\n".join(self.log)
+            assert time.monotonic() < deadline_s, f"not READY within {timeout_s:g} s\n" + "\n".join(self.log)
+        return self._ready_s
+
+    def cpu_s(self) -> float:
+        """Processor time so far, of all its threads."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def memory_mib(self) -> float:
+        """Resident now."""
+        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+    def children(self) -> list[int]:
+        """Processes that it started and that live."""
+        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
+        return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.process.kill()
+        self._end()
+
+    def stop(self) -> float:
+        """SIGTERM; seconds until the process has ended, with code 0."""
+        start_s = time.monotonic()
+        self.process.terminate()
+        self._end()
+        assert self.process.returncode == 0, "\n".join(self.log)
+        return time.monotonic() - start_s
+
+    def _end(self) -> None:
+        self.process.wait(30)
+        for thread in self._threads:
+            thread.join()
+        self._notify.close()

@@ -1,0 +1,311 @@
+#!/usr/bin/env python3
+"""Measure the daemon as a service: endurance, kill -9, broken disks and clocks, start, stop, status page.
+
+Run it with `tools/bench service [--only PART ...]`; it prints Markdown. The cell is small (320x240, one
+circle), because this is about the service: loop, publishers, recorder, and a PLC in another process that
+polls over Modbus all the time and writes down whatever must not be seen (`tests/plcwitness.py`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import gc
+import json
+import logging
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from array import array
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+from pagecost import page_cost
+from plcwitness import Report, Witness
+from servicefaults import (
+    FAKETIME,
+    FakeClock,
+    full,
+    kill_often,
+    live_through,
+    overloaded,
+    read_only,
+    seen,
+    tmpfs,
+)
+from smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
+
+from edged.app import Daemon, load_cell, warm_up
+from edged.commands.run import SWITCH_INTERVAL_S
+from edged.domain import Event, Snapshot, Status
+
+MIB = 1024 * 1024
+
+
+class Tally:
+    """An observer that counts cycles, keeps their times, and ends the daemon after the last."""
+
+    def __init__(self, cycles: int) -> None:
+        self._cycles = cycles
+        self._marks = sorted({max(1, cycles * percent // 100) for percent in (1, *range(10, 101, 10))})
+        self.daemon: Daemon | None = None
+        self.stages: dict[str, array[float]] = {}
+        self.statuses: dict[str, int] = {}
+        self.resources: list[tuple[int, float, int, int]] = []
+        self.count = 0
+
+    async def start(self) -> None:
+        """Nothing to open."""
+
+    def announce(self, event: Event) -> None:
+        """Count a cycle; look at memory, descriptors and threads now and then."""
+        if not isinstance(event, Snapshot):
+            return
+        self.count += 1
+        self.statuses[str(event.status)] = self.statuses.get(str(event.status), 0) + 1
+        if event.status is Status.OK or event.status is Status.NO_TARGET:
+            for stage, duration_ms in event.timing_ms.items():
+                self.stages.setdefault(stage, array("f")).append(duration_ms)
+        if self.count in self._marks:
+            self.look()
+        if self.count == self._cycles and self.daemon is not None:
+            self.daemon.stop()
+
+    def look(self) -> None:
+        """Note what the process holds now."""
+        if not self.resources or self.resources[-1][0] < self.count:
+            self.resources.append((self.count, *resources()))
+            print(f"  {self.count} cycles: {self.resources[-1][1:]}", file=sys.stderr, flush=True)
+
+    async def close(self) -> None:
+        """Nothing to close."""
+
+
+def enter_namespace() -> None:
+    """Go on in a network and mount name space of our own: every port is ours, and disks may be broken."""
+    if os.environ.get("EDGED_BENCH_NAMESPACE"):
+        return
+    namespaces = ["unshare", "--mount", "--net", *(["--map-root-user"] if os.geteuid() else [])]
+    inside = ["sh", "-c", 'ip link set lo up && exec "$@"', "sh", sys.executable, *sys.argv]
+    os.execvpe(namespaces[0], [*namespaces, *inside], {**os.environ, "EDGED_BENCH_NAMESPACE": "1"})
+
+
+def resources() -> tuple[float, int, int]:
+    """Resident memory in MiB, open descriptors, threads of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return (
+        pages * os.sysconf("SC_PAGE_SIZE") / MIB,
+        len(os.listdir("/proc/self/fd")),  # noqa: PTH208  (the folder's own descriptor is in it either way)
+        len(list(Path("/proc/self/task").iterdir())),
+    )
+
+
+# --- endurance ------------------------------------------------------------------------------------
+
+
+def endurance(folder: Path, cycles: int) -> None:
+    """The daemon in this process at full speed: every eighth pair shows the part, the others nothing."""
+    cell = SmallCell(folder, source="virtual-inprocess", period_s=0.0, recordings=folder / "recordings")
+    loaded = load_cell(cell.config)
+    warm_up(loaded)
+    gc.freeze()
+    tally = Tally(cycles)
+    before = resources()
+    with (
+        SmallWorld(pictures(cell.virtual, 8, empty=7)) as world,
+        Witness(cell.modbus_port, period_s=0.1) as witness,
+    ):
+        begin_s = time.monotonic()
+        asyncio.run(_run(cell, tally, world))
+        took_s = time.monotonic() - begin_s
+        after = resources()
+        asyncio.run(_run(cell, Tally(20), world))
+        again = resources()
+    threads = [thread.name for thread in threading.enumerate() if thread is not threading.main_thread()]
+    print(f"\n{tally.count} cycles in {took_s:.0f} s: {tally.statuses}; PLC: {_seen(witness.report)}\n")
+    print("| cycles | memory MiB | descriptors | threads |\n|---:|---:|---:|---:|")
+    for count, memory, descriptors, running in tally.resources:
+        print(f"| {count} | {memory:.1f} | {descriptors} | {running} |")
+    print("\n| | memory MiB | descriptors | threads |\n|---|---:|---:|---:|")
+    for name, (memory, descriptors, running) in (
+        ("before the first start", before),
+        ("after its stop", after),
+        ("after another start and stop", again),
+    ):
+        print(f"| {name} | {memory:.1f} | {descriptors} | {running} |")
+    print(f"\nThreads of Python that are left: {', '.join(threads) or 'none'}\n")
+    print("| stage | p50 ms | p99 ms | max ms |\n|---|---:|---:|---:|")
+    for stage, durations_ms in tally.stages.items():
+        p50, p99, worst = np.percentile(durations_ms, (50, 99, 100))
+        print(f"| {stage} | {p50:.2f} | {p99:.2f} | {worst:.1f} |")
+
+
+async def _run(cell: SmallCell, tally: Tally, world: SmallWorld) -> None:
+    tally.daemon = Daemon(cell.config, load_cell(cell.config), observers=[tally], world=world)
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGTERM, tally.daemon.stop)  # enough: report what there is
+    await tally.daemon.run()
+    tally.look()
+
+
+def _seen(report: Report) -> str:
+    slowest_ms = max((sight.answer_s for sight in report.sights), default=0.0) * 1e3
+    return f"{len(report.sights)} polls, slowest answer {slowest_ms:.1f} ms, wrong: {_wrong(report)}"
+
+
+# --- kill -9, and what else may break --------------------------------------------------------------
+
+
+def killing(folder: Path, kills: int) -> None:
+    """kill -9 at random moments, a PLC polling through all of it."""
+    cell = SmallCell(folder, recordings=folder / "recordings")
+    with Witness(cell.modbus_port) as witness:
+        found = kill_often(cell, kills, random.Random(1))
+    again = subprocess.run(
+        [sys.executable, "-m", "edged", "replay", str(folder / "recordings"), "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    replayed = json.loads(again.stdout)
+    print("\n| kill -9 | |\n|---|---:|")
+    for name, value in (
+        ("kills, a fourth of them during the start", found.kills),
+        ("recordings read back, corrupt", f"{found.recordings}, {len(found.corrupt)}"),
+        ("of those kept: measured again with the same bits, different", _replayed(replayed)),
+        (
+            "torn files left by kills, left after the next start",
+            f"{found.torn}, {0 if found.swept else 'some'}",
+        ),
+        ("files of the configuration that changed", len(found.changed)),
+        ("starts with a complaint in the log", len(found.complaints)),
+        ("the PLC: connections, polls", f"{witness.report.connections}, {len(witness.report.sights)}"),
+        ("the PLC: old results as new, mixed, stale", _wrong(witness.report)),
+    ):
+        print(f"| {name} | {value} |")
+    for problem in (*found.corrupt, *found.changed, *found.complaints):
+        print(f"* {problem}")
+
+
+def _replayed(report: dict[str, Any]) -> str:
+    return f"{report['same']}, {len(report['different'])}"
+
+
+def breaking(folder: Path, each_s: float) -> None:
+    """Broken disks, a clock that is set, and too much load: one row each of what the PLC saw."""
+    with tmpfs(folder / "disk") as disk:
+        cell = SmallCell(folder / "cell", period_s=0.1, recordings=disk / "recordings")
+        clock = FakeClock(folder / "clock") if FAKETIME.exists() else None
+        daemon = DaemonProcess(cell.config, clock.environment if clock else None)
+        try:
+            with Witness(cell.modbus_port) as witness:
+                daemon.wait_ready()
+                faults: list[tuple[str, AbstractContextManager[None]]] = [
+                    ("nothing", contextlib.nullcontext()),
+                    ("disk full", full(disk)),
+                    ("disk read-only", read_only(disk)),
+                    ("2 busy processes per core", overloaded()),
+                ]
+                if clock:
+                    faults.append(("clock an hour ahead", clock.jumped(3600)))
+                    faults.append(("clock an hour back", clock.jumped(-3600)))
+                phases = live_through(faults, each_s)
+        finally:
+            daemon.stop()
+    print("\n| | polls | READY | VALID | new results/s | longest without s | slowest answer ms | ERROR |")
+    print("|---|---:|---:|---:|---:|---:|---:|---|")
+    for phase in phases:
+        saw = seen(witness.report, phase)
+        print(
+            f"| {phase.name} | {saw.polls} | {saw.ready:.0%} | {saw.valid:.0%} | {saw.results_hz:.1f} | "
+            f"{saw.without_s:.2f} | {saw.slowest_s * 1e3:.0f} | {saw.errors or '0'} |"
+        )
+    print(
+        f"\nOver all of it the PLC saw wrong: {_wrong(witness.report)}. The log, {len(daemon.log)} lines:\n"
+    )
+    for line in daemon.log:
+        print(f"    {line}")
+
+
+def _wrong(report: Report) -> str:
+    return "; ".join(f"{kind}: {example}" for kind, example in report.wrong.items()) or "none"
+
+
+# --- start and stop -------------------------------------------------------------------------------
+
+
+def starting(folder: Path, runs: int) -> None:
+    """From the start of the process to READY=1, and from SIGTERM to its end; kernels are cached."""
+    cell = SmallCell(folder)
+    ready_s, busy_s, stop_s, memory, floor_s = [], [], [], [], []
+    for _ in range(runs):
+        floor_s.append(_imports_s())
+        daemon = DaemonProcess(cell.config)
+        try:
+            ready_s.append(daemon.wait_ready())
+            busy_s.append(daemon.cpu_s())
+            time.sleep(1.0)
+            memory.append(daemon.memory_mib())
+            children = daemon.children()
+        finally:
+            stop_s.append(daemon.stop())
+        if children:
+            print(f"* it had child processes: {children}")
+    print("\n| | best | median | worst |\n|---|---:|---:|---:|")
+    for name, values in (
+        ("process start to READY, s", ready_s),
+        ("processor time of it, s", busy_s),
+        ("of that the import of numpy, OpenCV, numba, pydantic, aiohttp, pymodbus, zenoh, s", floor_s),
+        ("SIGTERM to the end of the process, s", stop_s),
+        ("resident memory after a second of cycles, MiB", memory),
+    ):
+        print(f"| {name} | {min(values):.2f} | {statistics.median(values):.2f} | {max(values):.2f} |")
+
+
+def _imports_s() -> float:
+    """Processor time of what others wrote: the part of a start that is not ours to shorten."""
+    modules = "numpy, cv2, numba.core.registry, pydantic, aiohttp.web, pymodbus.pdu, zenoh, typer"
+    program = f"import time, {modules}; print(time.process_time())"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    return float(run.stdout)
+
+
+PARTS = ("start", "endurance", "kill", "faults", "page")
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", action="append", choices=PARTS, help="repeat for several; default: all")
+    parser.add_argument("--cycles", type=int, default=1000, help="of the endurance run")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--starts", type=int, default=5)
+    parser.add_argument(
+        "--seconds", type=float, default=6.0, help="for each fault, and each phase of the page"
+    )
+    given = parser.parse_args()
+    enter_namespace()
+    logging.basicConfig(level=logging.WARNING)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    work: dict[str, Callable[[Path], None]] = {
+        "start": lambda folder: starting(folder, given.starts),
+        "endurance": lambda folder: endurance(folder, given.cycles),
+        "kill": lambda folder: killing(folder, given.kills),
+        "faults": lambda folder: breaking(folder, given.seconds),
+        "page": lambda folder: page_cost(folder, given.seconds),
+    }
+    with tempfile.TemporaryDirectory(prefix="edged-bench-") as place:
+        for part in given.only or PARTS:
+            print(f"\n## {part}", flush=True)
+            work[part](Path(place) / part)

@@ -1,0 +1,196 @@
+"""What the status page costs: the cycle with and without a viewer, its weight, and its time in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import multiprocessing as mp
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+from benchcell import BenchCell, free_port
+
+ROUNDS = 3
+"""Times without and with a viewer, in turn, so that a busy machine is busy for both."""
+FILES = ("/", "/static/app.js", "/static/style.css", "/static/icon.svg")
+BROWSER_S = 30.0
+LOOK = """JSON.stringify({
+  load_ms: performance.getEntriesByType("navigation")[0].loadEventEnd,
+  shown: !!document.querySelector("#left image[href]") && !!document.querySelector("#right image[href]"),
+  now_ms: performance.now(),
+  bytes: performance.getEntriesByType("resource").concat(performance.getEntriesByType("navigation"))
+    .reduce((sum, entry) => sum + entry.transferSize, 0)})"""
+
+
+@dataclass(slots=True)
+class Phases:
+    """Cycles in ms, processor time and wall time, of all times of one kind."""
+
+    cycles_ms: list[float] = field(default_factory=list)
+    busy_s: float = 0.0
+
+
+def page_cost(folder: Path, seconds: float) -> None:
+    """Print the figures. seconds : of each time with or without a viewer."""
+    cell = BenchCell(folder, mode="free")
+    port = free_port()
+    cell.config.write_text(cell.config.read_text() + f"\n[web]\nport = {port}\n")
+    asyncio.run(_measure(cell, port, seconds))
+
+
+async def _measure(cell: BenchCell, port: int, seconds: float) -> None:
+    phases = {name: Phases() for name in ("nobody looks", "one viewer")}
+    async with cell.running():
+        for name in ROUNDS * tuple(phases):
+            async with _viewer(port) if name == "one viewer" else contextlib.nullcontext():
+                first, busy_s = len(cell.listener.snapshots), time.process_time()
+                await asyncio.sleep(seconds)
+                phases[name].busy_s += time.process_time() - busy_s
+                phases[name].cycles_ms += [
+                    shot.timing_ms["total"] for shot in cell.listener.snapshots[first:]
+                ]
+        weight = await _weight(port)
+        seen = await _in_chromium(f"http://127.0.0.1:{port}/") if shutil.which("chromium") else None
+    print("\n| cycle of 1280x960 at full speed | cycles | p50 ms | p99 ms | processor ms a cycle |")
+    print("|---|---:|---:|---:|---:|")
+    for name, phase in phases.items():
+        p50, p99 = np.percentile(phase.cycles_ms, (50, 99))
+        count = len(phase.cycles_ms)
+        print(f"| {name} | {count} | {p50:.0f} | {p99:.0f} | {phase.busy_s * 1e3 / count:.1f} |")
+    print("\n| weight | bytes |\n|---|---:|")
+    for what, size in weight.items():
+        print(f"| {what} | {size} |")
+    if seen is not None:
+        print(
+            f"\nHeadless Chromium: load event after {seen['load_ms']:.0f} ms, both pictures shown after "
+            f"{seen['now_ms']:.0f} ms, {seen['bytes']} bytes."
+        )
+
+
+# --- a viewer -------------------------------------------------------------------------------------
+
+
+@contextlib.asynccontextmanager
+async def _viewer(port: int) -> AsyncIterator[None]:
+    """A process that does what the page does: hears each event, fetches both pictures of each cycle."""
+    context = mp.get_context("spawn")
+    stop, looks = context.Event(), context.Event()
+    process = context.Process(target=_look, args=(port, stop, looks), daemon=True)
+    process.start()
+    if not await asyncio.to_thread(looks.wait, 30):
+        raise RuntimeError("the viewer has not seen the page within 30 s")
+    try:
+        yield
+    finally:
+        stop.set()
+        await asyncio.to_thread(process.join)
+
+
+def _look(port: int, stop: Event, looks: Event) -> None:
+    async def look() -> None:
+        async with (
+            aiohttp.ClientSession(f"http://127.0.0.1:{port}") as session,
+            session.get("/events") as events,
+        ):
+            async for line in events.content:
+                if stop.is_set():
+                    return
+                if line.startswith(b"data: "):
+                    await _fetch_pictures(session, json.loads(line[6:]))
+                    looks.set()
+
+    asyncio.run(look())
+
+
+async def _fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
+    """Size of both; the cycle may be out of memory again."""
+    if not status["picture"]:
+        return 0
+    size = 0
+    for side in ("left", "right"):
+        async with session.get(f"/picture/{status['picture']['cycle']}/{side}") as answer:
+            size += len(await answer.read()) if answer.status == 200 else 0
+    return size
+
+
+async def _weight(port: int) -> dict[str, int]:
+    """Bytes of what a viewer gets."""
+    async with aiohttp.ClientSession(f"http://127.0.0.1:{port}") as session:
+        files = 0
+        for path in FILES:
+            async with session.get(path) as answer:
+                files += len(await answer.read())
+        sizes, pictures = [], 0
+        async with session.get("/events") as events:
+            async for line in events.content:
+                if line.startswith(b"data: "):
+                    sizes.append(len(line))
+                    pictures = pictures or await _fetch_pictures(session, json.loads(line[6:]))
+                if len(sizes) == 2:
+                    break
+    return {
+        "page, script, style, icon": files,
+        "first event, with the trends so far": sizes[0],
+        "each further event, at most five a second": sizes[1],
+        "both pictures of a cycle": pictures,
+    }
+
+
+# --- a browser ------------------------------------------------------------------------------------
+
+
+async def _in_chromium(url: str) -> dict[str, Any] | None:
+    """Load the page over the DevTools protocol; None when it never shows its pictures."""
+    with tempfile.TemporaryDirectory(prefix="edged-chromium-", ignore_cleanup_errors=True) as profile:
+        browser = await asyncio.create_subprocess_exec(
+            *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"),
+            *(f"--user-data-dir={profile}", "about:blank"),
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            async with asyncio.timeout(BROWSER_S):
+                return await _load(browser, url)
+        except TimeoutError:
+            return None
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                browser.kill()
+            await browser.communicate()
+
+
+async def _load(browser: asyncio.subprocess.Process, url: str) -> dict[str, Any]:
+    assert browser.stderr is not None
+    while not (found := re.search(rb"ws://([^/]+)/", await browser.stderr.readline())):
+        pass
+    async with aiohttp.ClientSession() as session:
+        async with session.get(f"http://{found[1].decode()}/json/list") as answer:
+            pages = json.loads(await answer.read())
+        address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
+        async with session.ws_connect(address) as devtools:
+            await _ask(devtools, "Page.navigate", {"url": url})
+            while True:
+                answer_ = await _ask(devtools, "Runtime.evaluate", {"expression": LOOK})
+                seen: dict[str, Any] = json.loads(answer_["result"].get("value", '{"shown": false}'))
+                if seen["shown"] and seen["load_ms"] > 0:
+                    return seen
+                await asyncio.sleep(0.02)
+
+
+async def _ask(
+    devtools: aiohttp.ClientWebSocketResponse, method: str, parameters: dict[str, Any]
+) -> dict[str, Any]:
+    await devtools.send_json({"id": 1, "method": method, "params": parameters})
+    while True:
+        message = json.loads((await devtools.receive()).data)
+        if message.get("id") == 1:
+            return dict(message["result"])
