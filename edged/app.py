@@ -19,18 +19,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edged import __version__
-from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.adapters.replay import replay_cameras
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.capture import StereoHead
 from edged.config import (
-    CameraSection,
-    CamerasSection,
     Config,
     ModbusSection,
     RecorderSection,
@@ -43,9 +39,10 @@ from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.errors import ConfigError, EdgedError, UserError
+from edged.head import head_of as head_of
 from edged.jobs import job_folders, load_job
 from edged.pipeline import PreparedRig, locate, prepare
-from edged.ports import Camera, Publisher
+from edged.ports import Publisher
 from edged.robots import Convention
 from edged.store import load_rig
 from edged.vision.job import Job
@@ -99,6 +96,7 @@ def load_cell(path: Path) -> LoadedCell:
         robot_from_rig=rig.rig.robot_from_rig,
         registration_covariance=rig.rig.registration_covariance,
         flange_from_rig=rig.rig.flange_from_rig,
+        listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
     )
     return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
@@ -144,44 +142,23 @@ def warm_up(loaded: LoadedCell) -> None:
         job.locate(pair, lambda _stage: None)
 
 
-def head_of(cameras: CamerasSection, world: VirtualWorld | None = None) -> StereoHead:
-    """The stereo head of a configuration, not yet open. world : where virtual cameras are."""
-    left: Camera
-    right: Camera
-    if cameras.source == "replay" and cameras.folder is not None:
-        left, right = replay_cameras(cameras.folder)
-    elif cameras.source == "aravis":
-        left, right = _aravis("left", cameras.left), _aravis("right", cameras.right)
-    elif world is None:
-        raise ConfigError("cameras.source", [f"a change to {cameras.source!r} needs a restart"])
-    elif world.addresses is None:
-        left, right = world.in_process_cameras()
-    else:
-        left, right = (
-            _aravis(side, section.model_copy(update={"device": address}))
-            for side, section, address in zip(
-                ("left", "right"), (cameras.left, cameras.right), world.addresses, strict=True
-            )
-        )
-    return StereoHead(
-        left,
-        right,
-        timeout_s=cameras.timeout_s,
-        max_skew_s=cameras.max_skew_ms * 1e-3,
-        detect_frozen=cameras.source != "replay",
+def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:
+    """The stereo head of a loaded configuration, which insists on images as they were calibrated."""
+    rig = loaded.rig.rig
+    return head_of(
+        loaded.config.cameras,
+        world,
+        external=loaded.setup.listens,
+        calibrated=((rig.left.width, rig.left.height), (rig.right.width, rig.right.height)),
     )
 
 
-def _aravis(name: str, section: CameraSection) -> AravisCamera:
-    return AravisCamera(
-        name,
-        AravisSettings(
-            device=section.device,
-            exposure_us=section.exposure_us,
-            gain_db=section.gain_db,
-            packet_size=section.packet_size,
-            features=section.features,
-        ),
+def _other_cameras(new: LoadedCell, old: LoadedCell) -> bool:
+    """Whether a reload needs another head: cameras, who triggers them, or the images they must give."""
+    return (new.config.cameras, new.setup.listens, new.setup.calibration_id) != (
+        old.config.cameras,
+        old.setup.listens,
+        old.setup.calibration_id,
     )
 
 
@@ -203,7 +180,7 @@ class Daemon:
         self._path = path
         self._loaded = loaded
         self._world = world
-        self._cycle = Cycle(head_of(loaded.config.cameras, world), loaded.setup)
+        self._cycle = Cycle(head_for(loaded, world), loaded.setup)
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.config.cell.name, self._figures)
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
@@ -246,8 +223,7 @@ class Daemon:
             try:
                 loaded = await asyncio.to_thread(load_cell, self._path)
                 await asyncio.to_thread(warm_up, loaded)
-                changed = loaded.config.cameras != self._loaded.config.cameras
-                head = head_of(loaded.config.cameras, self._world) if changed else None
+                head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
                 await self._exchange_servers(loaded.config)
             except EdgedError as error:
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400

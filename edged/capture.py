@@ -23,9 +23,14 @@ from edged.errors import (
     CameraSetupError,
     CameraUnreachable,
     CaptureError,
+    FrameFrozen,
+    FrameRepeated,
     FrameTimeout,
+    FrameUnpaired,
     PairingError,
+    StreamStalled,
 )
+from edged.pairing import Pairing
 from edged.ports import Camera
 
 REOPEN_AFTER = 3
@@ -35,8 +40,8 @@ A single lost frame is the network's; a camera that was switched off and on acce
 old connection for ever and never sends an image.
 """
 
-CLOCK_DRIFT = 400e-6
-"""Two camera clocks run apart by no more than this: crystals of ±200 ppm over temperature and age."""
+LISTEN_AGAIN_S = 0.1
+"""Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
 
 Result = TypeVar("Result")
 
@@ -61,10 +66,10 @@ async def both(
             raise TimeoutError
         return tasks[0].result(), tasks[1].result()
     finally:
-        await _cancel_and_await(*tasks)
+        await cancel_and_await(*tasks)
 
 
-async def _cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
+async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
     """End tasks and see them end, even while being cancelled oneself; their results are dropped."""
     cancelled: asyncio.CancelledError | None = None
     for task in tasks:
@@ -84,9 +89,9 @@ async def _cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
 class _Side:
     """One camera of the head, and what is known of it.
 
-    frame_id : of the last frame since it was opened. image : the last one ever, so that a camera
-    that still shows the same picture after it was opened again is caught. paired_device_ns : its
-    own time of the last good pair since it was opened.
+    frame_id : of the last frame since it was opened. paired_id : of the last pair. image : the last one ever,
+    so that a camera that still shows the same picture after it was opened again is caught. coming : the frame
+    that is listened for. suspect : it gave no image, and is to be asked why.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -95,7 +100,9 @@ class _Side:
         self.faults = 0
         self.frame_id: int | None = None
         self.image: Image | None = None
-        self.paired_device_ns: int | None = None
+        self.paired_id: int | None = None
+        self.coming: asyncio.Task[Frame] | None = None
+        self.suspect = False
         self.closing: asyncio.Task[None] | None = None
 
     @property
@@ -106,10 +113,29 @@ class _Side:
         """Begin to close the camera; one that does not answer must not hold up the cycle."""
         self.open = False
         self.faults = 0
-        self.frame_id = None
-        self.paired_device_ns = None
+        self.frame_id = self.paired_id = None
+        self.suspect = False
+        if self.coming is not None:
+            self.coming.cancel()
         if self.closing is None:
-            self.closing = asyncio.create_task(self.camera.close(), name=f"close {self.name}")
+            self.closing = asyncio.create_task(self._close(), name=f"close {self.name}")
+
+    async def _close(self) -> None:
+        coming, self.coming = self.coming, None
+        if coming is not None:
+            await cancel_and_await(coming)
+        await self.camera.close()
+
+    def has_given_up(self) -> bool:
+        """Whether nothing came within the camera's own limit."""
+        coming = self.coming
+        return coming is not None and coming.done() and isinstance(coming.exception(), FrameTimeout)
+
+    def listen(self) -> asyncio.Task[Frame]:
+        """The task that waits for the next frame; it goes on when who waits for it is cancelled."""
+        if self.coming is None:
+            self.coming = asyncio.create_task(self.camera.frame(), name=f"listen {self.name}")
+        return self.coming
 
     async def closed(self) -> None:
         """Wait for the end of what `close_soon` began."""
@@ -124,7 +150,9 @@ class StereoHead:
     """Two cameras that are triggered together.
 
     timeout_s : from trigger to both images.
-    max_skew_s : two frames whose exposures differ by more are not one exposure.
+    max_skew_s, max_arrival_skew_s : see `Pairing`.
+    follower : the camera that exposes when the other one does, and so must be armed before that is triggered.
+    free_running : both expose all the time: a frame without a partner is followed by another.
     open_timeout_s : for one attempt to open both cameras.
     min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
         camera; doubles with each one until a pair has been captured.
@@ -140,6 +168,9 @@ class StereoHead:
         *,
         timeout_s: float = 1.0,
         max_skew_s: float = 0.005,
+        max_arrival_skew_s: float = 0.05,
+        follower: str = "",
+        free_running: bool = False,
         open_timeout_s: float = 15.0,
         min_backoff_s: float = 0.5,
         max_backoff_s: float = 5.0,
@@ -148,7 +179,9 @@ class StereoHead:
     ) -> None:
         self._sides = (_Side(left), _Side(right))
         self._timeout_s = timeout_s
-        self._max_skew_s = max_skew_s
+        self._pairing = Pairing(max_skew_s, max_arrival_skew_s)
+        self._follower = follower
+        self._free_running = free_running
         self._open_timeout_s = open_timeout_s
         self._min_backoff_s = min_backoff_s
         self._max_backoff_s = max_backoff_s
@@ -156,6 +189,7 @@ class StereoHead:
         self._clock = clock
         self._backoff_s = min_backoff_s
         self._retry_at_s = 0.0
+        self._missed = 0
         self._error: CaptureError | None = None
         self._attempt: asyncio.Task[None] | None = None
 
@@ -172,15 +206,34 @@ class StereoHead:
 
         Takes one time-out at most while both are open, and one more where they have to be opened.
         """
-        await self._ready(look=False)
+        await self._ready(look=any(side.suspect for side in self._sides))
+        listening = [side.coming for side in self._sides if side.coming is not None]
+        self._taken("left", "right")
+        await cancel_and_await(*listening)
+        return await self._judged(self._expose())
+
+    async def listen(self) -> FramePair:
+        """The next exposure of both cameras, which somebody else triggers. Raises `CaptureError`.
+
+        Waits for it as long as it takes; may be cancelled and called again, and no frame is lost.
+        """
+        await self._ready(look=any(side.suspect for side in self._sides))
+        pair = await self._judged(self._come())
+        return FramePair(pair.left, pair.right, missed=self._missed)
+
+    async def _judged(self, frames: Coroutine[Any, Any, FramePair]) -> FramePair:
+        """The frames, if they are a new pair; else the fault has been noted."""
         try:
-            pair = await self._expose()
+            pair = await frames
             self._check_pair(pair)
         except CaptureError as error:
-            self._note(error)
-            raise
+            raise self._note(error) from None
+        steps = []
         for side, frame in zip(self._sides, (pair.left, pair.right), strict=True):
-            side.paired_device_ns, side.faults = frame.device_ns, 0
+            steps.append(frame.frame_id - side.paired_id if side.paired_id is not None else 1)
+            side.paired_id, side.faults = frame.frame_id, 0
+        self._missed = min(steps) - 1
+        self._pairing.accept(pair.left, pair.right)
         self._backoff_s = self._min_backoff_s
         return pair
 
@@ -188,7 +241,7 @@ class StereoHead:
         """Release both cameras and end an attempt to open them; safe to call twice."""
         attempt, self._attempt = self._attempt, None
         if attempt is not None:
-            await _cancel_and_await(attempt)
+            await cancel_and_await(attempt)
         self._error, self._retry_at_s = None, 0.0
         for side in self._sides:
             side.close_soon()
@@ -240,7 +293,7 @@ class StereoHead:
         except CaptureError as refused:
             error = refused
         else:
-            side.open = True
+            side.open, side.suspect = True, False
             return None
         side.close_soon()
         return error
@@ -256,40 +309,97 @@ class StereoHead:
     async def _expose(self) -> FramePair:
         """Trigger and fetch both within `timeout_s`; both triggers leave in one turn of the event loop."""
         waiting = [side.name for side in self._sides]
+        armed = asyncio.Event()
+        deadline_s = asyncio.get_running_loop().time() + self._timeout_s
 
         async def shoot(camera: Camera) -> Frame:
+            if self._follower and camera.name != self._follower:
+                await armed.wait()
             await camera.trigger()
+            armed.set()
             frame = await camera.frame()
             waiting.remove(camera.name)
             return frame
 
         left, right = (side.camera for side in self._sides)
         try:
-            return FramePair(*await both(shoot(left), shoot(right), self._timeout_s))
+            pair = FramePair(*await both(shoot(left), shoot(right), self._timeout_s))
+            async with asyncio.timeout_at(deadline_s):
+                return await self._nearest(pair) if self._free_running else pair
         except TimeoutError:
+            if not waiting:
+                raise FrameUnpaired("both", f"no two frames fit within {self._timeout_s:g} s") from None
             name = waiting[0] if len(waiting) == 1 else "both"
             raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
 
+    async def _nearest(self, pair: FramePair) -> FramePair:
+        """Let the camera whose frame is older give another one until two fit."""
+        while not (skew := self._pairing.skew(pair.left, pair.right)).is_one_exposure:
+            left, right = (side.camera for side in self._sides)
+            if skew.ns < 0:
+                pair = FramePair(await left.frame(), pair.right)
+            else:
+                pair = FramePair(pair.left, await right.frame())
+        return pair
+
+    async def _come(self) -> FramePair:
+        """Wait for two frames that others triggered; one without a partner is a `FrameUnpaired`."""
+        while True:
+            tasks = [side.listen() for side in self._sides]
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            given_up = [side for side in self._sides if side.has_given_up()]
+            if not given_up:
+                break
+            await asyncio.sleep(LISTEN_AGAIN_S)
+            for side in given_up:
+                side.coming = None
+        await asyncio.wait(tasks, timeout=self._timeout_s)
+        came = {side.name: side.coming for side in self._sides if side.coming and side.coming.done()}
+        frames = {name: task.result() for name, task in came.items() if task.exception() is None}
+        if len(frames) == 2:
+            pair = FramePair(frames["left"], frames["right"])
+            skew = self._pairing.skew(pair.left, pair.right)
+            if skew.is_one_exposure:
+                self._taken("left", "right")
+                return pair
+            # the later frame may be the first of the next exposure: only the older one has no partner
+            older, newer = ("left", "right") if skew.ns < 0 else ("right", "left")
+            self._taken(older)
+            raise FrameUnpaired(newer, f"no partner for frame {frames[older].frame_id} of {older}: {skew}")
+        self._taken(*came)
+        for task in came.values():
+            task.result()  # the fault of who gave no frame
+        (name,) = {"left", "right"} - frames.keys()
+        (other,) = frames.values()
+        raise FrameUnpaired(
+            name, f"no partner for frame {other.frame_id} of {other.camera} within {self._timeout_s:g} s"
+        )
+
+    def _taken(self, *names: str) -> None:
+        for side in self._sides:
+            if side.name in names:
+                side.coming = None
+
     def _check_pair(self, pair: FramePair) -> None:
         """Raise `PairingError` unless both frames are new and show one instant."""
-        problems = [
+        errors = [
             self._look_at(side, frame)
             for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
         ]
-        for side, problem in zip(self._sides, problems, strict=True):
-            if problem:
-                raise PairingError(side.name, problem)
-        skew_s = abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-9
-        if skew_s > self._max_skew_s:
-            raise PairingError("both", self._skew_text("exposures", skew_s))
-        self._check_device_clocks(pair)
+        for error in errors:
+            if error is not None:
+                raise error
+        if problem := self._pairing.problem(pair.left, pair.right):
+            raise PairingError("both", problem)
 
-    def _look_at(self, side: _Side, frame: Frame) -> str:
+    def _look_at(self, side: _Side, frame: Frame) -> PairingError | None:
         """Remember a frame; what is wrong with it after the one before, or nothing."""
         last_id, last_image = side.frame_id, side.image
         side.frame_id, side.image = frame.frame_id, frame.image
         if last_id is not None and frame.frame_id <= last_id:
-            return f"frame {frame.frame_id} came after frame {last_id}: not a new image"
+            return FrameRepeated(
+                side.name, f"frame {frame.frame_id} came after frame {last_id}: not a new image"
+            )
         # a dark or saturated image has no pixel to tell it from the one before
         if (
             self._detect_frozen
@@ -297,38 +407,30 @@ class StereoHead:
             and np.array_equal(frame.image, last_image)
             and np.ptp(frame.image) > 0
         ):
-            return f"frozen: frame {frame.frame_id} equals the one before in every pixel"
-        return ""
+            return FrameFrozen(
+                side.name, f"frozen: frame {frame.frame_id} equals the one before in every pixel"
+            )
+        return None
 
-    def _check_device_clocks(self, pair: FramePair) -> None:
-        """Both cameras must have counted the same time since the pair before.
-
-        This needs no common epoch, and it sees what host time cannot: a camera that took its trigger late.
-        """
-        left, right = (side.paired_device_ns for side in self._sides)
-        if left is None or right is None:
-            return
-        left_ns, right_ns = pair.left.device_ns - left, pair.right.device_ns - right
-        if left_ns <= 0 or right_ns <= 0:  # a camera without a clock, or one whose clock was set
-            return
-        skew_s = abs(left_ns - right_ns) * 1e-9
-        if skew_s > self._max_skew_s + CLOCK_DRIFT * 1e-9 * max(left_ns, right_ns):
-            raise PairingError("both", self._skew_text("exposures by the cameras' own clocks", skew_s))
-
-    def _skew_text(self, what: str, skew_s: float) -> str:
-        return f"{what} {skew_s * 1e3:.2f} ms apart, allowed {self._max_skew_s * 1e3:g} ms"
-
-    def _note(self, error: CaptureError) -> None:
-        """Close the cameras that an error says are gone, or that failed too often."""
+    def _note(self, error: CaptureError) -> CaptureError:
+        """Close cameras that an error says are gone, or that failed too often; what is to be said of it."""
         at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
         for side in at_fault:
             side.faults += 1
+            side.suspect = isinstance(error, FrameTimeout)
         gone = isinstance(error, CameraUnreachable | CameraBusy | CameraSetupError)
         broken = [side for side in at_fault if gone or side.faults >= REOPEN_AFTER]
         if broken:
+            if isinstance(error, FrameTimeout):
+                # it was asked after each of them, and said that it was well
+                error = StreamStalled(
+                    error.camera, f"no image of {REOPEN_AFTER} exposures, though it answers: opened again"
+                )
             self._fail(error)
+            self._pairing.forget()
             for side in broken:
                 side.close_soon()
+        return error
 
 
 def _merge(errors: list[CaptureError]) -> CaptureError:

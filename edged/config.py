@@ -58,24 +58,92 @@ class CellSection(_Section):
 class CycleSection(_Section):
     """When it is measured."""
 
-    mode: Literal["free", "command"] = Field(
-        "command", description='"free": every period; "command": when asked over Modbus or Zenoh'
+    mode: Literal["free", "command", "external"] = Field(
+        "command",
+        description='"free": every period; "command": when asked over Modbus or Zenoh; '
+        '"external": each exposure that somebody else triggers',
     )
     period_s: float = Field(0.5, ge=0.0, le=3600, description="time from trigger to trigger in free mode")
+
+
+FeatureGroup = dict[str, bool | int | float | str]
+
+
+def _groups(value: object) -> object:
+    """One table of features is a list of one."""
+    return [value] if isinstance(value, dict) else value
+
+
+class StrobeSection(_Section):
+    """An output line that shows when the camera exposes: for a flash."""
+
+    line: str = Field("Line2", min_length=1)
+    source: str = Field("ExposureActive", min_length=1, description="GenICam LineSource")
+    inverted: bool = False
 
 
 class CameraSection(_Section):
     """One camera. Values that are left out stay as the camera has them."""
 
     device: str = Field("", description="serial number or IP address")
+    serial: str = Field("", description="serial number that is expected at an IP address")
     exposure_us: float | None = Field(None, gt=0, le=10_000_000)
     gain_db: float | None = Field(None, ge=-10, le=60)
     packet_size: int | None = Field(
         None, ge=220, le=65_000, description="GVSP packet size in bytes; negotiated when left out"
     )
-    features: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="GenICam nodes by name"
+    packet_delay_us: float | None = Field(
+        None, ge=0, le=100_000, description="pause after each packet; from the link's speed when left out"
     )
+    strobe: StrobeSection | None = None
+    features: Annotated[list[FeatureGroup], BeforeValidator(_groups)] = Field(
+        default_factory=list,
+        description="GenICam nodes by name; several tables are written one after another",
+    )
+
+
+MODE_KEYS: dict[str, set[str]] = {
+    "software": set(),
+    "free-run": {"rate_hz"},
+    "line": {"line", "edge", "delay_us", "debounce_us"},
+    "chain": {"first", "first_line", "output", "line", "edge", "delay_us", "debounce_us"},
+    "action": {"device_key", "group_key", "group_mask", "broadcast", "lead_ms"},
+}
+"""What belongs to which trigger mode: a setting that would be ignored is a mistake."""
+
+Key = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
+
+
+class TriggerSection(_Section):
+    """What starts an exposure (docs/cameras.md has a table)."""
+
+    mode: Literal["software", "free-run", "line", "chain", "action"] = "software"
+    rate_hz: float | None = Field(None, gt=0, le=10_000, description="free-run: of both cameras")
+    line: str = Field("Line1", min_length=1, description="line, chain: input of the camera that waits for it")
+    edge: Literal["rising", "falling", "any"] = "rising"
+    delay_us: float = Field(0.0, ge=0, le=10_000_000, description="from pulse to exposure")
+    debounce_us: float = Field(0.0, ge=0, le=1_000_000, description="shorter pulses are ignored")
+    first: Literal["left", "right"] = Field("left", description="chain: the camera that triggers the other")
+    first_line: str = Field("", description="chain: input that triggers the first; left out: software does")
+    output: str = Field("Line2", min_length=1, description="chain: the first camera's exposure-active output")
+    device_key: Key = 1
+    group_key: Key = 1
+    group_mask: Key = 1
+    broadcast: str = Field("", description="action: broadcast address; left out: to each camera's own")
+    lead_ms: float = Field(
+        0.0, ge=0, le=1000, description="action: scheduled so long ahead by PTP; 0: at once"
+    )
+
+    @model_validator(mode="after")
+    def _belongs(self) -> TriggerSection:
+        if odd := self.model_fields_set - MODE_KEYS[self.mode] - {"mode"}:
+            raise ValueError(f"{', '.join(sorted(odd))}: does not belong to mode {self.mode!r}")
+        return self
+
+    @property
+    def can_be_external(self) -> bool:
+        """Whether others can start the exposures."""
+        return self.mode in ("free-run", "line", "action") or (self.mode == "chain" and self.first_line != "")
 
 
 class CamerasSection(_Section):
@@ -85,6 +153,11 @@ class CamerasSection(_Section):
     folder: FilePath | None = Field(None, description='for "replay": pairs NAME_left.png, NAME_right.png')
     timeout_s: float = Field(1.0, gt=0, le=10, description="from trigger to both images")
     max_skew_ms: float = Field(5.0, gt=0, le=1000, description="limit for two frames to be one exposure")
+    max_arrival_skew_ms: float = Field(
+        50.0, gt=0, le=1000, description="the same for cameras of which nothing but the arrival is known"
+    )
+    ptp: bool | None = Field(None, description="switch the cameras' PTP clocks on or off")
+    trigger: TriggerSection = TriggerSection()
     left: CameraSection = CameraSection()
     right: CameraSection = CameraSection()
 
@@ -97,6 +170,13 @@ class CamerasSection(_Section):
                 raise ValueError('source "aravis" needs left.device and right.device (serial number or IP)')
             if self.left.device == self.right.device:
                 raise ValueError(f"left and right are the same device {self.left.device!r}")
+            if self.left.serial and self.left.serial == self.right.serial:
+                raise ValueError(f"left and right expect the same serial number {self.left.serial!r}")
+            unicast = self.trigger.mode == "action" and not self.trigger.broadcast
+            if unicast and not (_is_address(self.left.device) and _is_address(self.right.device)):
+                raise ValueError("trigger.broadcast: missing; without it both devices must be IP addresses")
+        if self.trigger.mode != "software" and self.source not in ("aravis", "virtual"):
+            raise ValueError(f"trigger.mode {self.trigger.mode!r} needs cameras, not source {self.source!r}")
         return self
 
 
@@ -243,6 +323,14 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
+def _is_address(device: str) -> bool:
+    try:
+        ipaddress.ip_address(device)
+    except ValueError:
+        return False
+    return True
+
+
 class Config(_Section):
     """The whole file."""
 
@@ -254,6 +342,15 @@ class Config(_Section):
     drift: DriftSection = DriftSection()
     recorder: RecorderSection | None = None
     web: WebSection | None = None
+
+    @model_validator(mode="after")
+    def _triggered(self) -> Config:
+        if self.cycle.mode == "external" and not self.cameras.trigger.can_be_external:
+            raise ValueError(
+                'cycle.mode "external" needs cameras that others trigger: cameras.trigger.mode "line", '
+                '"action", "free-run", or "chain" with first_line'
+            )
+        return self
 
 
 def load(path: Path) -> Config:

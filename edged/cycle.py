@@ -9,6 +9,7 @@ the pipeline propagates: systemd restarts the daemon.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import deque
@@ -17,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from edged.capture import cancel_and_await
 from edged.domain import (
     Calibrated,
     CellState,
@@ -35,7 +37,7 @@ from edged.domain import (
     Status,
 )
 from edged.drift import DriftLimits, DriftMonitor, refused
-from edged.errors import CaptureError, CommandRefused
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError, CommandRefused
 from edged.payload import moved_frame
 from edged.ports import Publisher
 
@@ -57,6 +59,10 @@ class Head(Protocol):
 
     async def capture(self) -> FramePair:
         """One exposure of both cameras, bounded in time; raises `CaptureError`."""
+        ...
+
+    async def listen(self) -> FramePair:
+        """The next exposure that others trigger; may be cancelled and called again, and none is lost."""
         ...
 
     async def close(self) -> None:
@@ -83,6 +89,7 @@ class Setup:
     """Everything that a reload may exchange between two cycles.
 
     jobs : by number. period_s : None means "only on command".
+    listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : of robot_from_rig, or of flange_from_rig.
     """
@@ -97,6 +104,7 @@ class Setup:
     registration_covariance: FloatArray | None = None
     flange_from_rig: FloatArray | None = None
     drift: DriftLimits = field(default_factory=DriftLimits)
+    listens: bool = False
 
 
 class Cycle:
@@ -176,6 +184,8 @@ class Cycle:
                     await self._apply(*self._pending)
                 elif self._commands:
                     await self._serve(self._commands.popleft())
+                elif self._setup.listens:
+                    await self._listen()
                 else:
                     due_s = await self._tick_or_wait(due_s)
         finally:
@@ -230,13 +240,33 @@ class Cycle:
                 self._announce(Idle())
         return due_s
 
-    async def _serve(self, command: Command | None) -> None:
+    async def _listen(self) -> None:
+        """Measure the next exposure that others trigger; return early when something else is to be done."""
+        self._wake.clear()
+        heard = asyncio.ensure_future(self._head.listen())
+        woken = asyncio.ensure_future(self._wake.wait())
+        try:
+            await asyncio.wait({heard, woken}, timeout=IDLE_CHECK_S, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            await cancel_and_await(heard, woken)
+        if heard.cancelled():
+            if not self._wake.is_set():
+                await self._check_cameras()
+                self._announce(Idle())
+            return
+        await self._serve(None, heard)
+        if isinstance(heard.exception(), CameraUnreachable | CameraBusy | CameraSetupError):
+            with contextlib.suppress(TimeoutError):  # there is nothing to listen to: try again later
+                await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S)
+
+    async def _serve(self, command: Command | None, heard: asyncio.Future[FramePair] | None = None) -> None:
+        """One command, or one tick. heard : the exposure, when it has been made already."""
         if command is not None and command.kind is CommandKind.CHANGE_JOB:
             self._change_job(command)
             return
         self._number += 1
         self._tell_state("BUSY", keep_error=True)
-        snapshot = await self._measure(command)
+        snapshot = await self._measure(command, heard)
         self._announce(snapshot)
         if snapshot.status is Status.CAPTURE_FAULT:
             self._tell_state("FAULT", error=snapshot.error, code=snapshot.error_code)
@@ -256,7 +286,7 @@ class Cycle:
         if self._state is not None:
             self._tell_state(self._state.state, keep_error=True)
 
-    async def _measure(self, command: Command | None) -> Snapshot:
+    async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """One cycle. A miss or a fault is a status; a bug propagates."""
         setup = self._setup
         job = (
@@ -264,10 +294,11 @@ class Cycle:
         )
         stopwatch = _Stopwatch()
         try:
-            pair = await self._head.capture()
+            pair = await (heard if heard is not None else self._head.capture())
         except CaptureError as error:
             return self._snapshot(setup, job, command, Status.CAPTURE_FAULT, stopwatch, error=error)
         stopwatch("capture")
+        self._missed += pair.missed
         self._announce(ExposureDone(self._number, command, pair))
         if command is not None and command.kind is CommandKind.GRAB:
             return self._snapshot(setup, job, command, Status.NO_TARGET, stopwatch, pair=pair)

@@ -50,6 +50,7 @@ class TimeBase(enum.StrEnum):
     PTP = "ptp"
     CAMERA = "camera"
     HOST = "host"
+    ARRIVAL = "arrival"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +63,7 @@ class Frame:
     exposed_ns : host UTC ns of the exposure's begin, as well as it is known.
     exposed_bound_ns : the true time, by the host's clock, is no further away; None: not known.
     time_base : PTP and CAMERA: the camera's stamp, by a map between its clock and the host's. HOST: when the
-        command left, or the image arrived.
+        command left. ARRIVAL: when the image came.
     """
 
     camera: str
@@ -76,10 +77,14 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePair:
-    """The two frames of one exposure."""
+    """The two frames of one exposure.
+
+    missed : exposures since the pair before that were lost, or that nobody had time for.
+    """
 
     left: Frame
     right: Frame
+    missed: int = field(default=0, kw_only=True)
 
     @property
     def exposed_ns(self) -> int:

@@ -9,11 +9,17 @@
     │   └── TeachError            a region that cannot give a job
     ├── CaptureError              a camera did not deliver: a fault, the daemon goes on
     │   ├── CameraUnreachable     not found, or not answering
+    │   │   └── CameraRestarted   it was switched off and on, or gave up the connection
     │   ├── CameraBusy            another host controls it
     │   ├── CameraSetupError      it refuses a setting
+    │   │   └── WrongCamera       another camera than the one that was calibrated
     │   ├── FrameTimeout          no image in time
+    │   │   └── StreamStalled     again and again, though the camera answers
     │   ├── FrameIncomplete       packets lost, short or scrambled data
     │   └── PairingError          two frames that are not one exposure
+    │       ├── FrameRepeated     a frame that was there before, by its number
+    │       ├── FrameFrozen       a new number, and the same picture in every pixel
+    │       └── FrameUnpaired     one camera exposed, the other did not
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
     └── ListenError               a port or socket that cannot be opened
 
@@ -108,6 +114,42 @@ class PairingError(CaptureError):
     """Two frames that do not belong to one exposure."""
 
     code = 106
+
+
+class CameraRestarted(CameraUnreachable):
+    """It answers, but belongs to nobody: it was switched off and on, or gave up the connection."""
+
+    code = 107
+
+
+class WrongCamera(CameraSetupError):
+    """Another serial number than the configuration names: cables or addresses were swapped."""
+
+    code = 108
+
+
+class FrameRepeated(PairingError):
+    """A frame that was there before, by its number."""
+
+    code = 109
+
+
+class FrameFrozen(PairingError):
+    """A new number, and the same picture in every pixel."""
+
+    code = 110
+
+
+class FrameUnpaired(PairingError):
+    """One camera exposed and the other did not, or not within the limit."""
+
+    code = 111
+
+
+class StreamStalled(FrameTimeout):
+    """No image several times in a row, though the camera answers."""
+
+    code = 112
 
 
 class CommandRefused(EdgedError):

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
-from edged.adapters.aravis.session import BLOCK_IDS, FrameCounter
+from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
 from edged.capture import StereoHead
 from edged.domain import Frame, Image
 from edged.errors import (
@@ -303,7 +303,7 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
         # this device cannot send packets again: a frame may be a fault, never a wrong picture
         return [await settles(camera, lambda: shoot(camera), 20) for _ in range(6)]
 
-    size: dict[str, Any] = {"features": {"Width": 1280, "Height": 960}}
+    size: dict[str, Any] = {"features": ({"Width": 1280, "Height": 960},)}
     frames = run(script, left_camera("127.0.0.1", user_socket=user_socket, exposure_us=10_000.0, **size))
 
     y, x = np.mgrid[:960, :1280]
@@ -374,7 +374,7 @@ def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
 
 def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
     """What the config says is what the sensor is told, automatic off, and free features too."""
-    camera = left_camera(exposure_us=1234.0, gain_db=6.0, features={"Width": 160, "OffsetX": 32})
+    camera = left_camera(exposure_us=1234.0, gain_db=6.0, features=({"Width": 160, "OffsetX": 32},))
 
     async def script(camera: AravisCamera) -> Frame:
         await camera.open()
@@ -391,12 +391,15 @@ def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
 @pytest.mark.parametrize(
     "settings, reason",
     [
-        ({"features": {"Nonsense": 1}}, "Nonsense: the camera has no such feature"),
-        ({"features": {"PixelFormat": "RGB8"}}, "PixelFormat: 'RGB8' is not understood, only Mono8, Mono10"),
-        ({"features": {"PixelFormat": "Mono14"}}, "PixelFormat: 'Mono14' is none of Mono8"),
+        ({"features": ({"Nonsense": 1},)}, "Nonsense: the camera has no such feature"),
+        (
+            {"features": ({"PixelFormat": "RGB8"},)},
+            "PixelFormat: 'RGB8' is not understood, only Mono8, Mono10",
+        ),
+        ({"features": ({"PixelFormat": "Mono14"},)}, "PixelFormat: 'Mono14' is none of Mono8"),
         ({"exposure_us": 1e9}, "ExposureTime: 1000000000.0 is outside"),
         ({"gain_db": 59.0}, "Gain: 59.0 is outside"),
-        ({"features": {"DeviceVendorName": "me"}}, "DeviceVendorName: can only be read"),
+        ({"features": ({"DeviceVendorName": "me"},)}, "DeviceVendorName: can only be read"),
     ],
 )
 def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(

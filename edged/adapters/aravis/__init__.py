@@ -2,6 +2,11 @@
 
     library    finding Aravis, its errors as ours, what is on the network
     features   GenICam nodes by name: checked, written in a safe order, read back
+    trigger    what starts an exposure: software, free run, line, action command
+    clock      the camera's time against the host's
+    setup      what a camera is told before it is armed, and what is refused
+    link       how fast it may send
+    stream     buffers as images
     session    one connection: everything that talks to the device, on one thread
     camera     `AravisCamera`: the port, on the event loop
 
@@ -10,6 +15,21 @@ Needs `gir1.2-aravis-0.8` and PyGObject when a camera is used; importing this pa
 
 from edged.adapters.aravis.camera import AravisCamera
 from edged.adapters.aravis.library import CameraInfo, aravis_missing, list_cameras
-from edged.adapters.aravis.session import AravisSettings
+from edged.adapters.aravis.session import Health
+from edged.adapters.aravis.settings import AravisSettings
+from edged.adapters.aravis.trigger import Action, FreeRun, Line, Output, Software, Trigger
 
-__all__ = ["AravisCamera", "AravisSettings", "CameraInfo", "aravis_missing", "list_cameras"]
+__all__ = [
+    "Action",
+    "AravisCamera",
+    "AravisSettings",
+    "CameraInfo",
+    "FreeRun",
+    "Health",
+    "Line",
+    "Output",
+    "Software",
+    "Trigger",
+    "aravis_missing",
+    "list_cameras",
+]

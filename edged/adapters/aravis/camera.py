@@ -23,7 +23,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from edged.adapters.aravis.clock import Mapped, to_utc
-from edged.adapters.aravis.session import AravisSettings, Arrival, Session
+from edged.adapters.aravis.session import Health, Session
+from edged.adapters.aravis.settings import AravisSettings
+from edged.adapters.aravis.stream import Arrival
 from edged.domain import Frame, TimeBase
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 
@@ -31,6 +33,9 @@ log = logging.getLogger(__name__)
 
 REPLY_S = 1.2
 """A command that is not answered by then has been lost twice (Aravis repeats after 0.5 s): no camera."""
+
+BACKLOG = 4
+"""Images that wait to be fetched; of a camera that others trigger too fast the oldest is dropped."""
 
 CLOSE_S = 1.0
 """A camera that answers is closed within milliseconds; one that does not is left to its thread."""
@@ -128,6 +133,12 @@ class AravisCamera:
         """ "left" or "right"."""
         return self._name
 
+    @property
+    def health(self) -> Health | None:
+        """How the camera is; None while it is not open."""
+        session = self._connection.session if self._connection is not None else None
+        return session.health() if session is not None else None
+
     async def open(self) -> None:
         """Connect, set up and arm; an open camera is asked whether it is still there and ours.
 
@@ -142,7 +153,7 @@ class AravisCamera:
             self._connection = _Connection(f"control {self._name}", self._last_thread)
             self._last_thread = self._connection.thread
         connection = self._connection
-        arrivals: deque[Arrival] = deque()  # a pump of the connection before must not add to these
+        arrivals: deque[Arrival] = deque(maxlen=BACKLOG)  # a pump of the connection before must not add
         news = asyncio.Event()
         self._arrivals, self._news = arrivals, news
         self._awaiting = False
@@ -161,9 +172,12 @@ class AravisCamera:
         await self._call(connection, connect, None)
 
     async def trigger(self) -> None:
-        """Start one exposure; frames that were not fetched before are dropped."""
+        """Start one exposure; frames that were not fetched before are dropped.
+
+        A camera that others trigger is only armed: `frame` gives what is exposed from now on.
+        """
         connection, session = self._opened()
-        restart = self._awaiting and not self._arrivals
+        restart = session.fires and self._awaiting and not self._arrivals
         self._awaiting = True
         self._triggers += 1
         self._arrivals.clear()
@@ -176,9 +190,12 @@ class AravisCamera:
         self._sent_ns = await self._call(connection, fire, REPLY_S)
 
     async def frame(self) -> Frame:
-        """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
+        """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`.
+
+        Of a camera that others trigger: the oldest image that was not fetched; a cancelled call loses none.
+        """
         _, session = self._opened()
-        if not self._awaiting:
+        if session.fires and not self._awaiting:
             raise FrameTimeout(self._name, "no exposure was triggered")
         try:
             async with asyncio.timeout(FRAME_S):
@@ -245,14 +262,14 @@ class AravisCamera:
 
     def _is_stale(self, session: Session, arrival: Arrival) -> bool:
         """Whether a buffer was exposed before the last trigger command was sent."""
-        if not session.by_software or self._triggers == 1:
-            return False  # the first trigger of a connection: there was nothing before it
+        if self._triggers == 0 or (session.fires and self._triggers == 1):
+            return False  # never armed, or the first trigger of a connection: there was nothing before it
         mapped = session.clock.at(arrival.device_ns) if self._stamps_fit else None
         return mapped is not None and mapped.at_ns + mapped.bound_ns + STAMP_NS < self._sent_ns
 
     def _exposed(self, session: Session, arrival: Arrival) -> tuple[Mapped, TimeBase]:
         """Host time of the exposure, the bound of its error, and where it comes from."""
-        earliest_ns = self._sent_ns if session.by_software else arrival.arrived_ns - DELIVERY_NS
+        earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - DELIVERY_NS
         session.note_exposure(earliest_ns, arrival)
         mapped = session.clock.at(arrival.device_ns) if arrival.device_ns else None
         if mapped is not None:
@@ -269,7 +286,9 @@ class AravisCamera:
             if fits:
                 return mapped, TimeBase.PTP if session.ptp else TimeBase.CAMERA
         bound_ns = arrival.arrived_ns - earliest_ns
-        return Mapped(earliest_ns if session.by_software else arrival.arrived_ns, bound_ns), TimeBase.HOST
+        if session.fires:
+            return Mapped(earliest_ns, bound_ns), TimeBase.HOST
+        return Mapped(arrival.arrived_ns, bound_ns), TimeBase.ARRIVAL
 
 
 def _on_loop(action: Callable[..., object]) -> Callable[..., None]:

@@ -201,13 +201,16 @@ class NodeLatch:
 
 def find_latch(device: Any, features: Features, *, gige: bool) -> Latch | None:
     """The way this camera's clock can be read, if any."""
-    if gige:
-        hz = device.read_register(TICK_HZ_HIGH) << 32 | device.read_register(TICK_HZ_LOW)
-        if hz > 0:
-            return RegisterLatch(hz)
+    if gige and (hz := tick_hz(device)) > 0:
+        return RegisterLatch(hz)
     if features.exists("TimestampLatch") and features.exists("TimestampLatchValue"):
         return NodeLatch("TimestampLatch", "TimestampLatchValue", 10**9)
     return None
+
+
+def tick_hz(device: Any) -> int:
+    """Ticks per second of a GigE Vision camera; 0 for one without a clock."""
+    return int(device.read_register(TICK_HZ_HIGH) << 32 | device.read_register(TICK_HZ_LOW))
 
 
 def ptp_locked(device: Any, features: Features) -> bool:

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from edged.adapters.aravis.library import library
+from edged.adapters.aravis.library import library, translated
 from edged.errors import CameraSetupError
 
 Value = bool | int | float | str
@@ -46,6 +46,31 @@ class Features:
     def first(self, *names: str) -> str:
         """The first of several names that the camera has, or ""."""
         return next((name for name in names if self.exists(name)), "")
+
+    def writable(self, name: str) -> bool:
+        """Whether the camera has the feature and lets it be written in its present state."""
+        if not self.exists(name):
+            return False
+        aravis = self._library.aravis
+        return bool(self._device.get_feature(name).get_actual_access_mode() != aravis.GcAccessMode.RO)
+
+    def choices(self, name: str) -> list[str]:
+        """What an enumeration may be set to; none for a feature that the camera does not have."""
+        if not self.exists(name):
+            return []
+        with translated(self._camera, f"asking for the choices of {name}"):
+            return list(self._device.dup_available_enumeration_feature_values_as_strings(name))
+
+    def value(self, name: str) -> Value | None:
+        """What the camera holds now; None for what cannot be read."""
+        with translated(self._camera, f"reading {name}"):
+            return self._read(name)
+
+    def nearest(self, name: str, value: int) -> int:
+        """The value of a whole-number feature that is nearest to this one within its limits."""
+        with translated(self._camera, f"asking for the limits of {name}"):
+            low, high = self._device.get_integer_feature_bounds(name)
+        return int(min(max(value, low), high))
 
     def check(self, values: Mapping[str, Value]) -> list[str]:
         """What is wrong with these settings by name, type and choice; nothing is written."""
@@ -138,10 +163,10 @@ class Features:
             device.set_integer_feature_value(name, value)
 
     def _read(self, name: str) -> Value | None:
-        """What the camera holds now; None for a command."""
+        """What the camera holds now; None for a command, and for what can only be written (keys)."""
         aravis, device = self._library.aravis, self._device
         node = device.get_feature(name)
-        if isinstance(node, aravis.GcCommand):
+        if isinstance(node, aravis.GcCommand) or node.get_actual_access_mode() == aravis.GcAccessMode.WO:
             return None
         if isinstance(node, aravis.GcBoolean):
             return bool(device.get_boolean_feature_value(name))

@@ -163,6 +163,11 @@ class _Discovery:
         self._found: list[CameraInfo] = []
         self._done_s = -math.inf
 
+    def address_of(self, device: str) -> str:
+        """The address of a camera that was found some time; what is not known is given back."""
+        matching = (info.address for info in self._found if device in (info.serial, info.device_id))
+        return next(matching, device)
+
     def run(self, max_age_s: float) -> list[CameraInfo]:
         """The cameras that were found no longer ago than this, or are now."""
         aravis = library("any").aravis
@@ -177,6 +182,11 @@ class _Discovery:
 
 
 _discovery = _Discovery()
+
+
+def address_of(device: str) -> str:
+    """IP address of a camera; a serial number that no discovery has found yet is given back as it is."""
+    return _discovery.address_of(device)
 
 
 def _info(aravis: Any, index: int) -> CameraInfo:

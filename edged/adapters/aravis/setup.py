@@ -1,0 +1,163 @@
+"""What a camera is told before it is armed: features, exposure, clock, outputs; and what is refused.
+
+Order: the user's features (all are checked before the first is written), then the geometry they make is
+compared with the calibration, then exposure and gain, PTP, outputs and, last, the trigger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edged.adapters.aravis.features import Features, Value
+from edged.adapters.aravis.library import translated
+from edged.adapters.aravis.settings import AravisSettings
+from edged.adapters.aravis.trigger import arm, set_output, trigger_names
+from edged.errors import CameraSetupError, WrongCamera
+from edged.vision.pixelformats import FORMATS
+
+NEUTRAL: Mapping[str, Value] = {
+    "OffsetX": 0,
+    "OffsetY": 0,
+    "BinningHorizontal": 1,
+    "BinningVertical": 1,
+    "DecimationHorizontal": 1,
+    "DecimationVertical": 1,
+    "ReverseX": False,
+    "ReverseY": False,
+}
+"""Features that move pixels, as they stand when nobody meant anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a region lies in the image that was calibrated, px."""
+
+    width: int
+    height: int
+    x: int
+    y: int
+
+
+def set_up(name: str, camera: Any, features: Features, settings: AravisSettings) -> Placement | None:
+    """Tell an open camera everything; where its image belongs if that is not the whole one.
+
+    Raises `CameraSetupError` that names what does not fit.
+    """
+    _check_serial(name, camera, settings)
+    groups = _groups(name, camera, features, settings)
+    for group in groups:
+        features.require(group)
+    placement = _placement(name, camera.get_device(), features, groups, settings.calibrated)
+    features.require(_exposure(name, features, settings))
+    if settings.ptp is not None:
+        node = features.first("PtpEnable", "GevIEEE1588")
+        if node or settings.ptp:
+            features.require({node or "PtpEnable": settings.ptp})
+    for output in settings.outputs:
+        set_output(output, features)
+    arm(name, settings.trigger, features)
+    return placement
+
+
+def _check_serial(name: str, camera: Any, settings: AravisSettings) -> None:
+    found, expected = camera.get_device_serial_number(), settings.serial
+    if expected and found != expected:
+        raise WrongCamera(name, f"{settings.device} has the serial number {found!r}, expected {expected!r}")
+
+
+def _groups(name: str, camera: Any, features: Features, settings: AravisSettings) -> list[dict[str, Value]]:
+    """Features in the order in which they are written, every name, type and choice of them checked."""
+    groups = [dict(group) for group in settings.features]
+    problems = [
+        f"{node}: belongs to the trigger, set it under cameras.trigger"
+        for group in groups
+        for node in trigger_names(group)
+    ]
+    if not any("PixelFormat" in group for group in groups):
+        groups.insert(0, {"PixelFormat": _pixel_format(features)})
+    for group in groups:
+        wanted = group.get("PixelFormat", "Mono8")
+        if wanted not in FORMATS:
+            problems.append(f"PixelFormat: {wanted!r} is not understood, only {', '.join(FORMATS)}")
+    if settings.packet_size is not None:
+        if not camera.is_gv_device():
+            raise CameraSetupError(name, "packet_size: only GigE Vision has packets")
+        # Aravis adds the second name, on the standard's register, for cameras without the first
+        groups.append({features.first("GevSCPSPacketSize", "ArvGevSCPSPacketSize"): settings.packet_size})
+    problems = problems or [problem for group in groups for problem in features.check(group)]
+    if problems:
+        raise CameraSetupError(name, "; ".join(problems))
+    return groups
+
+
+def _pixel_format(features: Features) -> str:
+    """Mono8, or from a colour camera its mosaic with 8 bits."""
+    offered = features.choices("PixelFormat")
+    plain = (name for name in offered if name in FORMATS and FORMATS[name].layout == "bytes")
+    return "Mono8" if "Mono8" in offered else next(plain, "Mono8")
+
+
+def _placement(
+    name: str,
+    device: Any,
+    features: Features,
+    groups: list[dict[str, Value]],
+    calibrated: tuple[int, int] | None,
+) -> Placement | None:
+    """Refuse geometry that nobody meant, or that the calibration does not cover.
+
+    Another program may have left the camera mirrored or with a region: pictures look alike, measure wrong,
+    and no check of a single image would tell. So what is not neutral must stand in the configuration. A
+    region of an image that was calibrated as a whole is put back in its place.
+    """
+    stated = {node for group in groups for node in group}
+    found = {node: features.value(node) for node in NEUTRAL if features.exists(node)}
+    odd = {node: value for node, value in found.items() if value != NEUTRAL[node]}
+    if unmeant := odd.keys() - stated:
+        described = ", ".join(f"{node} is {odd[node]!r}" for node in NEUTRAL if node in unmeant)
+        raise CameraSetupError(
+            name, f"{described}: an image that lies otherwise than at calibration; set it under features"
+        )
+    with translated(name, "asking for the size of its image"):
+        size = _pair(device, "Width", "Height")
+        if calibrated is None or size == calibrated:
+            return None
+        whole = _pair(device, "WidthMax", "HeightMax") if features.exists("WidthMax") else size
+    x, y = int(found.get("OffsetX") or 0), int(found.get("OffsetY") or 0)
+    if whole != calibrated or odd.keys() - {"OffsetX", "OffsetY"}:
+        raise CameraSetupError(
+            name,
+            f"its image is {size[0]}x{size[1]} px, the rig was calibrated with "
+            f"{calibrated[0]}x{calibrated[1]}: only a region of a whole, upright image can be placed",
+        )
+    return Placement(*calibrated, x, y)
+
+
+def _pair(device: Any, *names: str) -> tuple[int, int]:
+    first, second = (int(device.get_integer_feature_value(name)) for name in names)
+    return first, second
+
+
+def _exposure(name: str, features: Features, settings: AravisSettings) -> dict[str, Value]:
+    """Exposure and gain under the names that this camera has for them."""
+    values: dict[str, Value] = {}
+    if settings.exposure_us is not None:
+        node = features.first("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
+        if not node:
+            raise CameraSetupError(name, "exposure_us: the camera has no ExposureTime")
+        if features.exists("ExposureAuto"):
+            values["ExposureAuto"] = "Off"
+        raw = node == "ExposureTimeRaw"
+        values[node] = round(settings.exposure_us) if raw else settings.exposure_us
+    if settings.gain_db is not None:
+        node = features.first("Gain", "GainAbs")
+        if not node:
+            raise CameraSetupError(
+                name, "gain_db: the camera has no Gain in dB; set its own GainRaw under features"
+            )
+        if features.exists("GainAuto"):
+            values["GainAuto"] = "Off"
+        values[node] = settings.gain_db
+    return values

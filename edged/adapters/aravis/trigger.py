@@ -1,0 +1,242 @@
+"""What starts an exposure: the GenICam settings of each way, and the datagram of an action command.
+
+Software    a command to each camera
+FreeRun     the camera's own clock
+Line        a pulse on an input; from outside, or from the other camera's exposure-active output
+Action      one GigE Vision datagram for all cameras, at once or at a PTP time
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edged.adapters.aravis.features import Features, Value
+from edged.adapters.aravis.library import GVCP_PORT
+from edged.errors import CameraSetupError, FrameTimeout
+
+ACTION_COMMAND, ACTION_ACK = 0x0100, 0x0101
+ACK_WANTED, SCHEDULED = 0x01, 0x80
+"""GVCP ACTION_CMD and the bits of its flags (GigE Vision 2.0, 16.7)."""
+
+ACTION_LATE = 0x8012
+"""GEV_STATUS_ACTION_LATE: the scheduled time had passed when the command came."""
+
+ACK_S = 0.3
+"""A camera acknowledges within milliseconds. The command is not repeated: it might expose twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Software:
+    """A command to the camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeRun:
+    """The camera exposes by itself. rate_hz : None leaves what the camera has."""
+
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A pulse on an input of the camera.
+
+    edge : "rising", "falling" or "any". delay_us : from pulse to exposure. debounce_us : shorter pulses are
+    disturbances.
+    """
+
+    line: str = "Line1"
+    edge: str = "rising"
+    delay_us: float = 0.0
+    debounce_us: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """A GigE Vision action command.
+
+    send_to : addresses that this camera's `trigger` sends it to; none where the other camera's does, or
+    another host. lead_s : the exposure is scheduled so long ahead on the common PTP clock; 0: at once.
+    """
+
+    device_key: int = 1
+    group_key: int = 1
+    group_mask: int = 1
+    send_to: tuple[str, ...] = ()
+    lead_s: float = 0.0
+
+
+Trigger = Software | FreeRun | Line | Action
+
+ACTIVATIONS = {"rising": "RisingEdge", "falling": "FallingEdge", "any": "AnyEdge"}
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """An output line: a strobe, or what triggers the other camera."""
+
+    line: str
+    source: str = "ExposureActive"
+    inverted: bool = False
+
+
+def fires(trigger: Trigger) -> bool:
+    """Whether the camera's `trigger` makes the exposure; else it only waits for what others do."""
+    return isinstance(trigger, Software) or (isinstance(trigger, Action) and bool(trigger.send_to))
+
+
+def arm(camera: str, trigger: Trigger, features: Features) -> None:
+    """Every trigger but the start of a frame off, that one as wanted. Raises `CameraSetupError`.
+
+    Mode before source: some firmware forgets a source that is set while the mode is off. And mode after
+    source: some switch it off when the source changes.
+    """
+    features.require({"AcquisitionMode": "Continuous"})
+    _all_off(camera, features)
+    if isinstance(trigger, FreeRun):
+        _set_rate(camera, trigger.rate_hz, features)
+        return
+    if isinstance(trigger, Line):
+        _set_input(trigger, features)
+    source = _source(camera, trigger, features)
+    features.require({"TriggerMode": "On"})
+    features.require({"TriggerSource": source})
+    if isinstance(trigger, Line):
+        _set_or_neutral(features, ("TriggerActivation",), ACTIVATIONS[trigger.edge], "RisingEdge")
+    delay_us = trigger.delay_us if isinstance(trigger, Line) else 0.0
+    _set_or_neutral(features, ("TriggerDelay", "TriggerDelayAbs"), delay_us, 0.0)
+    if isinstance(trigger, Action):
+        _set_action(trigger, source, features)
+    features.require({"TriggerMode": "On"})
+
+
+def set_output(output: Output, features: Features) -> None:
+    """Raises `CameraSetupError`. A line that is wired as an output only has no LineMode to write."""
+    features.require({"LineSelector": output.line})
+    if features.writable("LineMode"):
+        features.require({"LineMode": "Output"})
+    features.require({"LineSource": output.source})
+    _set_or_neutral(features, ("LineInverter",), output.inverted, neutral=False)
+
+
+def _all_off(camera: str, features: Features) -> None:
+    if not features.exists("TriggerSelector"):
+        features.require({"TriggerMode": "Off"})
+        return
+    selectors = features.choices("TriggerSelector")
+    for selector in selectors:
+        features.require({"TriggerSelector": selector})
+        if features.exists("TriggerMode"):
+            features.require({"TriggerMode": "Off"})
+    if "FrameStart" not in selectors:
+        raise CameraSetupError(camera, f"no FrameStart trigger, only {', '.join(selectors)}")
+    features.require({"TriggerSelector": "FrameStart"})
+
+
+def _set_rate(camera: str, rate_hz: float | None, features: Features) -> None:
+    if rate_hz is None:
+        return
+    name = features.first("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+    if not name:
+        raise CameraSetupError(camera, "trigger rate_hz: the camera has no AcquisitionFrameRate")
+    values: dict[str, Value] = {}
+    if features.exists("AcquisitionFrameRateEnable"):
+        values["AcquisitionFrameRateEnable"] = True
+    features.require({**values, name: rate_hz})
+
+
+def _set_input(trigger: Line, features: Features) -> None:
+    if not features.exists("LineSelector") or trigger.line not in features.choices("LineSelector"):
+        if trigger.debounce_us > 0:
+            features.require({"LineSelector": trigger.line})  # says what there is
+        return  # a trigger input need not be a line that can be set
+    features.require({"LineSelector": trigger.line})
+    if features.writable("LineMode"):
+        features.require({"LineMode": "Input"})
+    _set_or_neutral(features, ("LineDebouncerTime", "LineDebouncerTimeAbs"), trigger.debounce_us, 0.0)
+
+
+def _source(camera: str, trigger: Trigger, features: Features) -> str:
+    """The GenICam TriggerSource."""
+    if isinstance(trigger, Line):
+        return trigger.line
+    if not isinstance(trigger, Action):
+        return "Software"
+    sources = features.choices("TriggerSource")
+    action = next((source for source in sources if source.startswith("Action")), None)
+    if action is None:
+        raise CameraSetupError(camera, f"no trigger by action command, only by {', '.join(sources)}")
+    return action
+
+
+def _set_action(trigger: Action, source: str, features: Features) -> None:
+    if features.exists("ActionSelector"):  # counts as the names do, where it can
+        features.require({"ActionSelector": features.nearest("ActionSelector", int(source[6:] or 0))})
+    features.require({"ActionDeviceKey": trigger.device_key})
+    features.require({"ActionGroupKey": trigger.group_key})
+    features.require({"ActionGroupMask": trigger.group_mask})
+
+
+def _set_or_neutral(features: Features, names: tuple[str, ...], value: Value, neutral: Value) -> None:
+    """Write the first of the names there is; where there is none only the neutral value is not missed."""
+    name = features.first(*names)
+    if name or value != neutral:
+        features.require({name or names[0]: value})
+
+
+def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int) -> None:
+    """Send an action command. at_ticks : scheduled for this time of the cameras' PTP clock.
+
+    A broadcast is not acknowledged; a single camera's acknowledgement is waited for. Raises `FrameTimeout`.
+    """
+    flags = 0 if at_ticks is None else SCHEDULED
+    body = struct.pack(">III", trigger.device_key, trigger.group_key, trigger.group_mask)
+    if at_ticks is not None:
+        body += struct.pack(">Q", at_ticks)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        udp.settimeout(ACK_S)
+        waiting = set()
+        try:
+            for address in trigger.send_to:
+                wanted = 0 if _is_broadcast(address) else ACK_WANTED
+                header = struct.pack(">BBHHH", 0x42, flags | wanted, ACTION_COMMAND, len(body), request)
+                udp.sendto(header + body, (address, GVCP_PORT))
+                if wanted:
+                    waiting.add(address)
+            while waiting:
+                answer, (address, _) = udp.recvfrom(64)
+                waiting.discard(_acknowledged(camera, answer, address, request))
+        except TimeoutError:
+            silent = ", ".join(sorted(waiting))
+            raise FrameTimeout(camera, f"the action command was not acknowledged by {silent}") from None
+        except OSError as error:
+            raise FrameTimeout(camera, f"the action command: {error.strerror or error}") from error
+
+
+def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str:
+    """The address, when the answer is its acknowledgement; "" for what is none."""
+    if len(answer) < 8:
+        return ""
+    status, kind, _, number = struct.unpack(">HHHH", answer[:8])
+    if kind != ACTION_ACK or number != request:
+        return ""
+    if status == ACTION_LATE:
+        raise FrameTimeout(camera, f"{address} had the scheduled action too late: its lead is too short")
+    if status != 0:
+        raise FrameTimeout(camera, f"{address} refused the action command: status 0x{status:04x}")
+    return address
+
+
+def _is_broadcast(address: str) -> bool:
+    """A network's own broadcast address ends in 255 in every network that cameras are put in."""
+    return address.endswith(".255")
+
+
+def trigger_names(values: Mapping[str, Any]) -> list[str]:
+    """Of these feature names, those that belong to the trigger and are not free to be set."""
+    return [name for name in ("TriggerMode", "TriggerSource", "AcquisitionMode") if name in values]

@@ -1,0 +1,139 @@
+"""The stereo head that a configuration asks for: which cameras, triggered how."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edged.adapters.aravis import (
+    Action,
+    AravisCamera,
+    AravisSettings,
+    FreeRun,
+    Line,
+    Output,
+    Software,
+    Trigger,
+)
+from edged.adapters.replay import replay_cameras
+from edged.capture import StereoHead
+from edged.config import CameraSection, CamerasSection, TriggerSection
+from edged.errors import ConfigError
+from edged.ports import Camera
+from edged.sim.world import VirtualWorld
+
+SIDES = ("left", "right")
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Triggering:
+    """How both cameras are triggered together.
+
+    triggers, outputs : of left and right. follower : the camera that is armed before the other is triggered;
+    "" where it does not matter.
+    """
+
+    triggers: tuple[Trigger, Trigger]
+    outputs: tuple[tuple[Output, ...], tuple[Output, ...]] = ((), ())
+    follower: str = ""
+
+
+def head_of(
+    cameras: CamerasSection,
+    world: VirtualWorld | None = None,
+    *,
+    external: bool = False,
+    calibrated: tuple[Size, Size] | None = None,
+) -> StereoHead:
+    """The stereo head of a configuration, not yet open.
+
+    world : where virtual cameras are. external : others trigger, the daemon only listens.
+    calibrated : (width, height) of the images that the rig was calibrated with, left and right; None: any.
+    """
+    left: Camera
+    right: Camera
+    triggering = Triggering((Software(), Software()))
+    if cameras.source == "replay" and cameras.folder is not None:
+        left, right = replay_cameras(cameras.folder)
+    elif cameras.source == "aravis" or (world is not None and world.addresses is not None):
+        sections = [cameras.left, cameras.right]
+        if world is not None and world.addresses is not None and cameras.source != "aravis":
+            sections = [
+                section.model_copy(update={"device": address})
+                for section, address in zip(sections, world.addresses, strict=True)
+            ]
+        devices = [section.device for section in sections]
+        triggering = triggering_of(cameras.trigger, devices, external=external)
+        left, right = (
+            _aravis(cameras, sections, side, triggering, None if calibrated is None else calibrated[side])
+            for side in range(2)
+        )
+    elif world is None:
+        raise ConfigError("cameras.source", [f"a change to {cameras.source!r} needs a restart"])
+    else:
+        left, right = world.in_process_cameras()
+    return StereoHead(
+        left,
+        right,
+        timeout_s=cameras.timeout_s,
+        max_skew_s=cameras.max_skew_ms * 1e-3,
+        max_arrival_skew_s=cameras.max_arrival_skew_ms * 1e-3,
+        follower=triggering.follower,
+        free_running=isinstance(triggering.triggers[0], FreeRun),
+        detect_frozen=cameras.source != "replay",
+    )
+
+
+def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:
+    """How both cameras are triggered, from the configuration. devices : as the cameras are addressed."""
+    line = Line(section.line, section.edge, section.delay_us, section.debounce_us)
+    match section.mode:
+        case "free-run":
+            free = FreeRun(section.rate_hz)
+            return Triggering((free, free))
+        case "line":
+            return Triggering((line, line))
+        case "chain":
+            first = Line(section.first_line) if section.first_line else Software()
+            shown = (Output(section.output),)
+            if section.first == "left":
+                return Triggering((first, line), (shown, ()), "right")
+            return Triggering((line, first), ((), shown), "left")
+        case "action":
+            keys = (section.device_key, section.group_key, section.group_mask)
+            to = (section.broadcast,) if section.broadcast else tuple(devices)
+            sending = Action(*keys, send_to=() if external else to, lead_s=section.lead_ms * 1e-3)
+            return Triggering((sending, Action(*keys)), follower="" if external else "right")
+        case _:
+            return Triggering((Software(), Software()))
+
+
+def _aravis(
+    cameras: CamerasSection,
+    sections: Sequence[CameraSection],
+    side: int,
+    triggering: Triggering,
+    calibrated: Size | None,
+) -> AravisCamera:
+    section, neighbour = sections[side], sections[1 - side]
+    outputs = triggering.outputs[side]
+    if section.strobe is not None:
+        outputs += (Output(section.strobe.line, section.strobe.source, section.strobe.inverted),)
+    return AravisCamera(
+        SIDES[side],
+        AravisSettings(
+            device=section.device,
+            serial=section.serial,
+            exposure_us=section.exposure_us,
+            gain_db=section.gain_db,
+            trigger=triggering.triggers[side],
+            outputs=outputs,
+            ptp=cameras.ptp,
+            calibrated=calibrated,
+            packet_size=section.packet_size,
+            packet_delay_us=section.packet_delay_us,
+            neighbour=neighbour.device,
+            features=tuple(section.features),
+        ),
+    )

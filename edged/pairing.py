@@ -1,0 +1,107 @@
+"""Are two frames one exposure? The best clock that both cameras have decides.
+
+    both locked to PTP                   their own time stamps, to the microsecond
+    both mapped to the host's clock      `exposed_ns`, to some 0.1 ms
+    command known, no stamps             when the commands left
+    nothing but the arrival              arrival, with a limit of its own, and both frame counters
+
+A camera that says it is locked to PTP is not believed blindly: its stamps must agree with its clock's map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from edged.domain import Frame, TimeBase
+
+CLOCK_DRIFT = 400e-6
+"""Two camera clocks run apart by no more than this: crystals of ±200 ppm over temperature and age."""
+
+
+@dataclass(frozen=True, slots=True)
+class Skew:
+    """How far apart two exposures are: left minus right, ns, what tells, and how much is allowed."""
+
+    ns: int
+    limit_ns: int
+    what: str
+
+    @property
+    def is_one_exposure(self) -> bool:
+        """Whether it is within the limit."""
+        return abs(self.ns) <= self.limit_ns
+
+    def __str__(self) -> str:
+        return f"{self.what} {abs(self.ns) * 1e-6:.2f} ms apart, allowed {self.limit_ns * 1e-6:g} ms"
+
+
+class Pairing:
+    """Compares frames of two cameras; remembers the last pair.
+
+    max_skew_s : two frames whose exposures differ by more are not one exposure.
+    max_arrival_skew_s : the same where nothing but their arrival is known.
+    """
+
+    def __init__(self, max_skew_s: float, max_arrival_skew_s: float) -> None:
+        self._limit_ns = round(max_skew_s * 1e9)
+        self._arrival_limit_ns = round(max_arrival_skew_s * 1e9)
+        self._last: tuple[Frame, Frame] | None = None
+
+    def forget(self) -> None:
+        """A camera was opened again: its clock and its counter may have begun anew."""
+        self._last = None
+
+    def accept(self, left: Frame, right: Frame) -> None:
+        """These two were one exposure; the next ones are measured against them."""
+        # their images need not be kept for that
+        self._last = (_without_image(left), _without_image(right))
+
+    def skew(self, left: Frame, right: Frame) -> Skew:
+        """How far apart two exposures are, by the best clock there is."""
+        bases = {left.time_base, right.time_base}
+        apart_ns = left.exposed_ns - right.exposed_ns
+        if TimeBase.ARRIVAL in bases:
+            return Skew(apart_ns, self._arrival_limit_ns, "arrivals")
+        if bases == {TimeBase.PTP}:
+            by_ptp_ns = left.device_ns - right.device_ns
+            doubt_ns = (left.exposed_bound_ns or 0) + (right.exposed_bound_ns or 0)
+            if abs(by_ptp_ns - apart_ns) <= doubt_ns:
+                return Skew(by_ptp_ns, self._limit_ns, "exposures by PTP")
+        return Skew(apart_ns, self._limit_ns, "exposures")
+
+    def problem(self, left: Frame, right: Frame) -> str:
+        """Why two frames are not one exposure; "" if they are."""
+        skew = self.skew(left, right)
+        if not skew.is_one_exposure:
+            return str(skew)
+        bases = {left.time_base, right.time_base}
+        if TimeBase.ARRIVAL in bases and (text := self._counters(left, right)):
+            return text
+        return "" if bases <= {TimeBase.PTP, TimeBase.CAMERA} else self._clocks(left, right)
+
+    def _counters(self, left: Frame, right: Frame) -> str:
+        """Both cameras must have counted the same number of frames since the pair before."""
+        if self._last is None:
+            return ""
+        ours, theirs = left.frame_id - self._last[0].frame_id, right.frame_id - self._last[1].frame_id
+        if ours == theirs:
+            return ""
+        return f"since the last pair left counted {ours} frames, right {theirs}"
+
+    def _clocks(self, left: Frame, right: Frame) -> str:
+        """Both cameras must have counted the same time since the pair before.
+
+        This needs no common epoch, and it sees what host time cannot: a camera that took its trigger late.
+        """
+        if self._last is None:
+            return ""
+        ours, theirs = left.device_ns - self._last[0].device_ns, right.device_ns - self._last[1].device_ns
+        if ours <= 0 or theirs <= 0:  # a camera without a clock, or one whose clock was set
+            return ""
+        skew = Skew(ours - theirs, self._limit_ns, "exposures by the cameras' own clocks")
+        drifted_ns = CLOCK_DRIFT * max(ours, theirs)
+        return "" if abs(skew.ns) <= skew.limit_ns + drifted_ns else str(skew)
+
+
+def _without_image(frame: Frame) -> Frame:
+    return Frame(frame.camera, frame.frame_id, frame.image[:0, :0].copy(), frame.device_ns, frame.exposed_ns)
