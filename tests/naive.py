@@ -406,6 +406,23 @@ def shape_edge(
     return offset, cosine
 
 
+def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+    """How far along x or y the farthest of the points moves between two poses."""
+    return max(
+        float(np.abs(shape_point(after, point) - shape_point(before, point)).max()) for point in points
+    )
+
+
+def lies_beside(place: np.ndarray, outline: np.ndarray, across: float, along: float, alike: float) -> bool:
+    """Whether a place (x, y, nx, ny) has a point of the outline (M, 4) beside it, normals alike."""
+    for other in outline:
+        dx, dy = place[:2] - other[:2]
+        near = abs(dx * place[2] + dy * place[3]) < across and abs(dx * place[3] - dy * place[2]) < along
+        if near and abs(place[2:] @ other[2:]) > alike:
+            return True
+    return False
+
+
 def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: float) -> np.ndarray:
     """Robust least squares with Tukey's weights by numpy's solver."""
     weights = np.ones(len(values))

@@ -8,7 +8,7 @@ import naive
 import numpy as np
 import pytest
 
-from edged.vision.shape import refine, scan
+from edged.vision.shape import refine, rivals, scan
 
 RNG = np.random.default_rng(7)
 
@@ -320,3 +320,52 @@ def test_too_few_edges_determine_nothing() -> None:
     moved = pose.copy()
     assert not refine.robust_step(points, placed, edges, moved, 4, 1.0, 8, np.zeros(3), np.zeros((8, 8)))
     np.testing.assert_array_equal(moved, pose)
+
+
+def test_motion_is_an_upper_limit() -> None:
+    """No point moves farther than stated, and the farthest not much less, also with a tilt."""
+    points, _ = _points(40)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        before = _pose()
+        after = before + rng.normal(0, 1, 8) * np.array([0.3, 0.3, 0.01, 0.01, 0.01, 0.01, 1e-4, 1e-4])
+        moved = naive.shape_motion(points, before, after)
+        assert moved <= refine.motion(points, before, after) <= 4 * moved + 0.05
+
+
+def test_settle_takes_the_steps_one_by_one() -> None:
+    """Robust steps bring a displaced pose back to a disc; one that would repeat a short one is left out."""
+    rows, columns = np.mgrid[:120, :120]
+    image = 400 * np.tanh((20 - np.hypot(columns - 60, rows - 58)) / 1.5)
+    gy, gx = (np.asarray(g, np.int16) for g in np.gradient(np.asarray(image)))
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    normals = np.column_stack([-np.cos(angles), -np.sin(angles)])
+    points = -20 * normals
+    steps = np.array([[2.0, 4], [2.0, 4], [1.5, 4]])
+    start = refine.start_pose(61.2, 57.1, 0.0, 1.0, 1.0)
+    by_hand, summary, matrix = start.copy(), np.zeros(3), np.zeros((8, 8))
+    placed, edges = np.empty((60, 4)), np.empty((60, 2))
+    for reach, freedom in steps[:2]:
+        refine.place(points, normals, by_hand, placed)
+        refine.gradient_edges(gx, gy, placed, reach, 1, 5.0, edges)
+        assert refine.robust_step(points, placed, edges, by_hand, int(freedom), 0.1, 4, summary, matrix)
+    settled = start.copy()
+    assert refine.settle(points, normals, gx, gy, steps, 1, 5.0, 0.1, settled, summary)
+    np.testing.assert_array_equal(settled, by_hand)
+    np.testing.assert_allclose(settled[:2], [60, 58], atol=0.1)
+    nothing = np.zeros_like(gx)
+    assert not refine.settle(points, normals, nothing, nothing, steps, 1, 5.0, 0.1, settled, summary)
+
+
+def test_points_beside_an_outline_are_found() -> None:
+    """The sorted search for points beside an outline agrees with trying every pair."""
+    rng = np.random.default_rng(5)
+    angles = rng.uniform(-np.pi, np.pi, 400)
+    both = np.column_stack([rng.uniform(0, 60, (400, 2)), np.cos(angles), np.sin(angles)])
+    points, outline = both[:150], both[150:]
+    outline = outline[np.argsort(outline[:, 0])]
+    found = np.empty(150, np.bool_)
+    rivals.lie_on(points, outline, 2.0, 5.0, 0.8, found)
+    expected = [naive.lies_beside(place, outline, 2.0, 5.0, 0.8) for place in points]
+    assert 10 < found.sum() < 140
+    np.testing.assert_array_equal(found, expected)

@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges import edges_along_normals
-from edged.vision.shape import refine
+from edged.vision.shape import refine, rivals
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams, ShapeMatch
@@ -50,15 +49,6 @@ FIRST = 128
 """Points of the first step on the finest level: enough to come near, as they are in random order."""
 SAME_PLACE = 0.25
 """Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
-APART_PX = 2.0
-"""A model point farther than this from the outline of another rotation is its rotation's own."""
-ALIKE = 0.8
-"""Cosine between normals of points on one smooth outline."""
-MIN_APART = 8
-SHOWN, SHOWN_MORE = 0.5, 0.4
-"""Share of a rotation's own points that the image must show, and by how much more than the rival's own."""
-STRONG_SHARE = 0.3
-"""Of the median slope of the part's edges: texture and shadows are weaker."""
 DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
@@ -299,9 +289,9 @@ class _Search:
 
     def _match(self, hypothesis: Hypothesis, index: int, climbed: bool) -> ShapeMatch | None:
         """The best of a hypothesis and its symmetric variants, with what is to be said about the choice."""
-        best, ambiguous = hypothesis, False
+        best = hypothesis
         equal = [g for g in self.model.symmetries if g[3] >= self.model.same_score]
-        rivals: list[tuple[Hypothesis, float]] = []
+        turned: list[tuple[Hypothesis, float]] = []
         for dx, dy, angle, similarity in self.model.symmetries:
             if similarity >= self.model.same_score:
                 continue
@@ -309,52 +299,29 @@ class _Search:
             variant = np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]])
             rival = self._variant(hypothesis, variant, climbed)
             if rival is not None:
-                rivals.append((rival, 1 - similarity))
-        for rival, _ in rivals:
+                turned.append((rival, 1 - similarity))
+        for rival, _ in turned:
             if rival.score > best.score:
                 best = rival
-        for other, gap in [*rivals, *([(hypothesis, min(g for _, g in rivals))] if rivals else [])]:
-            if _turn(other.angle, best.angle) <= 0.1:
-                continue
-            too_close = best.score - other.score < DECIDED_SHARE * gap * best.score
-            ambiguous = ambiguous or too_close or not self._is_told_apart(best, other)
+        others = [(other, gap) for other, gap in turned if _turn(other.angle, best.angle) > 0.1]
+        if best is not hypothesis:
+            others.append((hypothesis, min(gap for _, gap in turned)))
+        ambiguous = any(best.score - other.score < DECIDED_SHARE * gap * best.score for other, gap in others)
+        if not ambiguous and others:
+            ambiguous = self._is_in_doubt(best, [other for other, _ in others])
         if equal or self.model.round:
             best = self._canonical(best, equal)
         return self._to_match(best, index, ambiguous, bool(len(equal)) or self.model.round)
 
-    def _is_told_apart(self, best: Hypothesis, rival: Hypothesis) -> bool:
-        """Whether the image shows what only the better of two rotations predicts, and lacks the other's own.
-
-        A hidden detail speaks for neither: then the scores differ by what the occluder happens to show.
-        """
-        if best.score - rival.score > RIVAL_MARGIN[1]:
-            return True
-        own, others = (self._placed(h) for h in (best, rival))
-        agrees, threshold = self._agreement(own, best, None)
-        rivals_agree, _ = self._agreement(others, rival, threshold)
-        only_own, only_rivals = ~_lies_on(own, others), ~_lies_on(others, own)
-        if min(only_own.sum(), only_rivals.sum()) < MIN_APART:
-            return True
-        shown, shown_of_rival = float(agrees[only_own].mean()), float(rivals_agree[only_rivals].mean())
-        return shown >= SHOWN and shown - shown_of_rival >= SHOWN_MORE
-
-    def _placed(self, h: Hypothesis) -> FloatArray:
-        level = self.model.levels[0]
-        placed = np.empty((len(level.points), 4))
-        refine.place(level.points, level.normals, h.pose, placed)
-        return placed
-
-    def _agreement(
-        self, placed: FloatArray, h: Hypothesis, threshold: float | None
-    ) -> tuple[npt.NDArray[np.bool_], float]:
-        """Which points (N,) lie on an edge as strong as the part's; the slope from which it counts."""
-        offsets, slopes = edges_along_normals(
-            self.work.images[0], placed[:, :2], placed[:, 2:], 1.5, self._sign(h)
+    def _is_in_doubt(self, best: Hypothesis, others: list[Hypothesis]) -> bool:
+        """Whether the image hides what one of the other rotations differs in."""
+        close = [other for other in others if best.score - other.score <= RIVAL_MARGIN[1]]
+        if not close:
+            return False
+        own, *seen = (
+            rivals.look(self.work.images[0], self.model, h.pose, self._sign(h)) for h in (best, *close)
         )
-        there = np.isfinite(offsets) & (np.abs(offsets) < refine.AGREES_PX)
-        if threshold is None:
-            threshold = STRONG_SHARE * float(np.median(np.abs(slopes[there]))) if there.any() else 0.0
-        return there & (np.abs(slopes) >= max(threshold, self.params.min_contrast)), threshold
+        return not all(rivals.is_told_apart(own, sight, self.params.min_contrast) for sight in seen)
 
     def _variant(self, hypothesis: Hypothesis, variant: FloatArray, climbed: bool) -> Hypothesis | None:
         moved = hypothesis.at(_compose(hypothesis.pose, variant))
@@ -488,18 +455,6 @@ def _share(one: _Placed, other: _Placed) -> float:
     """Share of their area, taken as discs about the origins, that two matches have in common."""
     distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
     return _overlap(float(distance), 0.5 * (one.radius_px + other.radius_px))
-
-
-def _lies_on(points: FloatArray, outline: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which points (N, 4) x, y, nx, ny lie on the outline that other points (M, 4) sample sparsely."""
-    apart = points[:, None, :2] - outline[None, :, :2]
-    across = np.abs(np.einsum("nmk,nk->nm", apart, points[:, 2:]))
-    along = np.abs(apart[..., 0] * points[:, None, 3] - apart[..., 1] * points[:, None, 2])
-    alike = np.abs(points[:, 2:] @ outline[:, 2:].T) > ALIKE
-    gaps = np.linalg.norm(outline[:, None, :2] - outline[None, :, :2], axis=2)
-    np.fill_diagonal(gaps, np.inf)
-    reach = 3.0 * max(float(np.median(gaps.min(axis=1))), 1.0)
-    return np.asarray((alike & (across < APART_PX) & (along < reach)).any(axis=1))
 
 
 def _as_good(one: _Placed, better: _Placed) -> bool:
