@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from edged.adapters.aravis import (
     Action,
@@ -20,7 +21,9 @@ from edged.capture import StereoHead
 from edged.config import CameraSection, CamerasSection, TriggerSection
 from edged.errors import ConfigError
 from edged.ports import Camera
-from edged.sim.world import VirtualWorld
+
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
+    from edged.sim.world import VirtualWorld
 
 SIDES = ("left", "right")
 Size = tuple[int, int]
