@@ -37,7 +37,8 @@ FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1")
 class Killed:
     """What many kills left behind.
 
-    torn : unfinished files that a kill left and the next start swept.  swept : whether none is left at last.
+    torn : unfinished files that kills left.  Of the start after the last kill, swept : whether none of them is
+    left; children : processes that it started.
     """
 
     kills: int = 0
@@ -46,6 +47,7 @@ class Killed:
     corrupt: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
+    children: list[int] = field(default_factory=list)
     swept: bool = False
 
 
@@ -67,17 +69,23 @@ def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float
         found.kills += 1
         found.torn += len(_torn(cell.recordings))
         found.corrupt += _corrupt(cell.recordings, checked)
-        found.complaints += [line for line in daemon.log if "Traceback" in line or "ERROR" in line]
+        found.complaints += _complaints(daemon)
     daemon = DaemonProcess(cell.config)
     try:
         daemon.wait_ready()
+        found.children = daemon.children()
         found.swept = not _torn(cell.recordings) or _ends(lambda: not _torn(cell.recordings or Path()))
     finally:
         daemon.stop()
+    found.complaints += _complaints(daemon)
     found.corrupt += _corrupt(cell.recordings, checked)
     found.recordings = len(checked)
     found.changed = [name for name, digest in _digests(cell).items() if before.get(name) != digest]
     return found
+
+
+def _complaints(daemon: DaemonProcess) -> list[str]:
+    return [line for line in daemon.log if "Traceback" in line or "ERROR" in line]
 
 
 def _ends(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:

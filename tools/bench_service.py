@@ -169,11 +169,11 @@ def _seen(report: Report) -> str:
 # --- kill -9, and what else may break --------------------------------------------------------------
 
 
-def killing(folder: Path, kills: int) -> None:
+def killing(folder: Path, kills: int, seed: int) -> None:
     """kill -9 at random moments, a PLC polling through all of it."""
     cell = SmallCell(folder, recordings=folder / "recordings")
     with Witness(cell.modbus_port) as witness:
-        found = kill_often(cell, kills, random.Random(1))
+        found = kill_often(cell, kills, random.Random(seed))
     again = subprocess.run(
         [sys.executable, "-m", "edged", "replay", str(folder / "recordings"), "--json"],
         capture_output=True,
@@ -290,6 +290,7 @@ if __name__ == "__main__":
     parser.add_argument("--only", action="append", choices=PARTS, help="repeat for several; default: all")
     parser.add_argument("--cycles", type=int, default=1000, help="of the endurance run")
     parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1, help="of the moments of the kills")
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument(
         "--seconds", type=float, default=6.0, help="for each fault, and each phase of the page"
@@ -301,7 +302,7 @@ if __name__ == "__main__":
     work: dict[str, Callable[[Path], None]] = {
         "start": lambda folder: starting(folder, given.starts),
         "endurance": lambda folder: endurance(folder, given.cycles),
-        "kill": lambda folder: killing(folder, given.kills),
+        "kill": lambda folder: killing(folder, given.kills, given.seed),
         "faults": lambda folder: breaking(folder, given.seconds),
         "page": lambda folder: page_cost(folder, given.seconds),
     }

@@ -1,0 +1,72 @@
+"""The daemon on a cell PC that fails: power, disk, clock. What the PLC sees of it, and what is left."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from plcwitness import Witness
+from servicefaults import FAKETIME, kill_often
+from smallcell import SmallCell
+
+NAMESPACE = ["unshare", "--mount", *(["--map-root-user"] if os.geteuid() else [])]
+
+
+def may_mount() -> bool:
+    """Whether a disk of our own can be mounted here."""
+    mount = [*NAMESPACE, "mount", "-t", "tmpfs", "none", "/mnt"]
+    return (
+        bool(shutil.which("unshare"))
+        and not subprocess.run(mount, capture_output=True, check=False).returncode
+    )
+
+
+def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
+    """Recordings are whole, torn ones go at the next start, the PLC never sees a result twice.
+
+    The start after that is quiet, systemd is told READY, there is no child process, SIGTERM ends it with code 0.
+    """
+    cell = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
+    with Witness(cell.modbus_port) as witness:
+        found = kill_often(cell, 2, random.Random(5), longest_s=0.5)
+
+    assert ([], [], []) == (found.corrupt, found.changed, found.complaints)
+    assert found.swept
+    assert [] == found.children
+    assert found.recordings > 0
+    assert {} == witness.report.wrong
+    assert witness.report.connections >= 2
+
+
+@pytest.mark.skipif(not may_mount(), reason="no disk can be mounted here")
+def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path) -> None:
+    """Full, read-only, an hour ahead: always READY, results go on, none stale, mixed or shown twice.
+
+    The log says once that there are no recordings, and once that there are again.
+    """
+    script = Path(__file__).parent.parent / "brokencell.py"
+    run = subprocess.run(
+        [*NAMESPACE, sys.executable, str(script), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    told = json.loads(run.stdout)
+
+    assert {} == told["wrong"]
+    assert told["always_ready"]
+    assert told["results"] > 3
+    assert told["results_ahead"] > 0 or not FAKETIME.exists(), "the clock was not set"
+    assert told["recordings"] > 0
+    lines = [line.partition("adapters.recorder: ")[2] for line in told["log"] if "recorder" in line]
+    assert ["no recordings", "recording again"] * 2 == [line.partition(":")[0] for line in lines]
+    assert "No space left" in lines[0] or "MiB are free" in lines[0]
+    assert "Read-only file system" in lines[2]
