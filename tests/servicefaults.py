@@ -37,8 +37,8 @@ FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1")
 class Killed:
     """What many kills left behind.
 
-    torn : unfinished files that kills left.  Of the start after the last kill, swept : whether none of them is
-    left; children : processes that it started.
+    torn : unfinished files that kills left.  swept, children : of the start after the last kill, whether none
+    of them is left and which processes it has started.
     """
 
     kills: int = 0

@@ -30,7 +30,7 @@ def may_mount() -> bool:
 def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     """Recordings are whole, torn ones go at the next start, the PLC never sees a result twice.
 
-    The start after that is quiet, systemd is told READY, there is no child process, SIGTERM ends it with code 0.
+    The start after that is quiet, READY comes, there is no child process, SIGTERM ends it with code 0.
     """
     cell = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
     with Witness(cell.modbus_port) as witness:
