@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from edged import errors
 from edged.capture import REOPEN_AFTER, StereoHead, both
 from edged.domain import Frame, FramePair, Image
 from edged.errors import (
@@ -18,9 +19,12 @@ from edged.errors import (
     CameraSetupError,
     CameraUnreachable,
     CaptureError,
+    FrameFrozen,
     FrameIncomplete,
+    FrameRepeated,
     FrameTimeout,
     PairingError,
+    StreamStalled,
 )
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera, InProcessFaults
@@ -43,7 +47,9 @@ class Bench:
             InProcessCamera(name, exposure, width=16, height=12) for name in ("left", "right")
         )
         self.head = StereoHead(
-            self.left, self.right, **{"timeout_s": TIMEOUT_S, "min_backoff_s": 0.02, **options}
+            self.left,
+            self.right,
+            **{"timeout_s": TIMEOUT_S, "max_skew_s": 0.1, "min_backoff_s": 0.02, **options},
         )
 
     def side(self, name: str) -> InProcessCamera:
@@ -729,3 +735,88 @@ def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> N
     good, bad = run(script, Bench(stamped, timeout_s=0.02, max_skew_s=0.05, min_backoff_s=0.0))
     assert good > 300
     assert bad > 100
+
+
+# --- faults have codes of their own -----------------------------------------------------------------
+
+
+def test_every_capture_error_has_a_code_of_its_own() -> None:
+    """The PLC tells them apart by a number that is never used twice."""
+
+    def family(kind: type[CaptureError]) -> list[type[CaptureError]]:
+        return [kind, *(one for child in kind.__subclasses__() for one in family(child))]
+
+    codes = [kind.code for kind in family(errors.CaptureError)]
+    assert len(codes) == len(set(codes))
+
+
+def test_repeated_and_frozen_frames_are_told_apart() -> None:
+    """The same number, and the same picture under a new number."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.left.faults.repeat_id = True
+        with pytest.raises(FrameRepeated):
+            await bench.head.capture()
+        bench.left.faults.repeat_id = False
+        bench.left.faults.frozen = True
+        with pytest.raises(FrameFrozen):
+            await bench.head.capture()
+
+    run(script)
+
+
+def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -> None:
+    """One missing image is a time-out; three in a row of a camera that says it is well are more than that."""
+
+    async def script(bench: Bench) -> list[type[BaseException]]:
+        await bench.head.capture()
+        bench.left.faults.stall = True
+        kinds = []
+        for _ in range(REOPEN_AFTER):
+            with pytest.raises(FrameTimeout) as caught:
+                await bench.head.capture()
+            kinds.append(type(caught.value))
+        return kinds
+
+    assert [FrameTimeout, FrameTimeout, StreamStalled] == run(script)
+
+
+def test_after_a_missing_image_the_camera_is_asked_why() -> None:
+    """A camera that was taken by another host says so at the next cycle, not after three lost images."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.left.faults.stall = True
+        with pytest.raises(FrameTimeout):
+            await bench.head.capture()
+        bench.left.faults.open_error = CameraBusy("left", "another host controls it")
+        with pytest.raises(CameraBusy, match="another host"):
+            await bench.head.capture()
+
+    run(script)
+
+
+# --- who is triggered when ----------------------------------------------------------------------------
+
+
+@SIDES
+def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
+    """Or it would miss the exposure that it is to follow; however long arming takes."""
+    order: list[str] = []
+
+    async def script(bench: Bench) -> None:
+        for side in (bench.left, bench.right):
+            really = side.trigger
+
+            async def noted(really: Any = really, side: InProcessCamera = side) -> None:
+                if side.name == name:
+                    await asyncio.sleep(0.02)
+                await really()
+                order.append(side.name)
+
+            side.trigger = noted  # type: ignore[method-assign]
+        await bench.head.capture()
+
+    run(script, Bench(follower=name, timeout_s=5.0))
+    assert [name, "right" if name == "left" else "left"] == order

@@ -133,3 +133,73 @@ def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
     assert fingerprint(here, {}) == fingerprint(there, {})
     renamed = load(write(tmp_path, GOOD.replace("rig.json", "other.json")))
     assert fingerprint(here, {}) != fingerprint(renamed, {})
+
+
+@pytest.mark.parametrize(
+    "section, key",
+    [
+        ('mode = "software"\ndelay_us = 5', "delay_us"),
+        ('mode = "line"\nrate_hz = 5', "rate_hz"),
+        ('mode = "free-run"\ndebounce_us = 5', "debounce_us"),
+        ('mode = "action"\nline = "Line2"', "line"),
+        ('mode = "chain"\nlead_ms = 5', "lead_ms"),
+    ],
+)
+def test_a_trigger_setting_that_would_be_ignored_is_a_mistake(tmp_path: Path, section: str, key: str) -> None:
+    """Each mode has its own keys."""
+    (problem,) = problems(tmp_path, GOOD + f"[cameras.trigger]\n{section}\n")
+
+    assert problem.startswith(f"cameras.trigger: {key}: does not belong to mode")
+
+
+@pytest.mark.parametrize(
+    "section, fits",
+    [
+        ("", False),
+        ('mode = "chain"', False),
+        ('mode = "chain"\nfirst_line = "Line3"', True),
+        ('mode = "line"', True),
+        ('mode = "action"', True),
+        ('mode = "free-run"', True),
+    ],
+)
+def test_listening_needs_cameras_that_others_trigger(tmp_path: Path, section: str, fits: bool) -> None:
+    """With the software trigger nothing would ever come."""
+    text = GOOD + f'[cameras.trigger]\n{section}\n[cycle]\nmode = "external"\n'
+    if fits:
+        assert "external" == load(write(tmp_path, text)).cycle.mode
+    else:
+        (problem,) = problems(tmp_path, text)
+        assert 'cycle.mode "external" needs cameras that others trigger' in problem
+
+
+def test_an_action_command_needs_somewhere_to_go(tmp_path: Path) -> None:
+    """A serial number is no address; a broadcast address helps."""
+    text = GOOD.replace("192.0.2.2", "12345") + '[cameras.trigger]\nmode = "action"\n'
+    (problem,) = problems(tmp_path, text)
+    assert "trigger.broadcast: missing" in problem
+
+    assert load(write(tmp_path, text + 'broadcast = "192.0.2.255"\n')).cameras.trigger.mode == "action"
+
+
+def test_features_are_one_table_or_several(tmp_path: Path) -> None:
+    """Two lines are set by two tables, in their order."""
+    one = load(write(tmp_path, GOOD + "[cameras.left.features]\nBlackLevel = 4\n"))
+    two = load(
+        write(
+            tmp_path,
+            GOOD
+            + '[[cameras.left.features]]\nLineSelector = "Line1"\nLineInverter = true\n'
+            + '[[cameras.left.features]]\nLineSelector = "Line2"\nLineMode = "Output"\n',
+        )
+    )
+
+    assert [{"BlackLevel": 4}] == one.cameras.left.features
+    assert ["Line1", "Line2"] == [group["LineSelector"] for group in two.cameras.left.features]
+
+
+def test_the_same_serial_number_twice_is_a_mistake(tmp_path: Path) -> None:
+    """Two addresses cannot be one camera."""
+    text = GOOD + 'left.serial = "7"\nright.serial = "7"\n'
+    (problem,) = problems(tmp_path, text)
+    assert "left and right expect the same serial number '7'" in problem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -26,7 +27,7 @@ from edged.domain import (
     Snapshot,
     Status,
 )
-from edged.errors import CommandRefused, FrameTimeout
+from edged.errors import CameraUnreachable, CommandRefused, FrameTimeout, FrameUnpaired
 
 
 class Head:
@@ -37,6 +38,7 @@ class Head:
         self.closed = 0
         self.broken = False
         self.capture_s = 0.0
+        self.exposures: asyncio.Queue[FramePair] = asyncio.Queue()
 
     async def open(self) -> None:
         if self.broken:
@@ -51,6 +53,9 @@ class Head:
         now_ns = time.time_ns()
         left, right = (Frame(side, self.captures, image, now_ns, now_ns) for side in ("left", "right"))
         return FramePair(left, right)
+
+    async def listen(self) -> FramePair:
+        return await self.exposures.get()
 
     async def close(self) -> None:
         self.closed += 1
@@ -319,3 +324,63 @@ def test_a_new_setup_is_taken_between_two_cycles() -> None:
     assert ("job2", 2, "cal2", True) == (last.job, last.job_number, last.calibration_id, last.simulated)
     assert head.closed >= 1
     assert second_head.captures >= 1
+
+
+# --- exposures that others trigger --------------------------------------------------------------------
+
+
+def test_every_exposure_that_others_trigger_is_measured() -> None:
+    """In their order, without a command, those that were missed counted; nothing while there are none."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        for missed in (0, 0, 3):
+            pair = await head.capture()
+            head.exposures.put_nowait(FramePair(pair.left, pair.right, missed=missed))
+        await until(lambda: len(ear.snapshots()) == 3)
+        await asyncio.sleep(0.05)
+
+    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script)
+
+    assert [Status.NO_TARGET] * 3 == [shot.status for shot in ear.snapshots()]
+    assert all(shot.command is None for shot in ear.snapshots())
+    states = [event for event in ear.events if isinstance(event, CellState)]
+    assert 3 == states[-1].missed_triggers
+
+
+def test_a_command_is_served_while_listening() -> None:
+    """A job change does not wait for the next exposure."""
+    command = Command(CommandKind.CHANGE_JOB, "test", 1, job=2)
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await asyncio.sleep(0.02)
+        cycle.submit(command)
+        await until(lambda: bool(ear.answers(command)))
+
+    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script)
+
+    assert [JobChanged(2, "job2", command)] == ear.answers(command)
+
+
+def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of_them() -> None:
+    """An unpaired frame is one fault, and the next exposure is measured; without cameras one try a second."""
+
+    class Faulty(Head):
+        tries = 0
+
+        async def listen(self) -> FramePair:
+            self.tries += 1
+            if self.tries == 1:
+                raise FrameUnpaired("right", "no partner")
+            if self.tries == 2:
+                return await self.capture()
+            raise CameraUnreachable("left", "gone")
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await until(lambda: len(ear.snapshots()) == 3)
+        await asyncio.sleep(0.1)
+
+    head = Faulty()
+    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script, head)
+
+    assert [111, 0, 101] == [shot.error_code for shot in ear.snapshots()]
+    assert 3 == head.tries

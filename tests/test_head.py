@@ -1,0 +1,68 @@
+"""The configuration's trigger modes, as each camera is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from edged.adapters.aravis import Action, FreeRun, Line, Output, Software
+from edged.config import TriggerSection
+from edged.head import Triggering, triggering_of
+
+DEVICES = ("192.0.2.1", "192.0.2.2")
+
+
+def of(*, external: bool = False, **section: object) -> Triggering:
+    """How both cameras are triggered."""
+    return triggering_of(TriggerSection.model_validate(section), DEVICES, external=external)
+
+
+def test_software_is_the_default() -> None:
+    """Each camera gets its own command, in no order."""
+    assert Triggering((Software(), Software())) == of()
+
+
+def test_both_cameras_wait_for_the_same_line() -> None:
+    """Line, edge, delay and debounce reach both."""
+    line = Line("Line3", "falling", 120.0, 20.0)
+
+    assert Triggering((line, line)) == of(
+        mode="line", line="Line3", edge="falling", delay_us=120, debounce_us=20
+    )
+
+
+def test_free_running_cameras_get_the_same_rate() -> None:
+    """Nobody is triggered."""
+    assert Triggering((FreeRun(12.5), FreeRun(12.5))) == of(mode="free-run", rate_hz=12.5)
+
+
+@pytest.mark.parametrize("first, follower", [("left", "right"), ("right", "left")])
+@pytest.mark.parametrize("first_line", ["", "Line5"])
+def test_in_a_chain_the_second_follows_the_firsts_exposure(
+    first: str, follower: str, first_line: str
+) -> None:
+    """The first shows its exposure on an output and is triggered last; the second waits for its input."""
+    chain = of(mode="chain", first=first, first_line=first_line, output="Line4", line="Line1")
+    place = ("left", "right").index(first)
+
+    assert (Line(first_line) if first_line else Software()) == chain.triggers[place]
+    assert Line("Line1") == chain.triggers[1 - place]
+    assert (Output("Line4", "ExposureActive"),) == chain.outputs[place]
+    assert () == chain.outputs[1 - place]
+    assert follower == chain.follower
+
+
+def test_one_action_command_is_sent_for_both() -> None:
+    """To each address, or once to the broadcast address; the second camera only waits, armed before."""
+    keys = {"device_key": 5, "group_key": 6, "group_mask": 7}
+    waiting = Action(5, 6, 7)
+
+    unicast = of(mode="action", **keys)
+    broadcast = of(mode="action", broadcast="192.0.2.255", lead_ms=20, **keys)
+
+    assert Triggering((Action(5, 6, 7, DEVICES), waiting), follower="right") == unicast
+    assert Triggering((Action(5, 6, 7, ("192.0.2.255",), 0.02), waiting), follower="right") == broadcast
+
+
+def test_somebody_elses_action_command_is_only_waited_for() -> None:
+    """With an external trigger nothing is sent."""
+    assert Triggering((Action(), Action())) == of(mode="action", external=True)
