@@ -11,18 +11,20 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def kernel(*signatures: str, inline: bool = False) -> Callable[[F], F]:
+def kernel(*signatures: str, inline: bool = False, any_order: bool = False) -> Callable[[F], F]:
     """Compile a plain-loop function to machine code.
 
     signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)"; compiled at import, so a
     warm start never waits for the first image. Without a signature it is compiled on first use
     (helpers called by other kernels).
-    No fastmath: NaN marks missing values in edged, and results are bit-equal on replay.
+    any_order : sums may be added side by side, in an order that is fixed when it is compiled; four times
+    faster. Otherwise no fastmath: NaN marks missing values in edged.
+    Results are bit-equal on replay.
     """
     options: dict[str, Any] = {
         "nogil": True,
         "cache": _cache_is_usable(),
-        "fastmath": False,
+        "fastmath": {"reassoc", "contract"} if any_order else False,
         "error_model": "numpy",
     }
     if inline:

@@ -189,32 +189,24 @@ def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
     return variance * correlation_length(residuals, weights) / total, square / total
 
 
-@kernel("void(f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8, f8[:, ::1], f8[::1])")
-def _moments(
-    design: F64, values: F64, weights: F64, waves: F64, precision: float, moments: F64, right_side: F64
-) -> None:
-    """Fill the weighted products of (design, waves) with themselves and with the values."""
-    count, wide = design.shape
-    many = waves.shape[1]
-    size = wide + many
-    row = np.empty(size)
-    moments[:], right_side[:] = 0.0, 0.0
-    for n in range(count):
-        weight = weights[n] * precision
-        if weight <= 0:
-            continue
-        for i in range(wide):
-            row[i] = design[n, i]
-        for i in range(many):
-            row[wide + i] = waves[n, i]
-        for i in range(size):
-            scaled = weight * row[i]
-            right_side[i] += scaled * values[n]
-            for j in range(i + 1):
-                moments[i, j] += scaled * row[j]
+@kernel("void(f8[:, ::1], f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
+def _moments(terms: F64, values: F64, weights: F64, precision: float, moments: F64, right_side: F64) -> None:
+    """Fill the weighted products of terms (T, N) with themselves and with the values."""
+    size, count = terms.shape
+    weighted = np.empty(count)
     for i in range(size):
-        for j in range(i):
-            moments[j, i] = moments[i, j]
+        term = terms[i]
+        for n in range(count):
+            weighted[n] = weights[n] * precision * term[n]
+        total = 0.0
+        for n in range(count):
+            total += weighted[n] * values[n]
+        right_side[i] = total
+        for j in range(i + 1):
+            other, total = terms[j], 0.0
+            for n in range(count):
+                total += weighted[n] * other[n]
+            moments[i, j] = moments[j, i] = total
 
 
 @kernel("b1(f8[:, ::1], f8[::1], i8[::1], i8, f8, f8[:, ::1], f8[::1])")
@@ -265,22 +257,25 @@ def _add_group(
     return True
 
 
-@kernel("b1(f8[:, ::1], i8[::1], i8, f8[::1], f8[:, ::1], f8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
+@kernel("b1(f8[:, ::1], i8[::1], i8, f8[::1], f8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _residuals(
-    design: F64,
+    terms: F64,
     columns: I64,
     shared: int,
     values: F64,
-    waves: F64,
     bias: float,
     moments: F64,
     own_right: F64,
     delta: F64,
     residuals: F64,
 ) -> bool:
-    """Fill residuals for a step, the group's most likely slow displacement taken out."""
-    count, wide = design.shape
-    many = waves.shape[1]
+    """Fill residuals for a step, the group's most likely slow displacement taken out.
+
+    terms (T, N) : its design, then its waves.
+    """
+    size, count = terms.shape
+    wide = len(columns)
+    many = size - wide
     step, displaced = np.zeros(wide), np.zeros(many)
     for i in range(wide):
         if columns[i] >= 0:
@@ -304,13 +299,13 @@ def _residuals(
         for m in range(many):
             for k in range(many):
                 displaced[m] += inverse[m, k] * left[k]
-    for n in range(count):
-        predicted = 0.0
-        for i in range(wide):
-            predicted += design[n, i] * step[i]
-        for m in range(many):
-            predicted += waves[n, m] * displaced[m]
-        residuals[n] = values[n] - predicted
+    residuals[:] = values
+    for i in range(size):
+        factor = step[i] if i < wide else displaced[i - wide]
+        if factor != 0.0:
+            term = terms[i]
+            for n in range(count):
+                residuals[n] -= factor * term[n]
     return True
 
 
@@ -340,6 +335,11 @@ def _solve(
     scale, spread = np.ones(groups), np.ones(groups)
     matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
     moments, own_right = np.empty((groups, each, each)), np.empty((groups, each))
+    memory = np.empty(each * len(values))
+    for g in range(groups):  # sample by sample as one row: sums run along them
+        a, b = starts[g], starts[g + 1]
+        terms = memory[each * a : each * b].reshape((each, b - a))
+        terms[: design.shape[1]], terms[design.shape[1] :] = design[a:b].T, waves[a:b].T
     weights[:] = base
     rounds = 0
     for round_ in range(MAX_ROUNDS):
@@ -350,9 +350,8 @@ def _solve(
         for g in range(groups):
             a, b = starts[g], starts[g + 1]
             precision[g] = 1.0 / (scale[g] ** 2 * spread[g])
-            _moments(
-                design[a:b], values[a:b], weights[a:b], waves[a:b], precision[g], moments[g], own_right[g]
-            )
+            terms = memory[each * a : each * b].reshape((each, b - a))
+            _moments(terms, values[a:b], weights[a:b], precision[g], moments[g], own_right[g])
             if not _add_group(moments[g], own_right[g], columns[g], shared[g], bias[g], matrix, right_side):
                 return 0
         if not invert_spd(matrix, covariance):
@@ -368,11 +367,10 @@ def _solve(
         for g in range(groups):
             a, b = starts[g], starts[g + 1]
             if not _residuals(
-                design[a:b],
+                memory[each * a : each * b].reshape((each, b - a)),
                 columns[g],
                 shared[g],
                 values[a:b],
-                waves[a:b],
                 bias[g],
                 moments[g],
                 own_right[g],
