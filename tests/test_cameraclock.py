@@ -8,6 +8,7 @@ import time
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from naive import clock_extremes
 
 from edged.adapters.aravis.clock import (
     CLOCK_DRIFT,
@@ -21,7 +22,6 @@ from edged.adapters.aravis.clock import (
     host_ns,
     to_utc,
 )
-from tests.naive import clock_extremes
 
 SECOND_NS = 1_000_000_000
 

@@ -8,12 +8,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gigecell import (
+    HEIGHT,
+    LEFT,
+    NOBODY,
+    RIGHT,
+    Cell,
+    Sensor,
+    gige_camera,
+    left_camera,
+    run,
+    running,
+    settles,
+    shoot,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,7 +36,7 @@ from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
 from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
 from edged.capture import StereoHead
-from edged.domain import Frame, Image
+from edged.domain import Frame
 from edged.errors import (
     CameraBusy,
     CameraSetupError,
@@ -30,94 +44,15 @@ from edged.errors import (
     CaptureError,
     FrameTimeout,
 )
-from edged.sim.exposure import ExposureRequest
-from edged.sim.gige import GigeCamera
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
-
-WIDTH, HEIGHT = 320, 240
-LEFT, RIGHT = "127.0.40.1", "127.0.40.2"
-NOBODY = "127.0.40.9"
-
-
-class Sensor:
-    """Renders noise and remembers every picture by its frame id."""
-
-    def __init__(self, seed: int) -> None:
-        self._random = np.random.default_rng(seed)
-        self.shown: dict[int, Image] = {}
-        self.requests: list[ExposureRequest] = []
-
-    def __call__(self, request: ExposureRequest) -> Image:
-        image = self._random.integers(0, 256, (request.height, request.width), dtype=np.uint8)
-        self.shown[request.frame_id] = image
-        self.requests.append(request)
-        return image
-
-    def saw(self, image: Image) -> int:
-        """The frame id of a picture; fails for one that was never shown."""
-        return next(number for number, shown in self.shown.items() if np.array_equal(shown, image))
-
-
-def gige_camera(
-    address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT
-) -> GigeCamera:
-    """A simulated GigE Vision camera, to be entered."""
-    return GigeCamera(address, serial, sensor, width=width, height=height)
-
-
-class Cell:
-    """Two simulated cameras, and what an adapter needs to reach them."""
-
-    def __init__(self) -> None:
-        self.left_sensor, self.right_sensor = Sensor(1), Sensor(2)
-        self.left = gige_camera(LEFT, "EDGED-T1", self.left_sensor)
-        self.right = gige_camera(RIGHT, "EDGED-T2", self.right_sensor)
 
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
     """A running cell."""
-    cell = Cell()
-    with cell.left, cell.right:
+    with running(Cell()) as cell:
         yield cell
-
-
-def left_camera(device: str = LEFT, **settings: Any) -> AravisCamera:
-    """The adapter under test."""
-    return AravisCamera("left", AravisSettings(device, **settings))
-
-
-def run(script: Callable[..., Awaitable[Any]], *cameras: Any, limit_s: float = 60.0) -> Any:
-    """Run a script with cameras (or heads) that are closed afterwards."""
-
-    async def main() -> Any:
-        try:
-            return await script(*cameras)
-        finally:
-            for camera in cameras:
-                await camera.close()
-
-    return asyncio.run(asyncio.wait_for(main(), limit_s))
-
-
-async def shoot(camera: AravisCamera) -> Frame:
-    """One exposure."""
-    await camera.trigger()
-    return await camera.frame()
-
-
-async def settles(
-    camera: AravisCamera | StereoHead, action: Callable[[], Awaitable[Any]], limit_s: float
-) -> Any:
-    """The first result without a `CaptureError`; any other exception fails the test."""
-    deadline_s = time.monotonic() + limit_s
-    while True:
-        try:
-            return await action()
-        except CaptureError:
-            assert time.monotonic() < deadline_s, "did not recover in time"
-            await asyncio.sleep(0.05)
 
 
 def count(folder: str) -> int:

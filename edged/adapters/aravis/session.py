@@ -53,20 +53,24 @@ LOOK_S = 5.0
 """While images are taken, temperature and state of the clock are asked for this often."""
 
 
+COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_packets")
+"""Aravis' names of what a stream counts, in the order of `Health`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Health:
     """How an open camera is.
 
     temperature_c : None where it does not tell. clock_bound_ns : of its clock's map, None without one.
     ptp : its clock is locked to the PTP network. complete, failed : images since it was opened.
-    resent, lost : packets that came on request, and that never came; None for USB.
+    resent, lost : packets that came on request, and that never came. None: the driver does not count them.
     """
 
     temperature_c: float | None = None
     clock_bound_ns: int | None = None
     ptp: bool = False
-    complete: int = 0
-    failed: int = 0
+    complete: int | None = None
+    failed: int | None = None
     resent: int | None = None
     lost: int | None = None
 
@@ -205,19 +209,15 @@ class Session:
 
     def health(self) -> Health:
         """How the camera is, as last seen; asks nothing."""
-        stream, camera, complete, failed = self._stream, self._camera, 0, 0
-        packets: list[int | None] = [None, None]
-        if stream is not None and camera is not None:
-            complete, failed, _ = stream.get_statistics()
-            if camera.is_gv_device():
-                packets = [
-                    int(stream.get_info_uint64_by_name(name))
-                    for name in ("n_resent_packets", "n_missing_packets")
-                ]
+        stream = self._stream
+        counts: dict[str, int] = {}
+        if stream is not None:
+            names = [stream.get_info_name(place) for place in range(stream.get_n_infos())]
+            counts = {name: int(stream.get_info_uint64_by_name(name)) for name in names if name in COUNTS}
         latest = self.clock.readings[-1:]
         mapped = self.clock.at(latest[0].device_ns) if latest else None
         bound_ns = mapped.bound_ns if mapped is not None else None
-        return Health(self._temperature_c, bound_ns, self.ptp, complete, failed, *packets)
+        return Health(self._temperature_c, bound_ns, self.ptp, *(counts.get(name) for name in COUNTS))
 
     def close(self) -> None:
         """Take everything down, politely if the camera still answers; never raises."""

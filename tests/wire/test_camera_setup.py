@@ -1,0 +1,220 @@
+"""What a camera is told and what is refused, with the real Aravis over real UDP."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from gigecell import HEIGHT, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
+
+from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
+from edged.adapters.aravis.library import library
+from edged.capture import StereoHead
+from edged.domain import Frame, FramePair, TimeBase
+from edged.errors import CameraSetupError, WrongCamera
+from edged.sim import genicam as g
+from edged.vision.pixelformats import FORMATS
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    """A running cell."""
+    with running(Cell()) as cell:
+        yield cell
+
+
+def refused(kind: type[CameraSetupError] = CameraSetupError, **settings: Any) -> str:
+    """Why the camera cannot be opened with these settings."""
+
+    async def script(camera: AravisCamera) -> str:
+        with pytest.raises(kind) as caught:
+            await camera.open()
+        return str(caught.value)
+
+    return str(run(script, left_camera(**settings)))
+
+
+def test_format_codes_are_those_that_aravis_knows() -> None:
+    """An independent table of PFNC: every format of ours that Aravis names has the same number there."""
+    aravis = library("left").aravis
+    known = {
+        name.removeprefix("PIXEL_FORMAT_").replace("_", ""): int(getattr(aravis, name))
+        for name in dir(aravis)
+        if name.startswith("PIXEL_FORMAT_")
+    }
+    ours = {name.upper(): pixels.code for name, pixels in FORMATS.items() if name.upper() in known}
+
+    assert len(ours) >= 20
+    assert {name: known[name] for name in ours} == ours
+
+
+# --- identity -----------------------------------------------------------------------------------------
+
+
+def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
+    """Swapped addresses: the error names both serial numbers, and has a code of its own."""
+    reason = refused(WrongCamera, serial="EDGED-T2")
+
+    assert "camera left: 127.0.40.1 has the serial number 'EDGED-T1', expected 'EDGED-T2'" == reason
+
+
+def test_the_expected_camera_opens(cell: Cell) -> None:
+    """With its serial number given beside the address."""
+    run(lambda camera: camera.open(), left_camera(serial="EDGED-T1"))
+
+
+# --- geometry -----------------------------------------------------------------------------------------
+
+
+def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
+    """The calibration is of the whole image: the region lies where the sensor saw it, black around."""
+    region = {"Width": 160, "Height": 100, "OffsetX": 32, "OffsetY": 20}
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    frame = run(script, left_camera(calibrated=(WIDTH, HEIGHT), features=(region,)))
+
+    (shown,) = cell.left_sensor.shown.values()
+    whole = np.zeros((HEIGHT, WIDTH), np.uint8)
+    whole[20:120, 32:192] = shown
+    np.testing.assert_array_equal(whole, frame.image)
+
+
+def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
+    """A rig of another sensor: both sizes are named before anything is measured."""
+    reason = refused(calibrated=(1280, 960))
+
+    assert f"its image is {WIDTH}x{HEIGHT} px, the rig was calibrated with 1280x960" in reason
+
+
+def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
+    """The picture looks the same and measures wrong: unless the configuration says so, it is an error."""
+    cell.left._put(g.WIDTH, 160)
+    cell.left._put(g.OFFSET_X, 32)
+
+    assert "OffsetX is 32: an image that lies otherwise than at calibration" in refused()
+    stated = ({"Width": 160, "OffsetX": 32},)
+    run(lambda camera: camera.open(), left_camera(features=stated))
+
+
+@pytest.mark.parametrize("name", ["TriggerMode", "TriggerSource", "AcquisitionMode"])
+def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
+    """Features that belong to the trigger mode are refused by name."""
+    assert f"{name}: belongs to the trigger" in refused(features=({name: "Off"},))
+
+
+def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
+    """The later one counts; a mistake in the second keeps the first from being written."""
+    run(lambda camera: camera.open(), left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
+    assert 5.0 == cell.left._value(g.GAIN)
+
+    assert "Nonsense: the camera has no such feature" in refused(features=({"Gain": 7.0}, {"Nonsense": 1}))
+    assert 5.0 == cell.left._value(g.GAIN)
+
+
+# --- the network ----------------------------------------------------------------------------------------
+
+
+def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
+    """In ticks of its clock; left to itself nothing is delayed on loopback."""
+    run(lambda camera: camera.open(), left_camera(neighbour=RIGHT))
+    assert 0 == cell.left._memory[g.PACKET_DELAY]
+
+    run(lambda camera: camera.open(), left_camera(packet_delay_us=12.5))
+    assert 12_500 == cell.left._memory[g.PACKET_DELAY]
+
+
+def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
+    """After five images: as many complete, none failed, the sensor's 41.5 °C, a clock known to 10 ms."""
+
+    async def script(camera: AravisCamera) -> None:
+        assert camera.health is None
+        await camera.open()
+        for _ in range(5):
+            await shoot(camera)
+        health = camera.health
+        assert health is not None
+        assert (41.5, 5, 0) == (health.temperature_c, health.complete, health.failed)
+        assert (0, 0) == (health.resent, health.lost)
+        assert health.clock_bound_ns is not None
+        assert 0 < health.clock_bound_ns < 10_000_000
+
+    run(script, left_camera())
+
+
+# --- time ---------------------------------------------------------------------------------------------
+
+
+def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
+    """UTC by the camera's stamp: the simulator knows the truth."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        return [await shoot(camera) for _ in range(10)]
+
+    frames = run(script, left_camera())
+
+    for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
+        assert TimeBase.CAMERA is frame.time_base
+        assert frame.exposed_bound_ns is not None
+        # both clocks of the sensor are read one after the other: a busy machine may come between
+        assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5_000_000
+
+
+# --- free run -------------------------------------------------------------------------------------------
+
+
+def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -> None:
+    """Each capture is a new pair of one moment; nothing that was exposed before it was asked for."""
+    head = StereoHead(
+        left_camera(trigger=FreeRun(20.0)),
+        AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
+        timeout_s=5,
+        max_skew_s=0.03,
+        free_running=True,
+    )
+
+    async def script(head: StereoHead) -> list[FramePair]:
+        pairs = []
+        for _ in range(5):
+            await asyncio.sleep(0.12)  # two exposures that nobody wants
+            pairs.append(await head.capture())
+        return pairs
+
+    pairs = run(script, head)
+
+    assert 20.0 == cell.left._value(g.FRAME_RATE)
+    steps = np.diff([pair.left.frame_id for pair in pairs])
+    assert (steps >= 2).all()
+    for pair in pairs:
+        assert abs(pair.left.exposed_ns - pair.right.exposed_ns) <= 30_000_000
+        cell.left_sensor.saw(pair.left.image)
+        cell.right_sensor.saw(pair.right.image)
+
+
+def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
+    """Exposure by exposure in order, none twice."""
+    head = StereoHead(
+        left_camera(trigger=FreeRun(20.0)),
+        AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
+        timeout_s=5,
+        max_skew_s=0.045,
+    )
+
+    async def script(head: StereoHead) -> list[FramePair]:
+        pairs: list[FramePair] = []
+        while len(pairs) < 8:
+            pairs.append(await head.listen())
+        return pairs
+
+    pairs = run(script, head)
+
+    assert (np.diff([pair.left.frame_id for pair in pairs]) >= 1).all()
+    assert all(abs(pair.left.exposed_ns - pair.right.exposed_ns) <= 45_000_000 for pair in pairs)
