@@ -2,7 +2,7 @@
 
 Everything that touches the disk happens in one thread of its own with a short queue. When the disk is
 slower than the cell, good cycles are left out before bad ones; when it is full or broken the cell goes on
-measuring, and the log says so once. A fault that repeats itself is recorded once.
+measuring, and the log says so once. A fault that lasts, or comes and goes, is recorded once.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ class Recorder:
         settings: RecorderSettings,
         setup: Callable[[], tuple[str, Mapping[str, bytes]]],
         utc_ns: Callable[[], int] = time.time_ns,
+        monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.figures = RecorderFigures()
         self._settings = settings
@@ -76,10 +77,12 @@ class Recorder:
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="recorder")
         self._waiting = 0
         self._exposed: tuple[int, FramePair] | None = None
-        self._last_fault = ""
+        self._faults = recording.FaultMemory(monotonic_s)
         # of the writer's thread alone
         self._kept: dict[bool, deque[tuple[recording.Entry, int]]] = {True: deque(), False: deque()}
+        self._kept_bytes = 0
         self._next = 0
+        self._has_stock = False
 
     async def start(self) -> None:
         """Repair and count what is there; a folder that cannot be used is reported, the cell starts."""
@@ -95,8 +98,7 @@ class Recorder:
         if self._exposed is not None and self._exposed[0] == event.cycle:
             pair = self._exposed[1]
         self._exposed = None
-        fault, self._last_fault = self._last_fault, event.error
-        if event.error and event.error == fault:
+        if not self._faults.is_news(event):
             return
         if self._waiting >= (QUEUE_GOOD if event.status is Status.OK else QUEUE_BAD):
             self.figures.left_out += 1
@@ -141,12 +143,17 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
         if removed := recording.sweep(folder):
             log.warning("%s: removed %d unfinished file(s) of an earlier run", folder, removed)
+        self._kept, self._kept_bytes = {True: deque(), False: deque()}, 0
         for entry in recording.entries(folder):
-            self._kept[entry.status == Status.OK].append((entry, entry.path.stat().st_size))
+            self._keep(entry)
             self._next = max(self._next, entry.index + 1)
+        self._has_stock = True
         self._make_room(0)
+        self._forget_setups(recording.setups(folder))
 
     def _write(self, snapshot: Snapshot, pair: FramePair | None, files: Mapping[str, bytes]) -> None:
+        if not self._has_stock:  # the disk was not there at the start: what is on it counts, too
+            self._take_stock()
         settings = self._settings
         size = 0 if pair is None else pair.left.image.nbytes + pair.right.image.nbytes
         if not self._make_room(size):
@@ -156,7 +163,7 @@ class Recorder:
         now = datetime.fromtimestamp(self._utc_ns() / 1e9, UTC)
         entry = recording.save(settings.folder, self._next, now, snapshot, pair)
         self._next += 1
-        self._kept[snapshot.status is Status.OK].append((entry, entry.path.stat().st_size))
+        self._keep(entry)
         self.figures.written += 1
         self._make_room(0)
 
@@ -172,27 +179,32 @@ class Recorder:
         while (good or bad) and self._too_much(size):
             removed.add(self._remove_oldest(good or bad))
         self._forget_setups(removed)
-        everything = [*good, *bad]
-        self.figures.kept = len(everything)
-        self.figures.kept_bytes = sum(bytes_ for _, bytes_ in everything)
+        self.figures.kept, self.figures.kept_bytes = len(good) + len(bad), self._kept_bytes
         return self._free_mib(size) >= settings.min_free_mib
 
     def _too_much(self, size: int) -> bool:
-        kept = sum(bytes_ for ring in self._kept.values() for _, bytes_ in ring)
-        return (
-            kept + size > self._settings.max_mib * MIB or self._free_mib(size) < self._settings.min_free_mib
-        )
+        too_large = self._kept_bytes + size > self._settings.max_mib * MIB
+        return too_large or self._free_mib(size) < self._settings.min_free_mib
 
     def _free_mib(self, size: int) -> float:
         return (shutil.disk_usage(self._settings.folder).free - size) / MIB
 
+    def _keep(self, entry: recording.Entry) -> None:
+        size = entry.path.stat().st_size
+        self._kept[entry.status == Status.OK].append((entry, size))
+        self._kept_bytes += size
+
     def _remove_oldest(self, ring: deque[tuple[recording.Entry, int]]) -> str:
-        entry, _ = ring.popleft()
-        entry.path.unlink(missing_ok=True)
+        entry, size = ring[0]
+        entry.path.unlink(missing_ok=True)  # may fail: then it still counts
+        ring.popleft()
+        self._kept_bytes -= size
         return entry.fingerprint
 
     def _forget_setups(self, fingerprints: set[str]) -> None:
         """A setup goes with the last recording that stands on it."""
+        if not fingerprints:
+            return
         used = {entry.fingerprint for ring in self._kept.values() for entry, _ in ring}
         for fingerprint in fingerprints - used - {self._setup()[0]}:
             shutil.rmtree(recording.setup_folder(self._settings.folder, fingerprint), ignore_errors=True)

@@ -267,6 +267,20 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
     assert len(page.status()["faults"]) == FAULTS
 
 
+def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With large cameras the oldest faults lose their pictures, and say so; the newest always has them."""
+    pair = make_pair()
+    monkeypatch.setattr(page, "FAULT_BYTES", 2 * (pair.left.image.nbytes + pair.right.image.nbytes))
+    shown = Page("cell", sources())
+    for cycle in (1, 2, 3, 4):
+        measure(shown, cycle, Status.NO_TARGET)
+
+    faults = shown.status()["faults"]
+    assert [(4, True), (3, True), (2, False), (1, False)] == [(f["cycle"], f["has_picture"]) for f in faults]
+    assert shown.pair(3) is not None
+    assert shown.pair(2) is None
+
+
 def test_why_a_target_was_not_good_is_in_words() -> None:
     """The operator reads "sigma limit", not 4."""
     page = Page("cell", sources())

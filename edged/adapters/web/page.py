@@ -19,12 +19,15 @@ from cv2.typing import MatLike
 
 from edged.domain import CellState, Event, ExposureDone, FloatArray, FramePair, Snapshot, Status, Target
 from edged.payload import Json, snapshot_to_json, state_to_json
+from edged.recording import FaultMemory
 from edged.vision.rectification import Rectification
 
 HISTORY = 600
 """Cycles in the trends."""
 FAULTS = 12
 """Last bad cycles, with their pictures: about 2.5 MB each."""
+FAULT_BYTES = 64 * 1024 * 1024
+"""Of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
 WIDTH_PX = 960
 """Of the pictures that are sent."""
 QUALITY = 82
@@ -69,7 +72,7 @@ class Page:
         self._last: Shown | None = None
         self._faults: deque[Shown] = deque(maxlen=FAULTS)
         self._history: deque[Json] = deque(maxlen=HISTORY)
-        self._same_fault = ""
+        self._known_faults = FaultMemory()
         self._drawn: tuple[Shown, Json] | None = None
 
     # --- events ------------------------------------------------------------------------------
@@ -88,11 +91,20 @@ class Page:
         self._exposed = None
         self._last = Shown(event, pair)
         self._history.append(_trend(event))
-        repeated = bool(event.error) and event.error == self._same_fault
-        self._same_fault = event.error
-        if event.status is not Status.OK and not repeated:
+        if event.status is not Status.OK and self._known_faults.is_news(event):
             self._faults.append(self._last)
+            self._forget_pictures()
         return True
+
+    def _forget_pictures(self) -> None:
+        """Of the oldest faults, where all of them together would take too much memory."""
+        size = 0
+        for index in range(len(self._faults) - 1, -1, -1):
+            shown = self._faults[index]
+            if shown.pair is not None:
+                size += shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
+                if size > FAULT_BYTES and index < len(self._faults) - 1:
+                    self._faults[index] = Shown(shown.snapshot, None)
 
     # --- answers -----------------------------------------------------------------------------
 
