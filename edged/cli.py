@@ -182,7 +182,18 @@ def teach(
     output: Annotated[Path, typer.Option("--output", "-o", help="job folder to write")],
     left: Annotated[Path | None, typer.Option(help="left image")] = None,
     right: Annotated[Path | None, typer.Option(help="right image")] = None,
-    roi: Annotated[str | None, typer.Option(help="X,Y,W,H around the part, pixels of the left image")] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            "--region",
+            "--roi",
+            help="around the part, pixels of the left image: X,Y,W,H, circle:X,Y,R, "
+            "polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
+        ),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(help="what of the region is not the part, in the same forms; repeat")
+    ] = None,
     dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
     contour: Annotated[
         Path | None, typer.Option(help="outlines to teach from: x,y in mm a line, empty lines between them")
@@ -194,6 +205,15 @@ def teach(
     unit: Annotated[
         str | None, typer.Option(help="of a DXF drawing that does not say: mm, cm, m, in")
     ] = None,
+    contrast: Annotated[
+        str | None, typer.Option(help="LOW,HIGH: edges that count, grey values per px; default: automatic")
+    ] = None,
+    min_component: Annotated[
+        float | None, typer.Option(help="shortest connected edge that counts, px; default: automatic")
+    ] = None,
+    levels: Annotated[
+        int | None, typer.Option(help="most levels of the pyramid, 1 to 5; default: automatic")
+    ] = None,
     number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
     report: Annotated[
         Path | None, typer.Option(help="HTML page to write: the model, and what it promises")
@@ -203,15 +223,20 @@ def teach(
     """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
     from rich.console import Console
 
-    from edged.commands.teach import DrawingSource, PairSource, chosen_source
+    from edged.commands.teach import DrawingSource, PairSource, chosen_source, parse_contrast
     from edged.commands.teach import teach as command
+    from edged.vision.shape.modelparams import ModelParams
 
     source = chosen_source(
-        PairSource(left, right, roi), DrawingSource(dxf, contour, depth, layer or [], unit)
+        PairSource(left, right, region, tuple(exclude or ())),
+        DrawingSource(dxf, contour, depth, layer or [], unit),
     )
+    params = ModelParams(*parse_contrast(contrast), min_component, levels)
     console = Console(stderr=True)
     raise typer.Exit(
-        command(rig, source, name, output, console, number=number, report=report, as_json=as_json)
+        command(
+            rig, source, name, output, console, number=number, params=params, report=report, as_json=as_json
+        )
     )
 
 

@@ -759,3 +759,8 @@ def grey_of_mosaic(mosaic: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
 def nearest_of_256(value: int, bits: int) -> int:
     """A value of so many bits as one of 8, rounded half up, at most 255."""
     return min(255, math.floor(value / 2 ** (bits - 8) + 0.5))
+
+
+def repetition(points: FloatArray) -> float:
+    """Mean over the points of the sum of exp(-2 d^2) over all of them, at their distances d."""
+    return sum(math.exp(-2 * math.dist(p, q) ** 2) for p in points for q in points) / len(points)

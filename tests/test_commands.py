@@ -242,7 +242,7 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ({"roi": "1,2,3"}, "--roi '1,2,3': expected X,Y,W,H"),
+        ({"roi": "1,2,3"}, "--region '1,2,3': expected X,Y,W,H"),
         ({"roi": "a,b,c,d"}, "expected X,Y,W,H"),
         ({"roi": "nan,0,100,100"}, "expected X,Y,W,H"),
         ({"roi": "5000,0,100,100"}, "outside the 640x480 image"),

@@ -13,7 +13,8 @@ from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.geometry import apply, invert
 from edged.vision.job import Job
 from edged.vision.rectification import Rectification, make_rectification
-from edged.vision.teaching import Region, teach
+from edged.vision.teaching import teach
+from edged.vision.teachingregion import Region
 
 
 @pytest.fixture(scope="module")

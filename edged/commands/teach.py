@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from edged.domain import Image
@@ -18,19 +19,51 @@ from edged.store import load_image, load_rig, write_atomically
 from edged.vision.drawnpart import teach_drawing
 from edged.vision.job import Job
 from edged.vision.shape.inspection import inspect_model
-from edged.vision.teaching import Region
+from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching import teach as teach_job
+from edged.vision.teachingregion import Area, Circle, Painted, Polygon, Region
+
+REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
 
 
-def parse_region(text: str) -> Region:
-    """Read "X,Y,W,H" (px of the raw left image)."""
+def parse_region(text: str, option: str = "--region") -> Area:
+    """Read a region in one of the `REGION_FORMS`, px of the raw left image; X,Y,W,H alone is a rectangle.
+
+    Raises `TeachError` that names the option, `ImageError` for a mask that is no picture.
+    """
+    kind, colon, rest = text.partition(":")
+    if not colon:
+        kind, rest = "rect", text
+    if kind == "mask" and rest:
+        return Painted(load_image(Path(rest)))
     try:
-        x, y, width, height = (float(part) for part in text.split(","))
+        corners = [[float(number) for number in corner.split(",")] for corner in rest.split(";")]
+        if kind == "rect" and len(corners) == 1:
+            return Region(*_numbers(corners[0], 4))
+        if kind == "circle" and len(corners) == 1:
+            return Circle(*_numbers(corners[0], 3))
+        if kind == "polygon":
+            return Polygon(np.array([_numbers(corner, 2) for corner in corners]))
     except ValueError:
-        raise TeachError(
-            f"--roi {text!r}: expected X,Y,W,H in pixels of the left image, for example 560,220,460,460"
-        ) from None
-    return Region(x, y, width, height)
+        pass
+    raise TeachError(f"{option} {text!r}: expected {REGION_FORMS}, in pixels of the left image")
+
+
+def _numbers(values: list[float], count: int) -> list[float]:
+    if len(values) != count:
+        raise ValueError
+    return values
+
+
+def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
+    """Read "LOW,HIGH" or one number for both; None is automatic."""
+    if text is None:
+        return None, None
+    try:
+        low, _, high = text.partition(",")
+        return float(low), float(high or low)
+    except ValueError:
+        raise TeachError(f"--contrast {text!r}: expected LOW,HIGH in grey values per px, e.g. 4,8") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +72,8 @@ class PairSource:
 
     left: Path | None
     right: Path | None
-    roi: str | None
+    region: str | None
+    exclude: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +89,13 @@ class DrawingSource:
 
 def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
     """What to teach from. Raises `UserError` for nothing, for both, and for half of it."""
-    from_pair = any(value is not None for value in (pair.left, pair.right, pair.roi))
+    from_pair = bool(pair.exclude) or any(value is not None for value in (pair.left, pair.right, pair.region))
     files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
     if from_pair == bool(files) or len(files) > 1:
-        raise UserError("teach: expected either --left, --right and --roi, or one of --dxf and --contour")
+        raise UserError("teach: expected either --left, --right and --region, or one of --dxf and --contour")
     if from_pair:
-        if missing := [f"--{name}" for name in ("left", "right", "roi") if getattr(pair, name) is None]:
-            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left, --right and --roi")
+        if missing := [f"--{name}" for name in ("left", "right", "region") if getattr(pair, name) is None]:
+            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left, --right and --region")
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
@@ -78,13 +112,14 @@ def teach(
     console: Console,
     *,
     number: int = 1,
+    params: ModelParams | None = None,
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
     """Teach a job and write its folder; nothing is written when that fails."""
     _check_name(name)
     prepared = prepare(load_rig(rig))
-    job, picture = _job(source, prepared, name, number)
+    job, picture = _job(source, prepared, name, number, params)
     save_job(output, job)
     inspection = inspect_model(job.shape, job.search)
     if report is not None:
@@ -113,7 +148,11 @@ def teach(
 
 
 def _job(
-    source: PairSource | DrawingSource, prepared: PreparedRig, name: str, number: int
+    source: PairSource | DrawingSource,
+    prepared: PreparedRig,
+    name: str,
+    number: int,
+    params: ModelParams | None,
 ) -> tuple[Job, Image]:
     """The job and the rectified left picture it was learnt from."""
     if isinstance(source, DrawingSource):
@@ -121,11 +160,13 @@ def _job(
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
-        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number)
-    region = parse_region(source.roi or "")
+        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number, params)
+    region = parse_region(source.region or "")
+    exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
-    job = teach_job(left, right, prepared.rectification, region, name, number)
-    return job, prepared.rectification.left_image(left)
+    rectification = prepared.rectification
+    job = teach_job(left, right, rectification, region, name, number, exclude=exclude, params=params)
+    return job, rectification.left_image(left)
 
 
 def _check_name(name: str) -> None:

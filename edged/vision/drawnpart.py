@@ -19,6 +19,7 @@ from edged.vision.geometry import transform
 from edged.vision.job import CircleFeature, CornerFeature, EdgeFeature, Job, Limits, known_radius
 from edged.vision.rectification import Rectification
 from edged.vision.shape.model import create_model
+from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.raster import coverage
 from edged.vision.shape.search import SearchParams
 
@@ -56,11 +57,12 @@ def teach_drawing(
     depth_mm: float,
     name: str,
     number: int = 1,
+    params: ModelParams | None = None,
 ) -> tuple[Job, Image]:
     """Job and painted picture (h, w) of a flat part.
 
     outlines_mm : closed polygons (N, 2), x to the right, y up, as seen by the cameras.
-    depth_mm : nominal distance of the face, z of the left camera.
+    depth_mm : nominal distance of the face, z of the left camera.  params : of the shape model.
     Raises `TeachError` for a part that does not fit the image, or shows nothing that can be measured.
     """
     if not np.isfinite(depth_mm) or depth_mm <= 0:
@@ -75,7 +77,7 @@ def teach_drawing(
     outlines = [_moved(one, -origin) for one in outlines]
     image, mask = _painted(outlines, rig_from_part, rectification)
     at = np.zeros(2) if circles else middle - origin
-    shape = create_model(image, mask, _pixels(at[None], rig_from_part, rectification)[0])
+    shape = create_model(image, mask, _pixels(at[None], rig_from_part, rectification)[0], params)
     shift = np.array([*-origin, 0.0])
     sizes, witness = known_radius(circles, reference)
     job = Job(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
@@ -25,8 +24,10 @@ from edged.vision.geometry import apply, invert, transform
 from edged.vision.job import CircleFeature, Job, Limits, crossing, known_radius
 from edged.vision.rectification import Rectification
 from edged.vision.shape.model import create_model
+from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.startplane import Plane, find_plane
+from edged.vision.teachingregion import Area, painted_region
 
 DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
@@ -39,23 +40,23 @@ MAX_RMS_PX = 0.5
 """As a job's own limit: edges that scatter more are those of two different things, one in each image."""
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
-    """A rectangle of the raw left image, px: x, y of its upper left corner, width, height."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-
-
 def teach(
-    left: Image, right: Image, rectification: Rectification, region: Region, name: str, number: int = 1
+    left: Image,
+    right: Image,
+    rectification: Rectification,
+    region: Area,
+    name: str,
+    number: int = 1,
+    *,
+    exclude: Sequence[Area] = (),
+    params: ModelParams | None = None,
 ) -> Job:
     """Learn the part inside a region.
 
-    left, right : raw images (H, W) uint8.  Raises `TeachError` when the region shows no usable shape or no
-    circle that both cameras see, `ImageError` when the images do not fit the rig.
+    left, right : raw images (H, W) uint8.  region, exclude : where the part is in the left one, and what of
+    that is not the part.  params : thresholds of the shape model.
+    Raises `TeachError` when the region shows no usable shape or no circle that both cameras see, `ImageError`
+    when the images do not fit the rig.
     """
     for side, image, camera in (
         ("left", left, rectification.rig.left),
@@ -72,7 +73,7 @@ def teach(
         right,
         rectification.left_image(left),
         rectification.right_image(right),
-        _mask(region, rectification),
+        _mask(region, exclude, rectification),
     )
     ellipses = find_ellipses(view.rectified_left, view.mask)
     try:
@@ -81,7 +82,7 @@ def teach(
         edges = _from_edges(view)
         if edges is None:
             raise
-        return _job(view, name, number, *edges)
+        return _job(view, params, name, number, *edges)
     rig_from_part = _part_frame(circles[0])
     features = tuple(
         CircleFeature(
@@ -103,7 +104,7 @@ def teach(
         for one in features
     ]
     found, _ = find_features(view, rig_from_part, curves)
-    return _job(view, name, number, rig_from_part, features[0].name, found, features)
+    return _job(view, params, name, number, rig_from_part, features[0].name, found, features)
 
 
 def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[CircleFit]:
@@ -151,6 +152,7 @@ def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | N
 
 def _job(
     view: TeachingView,
+    params: ModelParams | None,
     name: str,
     number: int,
     rig_from_part: FloatArray,
@@ -162,9 +164,10 @@ def _job(
     depth = float(rig_from_part[2, 3])
     if circles:
         place = rectification.rig.left.project(rig_from_part[None, :3, 3])
-        shape = create_model(view.rectified_left, view.mask, rectification.rectify_points("left", place)[0])
+        origin = rectification.rectify_points("left", place)[0]
+        shape = create_model(view.rectified_left, view.mask, origin, params)
     else:  # its origin amid the part: from a corner, overlapping matches would look far apart
-        shape = create_model(view.rectified_left, outline_mask(view))
+        shape = create_model(view.rectified_left, outline_mask(view), params=params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=name,
@@ -189,29 +192,11 @@ def _job(
     )
 
 
-def _mask(region: Region, rectification: Rectification) -> Image:
+def _mask(region: Area, exclude: Sequence[Area], rectification: Rectification) -> Image:
     """(h, w) uint8: the region as it lies in the rectified left image."""
     camera = rectification.rig.left
-    numbers = (region.x, region.y, region.width, region.height)
-    if not all(np.isfinite(numbers)) or region.width < 16 or region.height < 16:
-        raise TeachError(f"region {numbers}: expected X,Y,W,H with a width and height of at least 16 px")
-    x0, y0 = max(region.x, 0.0), max(region.y, 0.0)
-    x1 = min(region.x + region.width, camera.width - 1.0)
-    y1 = min(region.y + region.height, camera.height - 1.0)
-    if x1 - x0 < 16 or y1 - y0 < 16:
-        raise TeachError(f"region {numbers}: outside the {camera.width}x{camera.height} image")
-    t = np.linspace(0, 1, 20)
-    border = np.concatenate(
-        [
-            np.column_stack([x0 + t * (x1 - x0), np.full(20, y0)]),
-            np.column_stack([np.full(20, x1), y0 + t * (y1 - y0)]),
-            np.column_stack([x1 - t * (x1 - x0), np.full(20, y1)]),
-            np.column_stack([np.full(20, x0), y1 - t * (y1 - y0)]),
-        ]
-    )
-    polygon = rectification.rectify_points("left", border)
-    mask = np.zeros((rectification.size[1], rectification.size[0]), np.uint8)
-    cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 255)
+    raw = painted_region(region, exclude, camera.width, camera.height)
+    mask = np.where(rectification.left_image(raw) > 127, 255, 0).astype(np.uint8)
     return np.asarray(np.minimum(mask, rectification.valid_left))
 
 

@@ -1,0 +1,104 @@
+"""Which edges of a region belong to what is taught: the strong, connected ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import Image
+from edged.vision.shape.modelparams import ModelParams
+
+SMOOTHING_PX = 2.0
+"""Wider than the measuring operator: narrow machining marks average out, outlines stay."""
+NARROW_PX = 0.7
+FINE_DETAIL = 30.0
+"""A region this many times as wide as the smoothing still shows its edges apart."""
+FINE = 16.0
+"""Of the gradient: a faint edge, smoothed to whole grey values, would be a staircase."""
+UNIT = 8 * FINE
+AXES = ((1, 0), (0, 1))
+FAINTEST, FAINT = 0.5, 1.0
+"""Grey values per px: an edge begins here, in a clean picture; and in a noisy one."""
+EDGE_SHARE, WEAK_SHARE = 0.5, 0.6
+"""Of the region's strong edges, what an edge must reach somewhere; and of that, what it must keep."""
+OUTLINE_SHARE = 0.5
+"""A part's strong outline is at least this long, in widths of the region."""
+STRONGEST_SHARE = 0.05
+"""... or, where there is little else, at least this share of all edges."""
+COMPONENT_SHARE = 0.08
+"""Shortest connected edge that counts, in widths of the region."""
+MIN_POINTS = 24
+MIN_STRONG = 4
+"""Pixels of a connected edge that must be strong: one is noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrongEdges:
+    """thin (H, W) uint8, 1 on the edges that were kept; gx, gy (H, W) int16, `UNIT` x the slope per px."""
+
+    thin: Image
+    gx: npt.NDArray[np.int16]
+    gy: npt.NDArray[np.int16]
+
+
+def strong_edges(
+    image: Image, mask: Image, params: ModelParams | None = None, smoothing_px: float = SMOOTHING_PX
+) -> StrongEdges | None:
+    """The strong, connected edges inside a mask; None when there are nearly none.
+
+    image, mask : (H, W) uint8.  params : thresholds; what they leave open follows from the region.
+    Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
+    """
+    params = params or ModelParams()
+    if np.count_nonzero(mask) < MIN_POINTS:
+        return None
+    width_px = float(np.sqrt(np.count_nonzero(mask)))
+    smoothing = min(smoothing_px, max(NARROW_PX, width_px / FINE_DETAIL))
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smoothing)
+    gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *axis, ksize=3, scale=FINE).astype(np.int16) for axis in AXES)
+    faint = _faintest(image, mask, smoothing)
+    if params.contrast_low is not None:
+        faint = min(faint, params.contrast_low)
+    thin = cv2.Canny(gx, gy, UNIT * faint, 2 * UNIT * faint, L2gradient=True)
+    thin[mask == 0] = 0
+    at = np.nonzero(thin)
+    slopes = np.hypot(gx[at].astype(np.float64), gy[at]) / UNIT
+    if len(slopes) < MIN_POINTS:
+        return None
+    low, high = _thresholds(slopes, width_px, params)
+    linked = np.zeros_like(thin)
+    linked[at] = slopes > low
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
+    strong = np.bincount(labels[at][slopes > high], minlength=len(stats))
+    shortest = params.min_component_px or COMPONENT_SHARE * width_px
+    keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= MIN_STRONG)
+    keep[0] = False
+    return StrongEdges(keep[labels].astype(np.uint8), gx, gy)
+
+
+def _thresholds(slopes: npt.NDArray[np.float64], width_px: float, params: ModelParams) -> tuple[float, float]:
+    """Hysteresis: a share of the slope that the part's outline reaches.
+
+    That is the slope of the strongest edges, by length and not by number: on a textured table the part's
+    own edges may be one in a hundred.
+    """
+    outline = max(1, round(min(OUTLINE_SHARE * width_px, STRONGEST_SHARE * len(slopes))))
+    reached = float(np.partition(slopes, len(slopes) - outline)[len(slopes) - outline])
+    high = params.contrast_high or EDGE_SHARE * reached
+    low = params.contrast_low or WEAK_SHARE * high
+    return min(low, high), high
+
+
+def _faintest(image: Image, mask: Image, smoothing_px: float) -> float:
+    """Slope, grey values per px, at which noise ends and an edge may begin: four sigma, within bounds.
+
+    The noise is the median response of J. Immerkaer's mask (CVIU 64, 1996); white noise, smoothed by s, has
+    slopes of its sigma / (sqrt(8 pi) s^2).
+    """
+    ripple = cv2.sepFilter2D(image, cv2.CV_16S, np.array([1, -2, 1]), np.array([1, -2, 1]))
+    noise = float(np.median(np.abs(ripple[mask > 0]))) / (6 * 0.6745)
+    slope = noise / (np.sqrt(8 * np.pi) * smoothing_px**2)
+    return float(np.clip(4 * slope, FAINTEST, FAINT))

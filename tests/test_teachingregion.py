@@ -1,0 +1,200 @@
+"""Regions: what is painted is what was meant, and what cannot be meant is refused in words."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cells import flange
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edged.commands.teach import parse_contrast, parse_region
+from edged.errors import ImageError, TeachError
+from edged.vision.geometry import apply
+from edged.vision.rectification import make_rectification
+from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching import teach
+from edged.vision.teachingregion import Area, Circle, Painted, Polygon, Region, painted_region
+
+SIZE = (200, 120)
+
+
+def star(seed: int, count: int) -> np.ndarray:
+    """Corners (N, 2) in order around (100, 60): such a polygon never crosses itself."""
+    rng = np.random.default_rng(seed)
+    turns = np.sort(rng.uniform(0, 2 * math.pi, count))
+    turns += np.arange(count) * 1e-3
+    radii = rng.uniform(20, 55, count)
+    return np.column_stack([100 + radii * np.cos(turns), 60 + radii * np.sin(turns)])
+
+
+@pytest.mark.parametrize(
+    ("area", "expected"),
+    [
+        (Region(20, 30, 60, 40), 61 * 41),
+        (Region(-50, -50, 100, 100), 51 * 51),
+        (Circle(100, 60, 40), math.pi * 40**2),
+        (Circle(0, 60, 40), math.pi * 40**2 / 2 + 40),
+        (Polygon(np.array([(20, 30), (80, 30), (80, 70), (20, 70)], float)), 60 * 40),
+        (Polygon(np.array([(20, 30), (80, 30), (80, 70), (20, 70), (20, 30)], float)), 60 * 40),
+        (Polygon(np.array([(20, 20), (140, 20), (20, 100)], float)), 120 * 80 / 2),
+        (Polygon(np.array([(-1e5, -1e5), (1e5, -1e5), (1e5, 1e5), (-1e5, 1e5)])), 200 * 120),
+    ],
+)
+def test_what_is_painted_is_the_area(area: Area, expected: float) -> None:
+    """Rectangles, circles and polygons, also across the border or closed by hand, to 5 % of their area."""
+    mask = painted_region(area, (), *SIZE)
+    assert mask.shape == (120, 200)
+    assert set(np.unique(mask)) <= {0, 255}
+    assert np.count_nonzero(mask) == pytest.approx(expected, rel=0.05)
+
+
+def test_any_bright_value_of_a_mask_counts() -> None:
+    """A mask of 0 and 1 says the same as one of 0 and 255, or as its JPEG."""
+    drawn = painted_region(Circle(90, 55, 30), (), *SIZE)
+    jpeg = cv2.imdecode(cv2.imencode(".jpg", drawn)[1], cv2.IMREAD_GRAYSCALE)
+    for mask in (drawn, drawn // 255):
+        np.testing.assert_array_equal(painted_region(Painted(mask), (), *SIZE), drawn)
+    assert np.count_nonzero(painted_region(Painted(np.asarray(jpeg, np.uint8)), (), *SIZE) != drawn) < 40
+
+
+def test_what_is_excluded_is_out() -> None:
+    """A disc minus a rectangle: no pixel of the rectangle, every other pixel of the disc."""
+    disc, box = Circle(100, 60, 50), Region(80, 40, 30, 30)
+    left = painted_region(disc, [box], *SIZE) > 0
+    inside, out = (painted_region(area, (), *SIZE) > 0 for area in (disc, box))
+    np.testing.assert_array_equal(left, inside & ~out)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(4, 40), clockwise=st.booleans())
+def test_only_crossing_polygons_are_refused(seed: int, count: int, clockwise: bool) -> None:
+    """Corners in order, either way round, are a polygon; with two neighbours exchanged it crosses itself."""
+    corners = star(seed, count)
+    turns = np.diff(np.unwrap(np.arctan2(*(corners - (100, 60)).T[::-1])))
+    if turns.min() < 0.01 or 2 * math.pi - turns.sum() > math.pi or turns.max() > math.pi:
+        return  # the centre is not inside: not a star
+    ordered = corners[::-1] if clockwise else corners
+    Polygon(ordered).painted(*SIZE)
+    regular = 50 * np.column_stack([f(np.arange(count) * 2 * math.pi / count) for f in (np.cos, np.sin)])
+    swapped = np.arange(count)
+    swapped[[1, 2]] = swapped[[2, 1]]
+    with pytest.raises(TeachError, match="crosses"):
+        Polygon(100 + regular[swapped]).painted(*SIZE)
+
+
+@pytest.mark.parametrize(
+    ("area", "expected"),
+    [
+        (Circle(1000, 60, 40), "outside the 200x120 image"),
+        (Circle(100, 60, 3), "radius of at least 8"),
+        (Circle(math.nan, 60, 30), "X,Y,R"),
+        (Polygon(np.array([(500, 500), (600, 500), (600, 600)], float)), "outside"),
+        (Polygon(np.array([(10, 10), (20, 10), (20, 12)], float)), "outside .* or empty"),
+        (Polygon(np.array([(10, 10), (90, 90)], float)), "3 to 1000 corners"),
+        (Polygon(np.zeros((2000, 2))), "3 to 1000 corners"),
+        (Polygon(np.array([(10, 10), (math.inf, 90), (5, 60)])), "expected corners"),
+        (Polygon(np.array([(10, 10), (1e300, 90), (5, 60)])), "expected corners"),
+        (Polygon(np.array([(10, 10), (90, 90), (90, 10), (10, 90)], float)), "crosses"),
+        (Painted(np.zeros((120, 200), np.uint8)), "outside .* or empty"),
+        (Painted(np.full((60, 200), 255, np.uint8)), "200x60 px, expected .* 200x120"),
+        (Painted(np.full((120, 200, 3), 255, np.uint8)), "expected the size"),
+    ],
+)
+def test_impossible_regions_are_refused(area: Area, expected: str) -> None:
+    """Outside, tiny, no numbers, crossing itself, of another size, empty: said in these words."""
+    with pytest.raises(TeachError, match=expected):
+        painted_region(area, (), *SIZE)
+
+
+def test_a_region_of_which_nothing_is_left_is_refused() -> None:
+    """The excluded area covers all of it."""
+    with pytest.raises(TeachError, match="all of it is excluded"):
+        painted_region(Circle(100, 60, 20), [Region(50, 20, 100, 90)], *SIZE)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", ":", "1,2,3", "1;2;3;4", "rect:1,2,3,4;5,6,7,8", "ring:1,2,3", "mask:"),
+        *("circle:1,2", "circle:1,2,3,4", "circle:1,2,x", "polygon:", "polygon:1,2;3", "polygon:a,b;c,d"),
+    ],
+)
+def test_other_texts_are_refused(text: str) -> None:
+    """The message names the option, repeats what was given, and lists the forms."""
+    with pytest.raises(TeachError, match=r"--exclude .*circle:X,Y,R, polygon"):
+        parse_region(text, "--exclude")
+
+
+@settings(max_examples=200, deadline=None)
+@given(text=st.text(max_size=30) | st.from_regex(r"(circle|polygon|rect):[0-9,;.e-]*", fullmatch=True))
+def test_any_text_is_a_region_or_an_error(text: str) -> None:
+    """No text crashes the command."""
+    try:
+        area = parse_region(text.replace("mask", "mesk"))
+        painted_region(area, (), *SIZE)
+    except TeachError as error:
+        assert "region" in str(error)
+
+
+def test_texts_of_regions_and_contrasts(tmp_path: Path) -> None:
+    """Each form is read as it is written; a mask comes from its file, which must be a picture."""
+    assert parse_region("1,2,30,40") == parse_region("rect:1,2,30,40") == Region(1, 2, 30, 40)
+    assert parse_region("circle:1.5,2,30") == Circle(1.5, 2, 30)
+    polygon = parse_region("polygon:1,2;30,4;5,60")
+    assert isinstance(polygon, Polygon)
+    np.testing.assert_array_equal(polygon.corners, [(1, 2), (30, 4), (5, 60)])
+    cv2.imwrite(str(tmp_path / "mask.png"), painted_region(Circle(90, 55, 30), (), *SIZE))
+    mask = parse_region(f"mask:{tmp_path / 'mask.png'}")
+    assert isinstance(mask, Painted)
+    assert mask.mask.shape == (120, 200)
+    with pytest.raises(ImageError, match="no such file"):
+        parse_region(f"mask:{tmp_path / 'none.png'}")
+    assert parse_contrast("4,8") == (4, 8)
+    assert parse_contrast("5") == (5, 5)
+    assert parse_contrast(None) == (None, None)
+    with pytest.raises(TeachError, match="LOW,HIGH"):
+        parse_contrast("a,b")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"contrast_low": 0.0}, "contrast_low"),
+        ({"contrast_high": math.nan}, "contrast_high"),
+        ({"contrast_low": 9.0, "contrast_high": 4.0}, "contrast_low 9: expected at most"),
+        ({"min_component_px": -1.0}, "min_component_px"),
+        ({"min_component_px": math.inf}, "min_component_px"),
+        ({"levels": 0}, "levels 0: expected 1 to 5"),
+        ({"levels": 9}, "levels 9"),
+    ],
+)
+def test_wrong_model_parameters_are_named(wrong: dict, expected: str) -> None:  # type: ignore[type-arg]
+    """Each impossible value is refused, and the message names it."""
+    with pytest.raises(TeachError, match=expected):
+        ModelParams(**wrong)
+
+
+def test_a_hole_that_is_excluded_is_not_learnt() -> None:
+    """A disc as region, one bolt hole left out: every other circle is learnt, and no model point is there."""
+    flat = flange()
+    rectification = make_rectification(flat.rig)
+    x, y = flat.rig.left.project(flat.rig_from_part[None, :3, 3])[0]
+    pixel_mm = flat.rig.left.fx / flat.rig_from_part[2, 3]
+    bolts = [disc for _, disc in flat.part.circles if disc.radius_mm == 1.6]
+    hole = apply(flat.rig_from_part, np.array([bolts[0].x_mm, bolts[0].y_mm, 0.0]))
+    at = flat.rig.left.project(hole[None])[0]
+    around = Circle(float(x), float(y), 15.5 * pixel_mm)
+    without = Circle(float(at[0]), float(at[1]), 2.6 * pixel_mm)
+
+    job = teach(flat.left, flat.right, rectification, around, "flange", exclude=[without])
+
+    radii = [circle.radius_mm for circle in job.circles]
+    np.testing.assert_allclose(radii, [14.0, 4.0, 1.6, 1.6, 1.6, 0.9], atol=0.01)
+    rectified = rectification.rectify_points("left", at[None])[0]
+    away = np.linalg.norm(job.shape.levels[0].points + job.shape.origin_px - rectified, axis=1)
+    assert away.min() > 2.4 * pixel_mm
