@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.jit import kernel
+from edged.vision.spd import invert_spd
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -35,45 +36,6 @@ MAX_LAG = 24
 MIN_SAMPLES = 12.0
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
 _SETTLED = 0.001  # of each unknown's own sigma: what is still to come changes nothing that can be known
-_TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
-
-
-@kernel("b1(f8[:, ::1], f8[:, ::1])")
-def invert_spd(matrix: F64, inverse: F64) -> bool:
-    """Invert a symmetric positive matrix by Cholesky, scaled to a unit diagonal; False if it is singular."""
-    size = matrix.shape[0]
-    scale = np.empty(size)
-    lower = np.zeros((size, size))
-    for i in range(size):
-        if not matrix[i, i] > 0:
-            return False
-        scale[i] = 1.0 / np.sqrt(matrix[i, i])
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j] * scale[i] * scale[j]
-            for k in range(j):
-                total -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not total > _TINY_PIVOT:
-                    return False
-                lower[i, i] = np.sqrt(total)
-            else:
-                lower[i, j] = total / lower[j, j]
-    column = np.empty(size)
-    for c in range(size):
-        for i in range(size):
-            total = 1.0 if i == c else 0.0
-            for k in range(i):
-                total -= lower[i, k] * column[k]
-            column[i] = total / lower[i, i]
-        for i in range(size - 1, -1, -1):
-            total = column[i]
-            for k in range(i + 1, size):
-                total -= lower[k, i] * column[k]
-            column[i] = total / lower[i, i]
-        for i in range(size):
-            inverse[i, c] = column[i] * scale[i] * scale[c]
-    return True
 
 
 @kernel("f8(f8[::1], f8[::1])")
@@ -94,12 +56,11 @@ def robust_scale(residuals: F64, base: F64) -> float:
 def tukey_weight(ratio: float) -> float:
     """Tukey's biweight of residual / scale."""
     scaled = ratio / TUKEY
-    if abs(scaled) >= 1.0:
-        return 0.0
-    return (1.0 - scaled * scaled) ** 2
+    near = max(1.0 - scaled * scaled, 0.0)
+    return near * near
 
 
-@kernel("f8(f8[::1], f8[::1])")
+@kernel("f8(f8[::1], f8[::1])", any_order=True)
 def correlation_length(residuals: F64, weights: F64) -> float:
     """How many neighbours on a closed curve say the same thing: 1 + 2 sum of the autocorrelation.
 
@@ -108,22 +69,28 @@ def correlation_length(residuals: F64, weights: F64) -> float:
     chance.
     """
     count = len(residuals)
-    good, power = 0, 0.0
+    kept, known = np.zeros(count), np.zeros(count)  # 0 where there is no edge: it adds nothing
+    good, power = 0.0, 0.0
     for n in range(count):
         if weights[n] > 0.05:
-            good += 1
-            power += residuals[n] ** 2
-    if good == 0 or power <= 0.0:
+            kept[n], known[n] = residuals[n], 1.0
+    for n in range(count):
+        good += known[n]
+        power += kept[n] * kept[n]
+    if good == 0.0 or power <= 0.0:
         return 1.0
     power /= good
     total = 1.0
     for lag in range(1, max(2, min(MAX_LAG, count // 8))):
-        pairs, product = 0, 0.0
-        for n in range(count):
-            other = n - lag if n >= lag else n - lag + count
-            if weights[n] > 0.05 and weights[other] > 0.05:
-                pairs += 1
-                product += residuals[n] * residuals[other]
+        pairs, product = 0.0, 0.0
+        behind, known_behind = kept[lag:], known[lag:]
+        for n in range(count - lag):
+            pairs += known[n] * known_behind[n]
+            product += kept[n] * behind[n]
+        behind, known_behind = kept[count - lag :], known[count - lag :]
+        for n in range(lag):  # around the end
+            pairs += known[n] * known_behind[n]
+            product += kept[n] * behind[n]
         if pairs < 8:
             break
         correlation = product / pairs / power
@@ -133,64 +100,10 @@ def correlation_length(residuals: F64, weights: F64) -> float:
     return total
 
 
-@kernel("UniTuple(f8, 2)(f8[::1], f8[::1], f8[:, ::1])")
-def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
-    """Variance of the mean of samples around a curve, and the mean square of their slow changes.
-
-    Slow is what the waves (N, M) explain; it is no noise. (inf, 0) where there are too few samples.
-    """
-    count, many = waves.shape
-    known = 0
-    for n in range(count):
-        if base[n] > 0:
-            known += 1
-    if known < MIN_SAMPLES:
-        return np.inf, 0.0
-    weights = base.copy()
-    slow, residuals = np.zeros(count), values.copy()
-    matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
-    total = 0.0
-    for _ in range(4):
-        matrix[:], right_side[:] = 0.0, 0.0
-        for n in range(count):
-            if weights[n] > 0:
-                for i in range(many):
-                    scaled = weights[n] * waves[n, i]
-                    right_side[i] += scaled * values[n]
-                    for j in range(i + 1):
-                        matrix[i, j] += scaled * waves[n, j]
-        for i in range(many):
-            for j in range(i):
-                matrix[j, i] = matrix[i, j]
-        if not invert_spd(matrix, inverse):
-            return np.inf, 0.0
-        for n in range(count):
-            slow[n] = 0.0
-        for i in range(many):
-            amplitude = 0.0
-            for j in range(many):
-                amplitude += inverse[i, j] * right_side[j]
-            for n in range(count):
-                slow[n] += amplitude * waves[n, i]
-        for n in range(count):
-            residuals[n] = values[n] - slow[n]
-        scale = max(robust_scale(residuals, base), 1e-3)
-        total = 0.0
-        for n in range(count):
-            weights[n] = base[n] * tukey_weight(residuals[n] / scale)
-            total += weights[n]
-        if total <= 0:
-            return np.inf, 0.0
-    variance, square = 0.0, 0.0
-    for n in range(count):
-        variance += weights[n] * residuals[n] ** 2
-        square += weights[n] * slow[n] ** 2
-    variance = max(variance / total, MIN_SIGMA_PX**2)
-    return variance * correlation_length(residuals, weights) / total, square / total
-
-
 @kernel("void(f8[:, ::1], f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
-def _moments(terms: F64, values: F64, weights: F64, precision: float, moments: F64, right_side: F64) -> None:
+def weighted_moments(
+    terms: F64, values: F64, weights: F64, precision: float, moments: F64, right_side: F64
+) -> None:
     """Fill the weighted products of terms (T, N) with themselves and with the values."""
     size, count = terms.shape
     weighted = np.empty(count)
@@ -207,6 +120,49 @@ def _moments(terms: F64, values: F64, weights: F64, precision: float, moments: F
             for n in range(count):
                 total += weighted[n] * other[n]
             moments[i, j] = moments[j, i] = total
+
+
+@kernel("UniTuple(f8, 2)(f8[::1], f8[::1], f8[:, ::1])")
+def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
+    """Variance of the mean of samples around a curve, and the mean square of their slow changes.
+
+    Slow is what the waves (M, N) explain; it is no noise. (inf, 0) where there are too few samples.
+    """
+    many, count = waves.shape
+    known = 0
+    for n in range(count):
+        if base[n] > 0:
+            known += 1
+    if known < MIN_SAMPLES:
+        return np.inf, 0.0
+    weights = base.copy()
+    residuals = np.empty(count)
+    matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
+    total = 0.0
+    for _ in range(4):
+        weighted_moments(waves, values, weights, 1.0, matrix, right_side)
+        if not invert_spd(matrix, inverse):
+            return np.inf, 0.0
+        residuals[:] = values
+        for i in range(many):
+            wave, amplitude = waves[i], 0.0
+            for j in range(many):
+                amplitude += inverse[i, j] * right_side[j]
+            for n in range(count):
+                residuals[n] -= amplitude * wave[n]
+        scale = max(robust_scale(residuals, base), 1e-3)
+        total = 0.0
+        for n in range(count):
+            weights[n] = base[n] * tukey_weight(residuals[n] / scale)
+            total += weights[n]
+        if total <= 0:
+            return np.inf, 0.0
+    variance, square = 0.0, 0.0
+    for n in range(count):
+        variance += weights[n] * residuals[n] ** 2
+        square += weights[n] * (values[n] - residuals[n]) ** 2
+    variance = max(variance / total, MIN_SIGMA_PX**2)
+    return variance * correlation_length(residuals, weights) / total, square / total
 
 
 @kernel("b1(f8[:, ::1], f8[::1], i8[::1], i8, f8, f8[:, ::1], f8[::1])")
@@ -351,7 +307,7 @@ def _solve(
             a, b = starts[g], starts[g + 1]
             precision[g] = 1.0 / (scale[g] ** 2 * spread[g])
             terms = memory[each * a : each * b].reshape((each, b - a))
-            _moments(terms, values[a:b], weights[a:b], precision[g], moments[g], own_right[g])
+            weighted_moments(terms, values[a:b], weights[a:b], precision[g], moments[g], own_right[g])
             if not _add_group(moments[g], own_right[g], columns[g], shared[g], bias[g], matrix, right_side):
                 return 0
         if not invert_spd(matrix, covariance):

@@ -93,12 +93,17 @@ def _weigh(
         if known:
             base[n] = CLIPPED_WEIGHT if clipped[n] else 1.0
     around = np.zeros(count)
+    beside = min(NEIGHBOURS, (count - 1) // 2)
     for n in range(count):
         if base[n] <= 0.0:
             continue
         total, many = 0.0, 0
-        for shift in range(-NEIGHBOURS, NEIGHBOURS + 1):
-            other = (n + shift) % count
+        for shift in range(-beside, beside + 1):
+            other = n + shift
+            if other < 0:
+                other += count
+            elif other >= count:
+                other -= count
             if base[other] > 0.0:
                 total += abs(slope[other])
                 many += 1
@@ -146,15 +151,16 @@ def _choose(
     for k in range(len(starts) - 1):
         a, b = starts[k], starts[k + 1]
         values, base = np.empty((many, b - a)), np.empty((many, b - a))
+        slow_changes = waves[a:b].T.copy() if many > 1 else waves[:0].T.copy()
         for w in range(many):
             _weigh(offset[w, a:b], slope[w, a:b], clipped[a:b], min_slope, values[w], base[w])
         best, best_merit, at_start = 0, np.inf, 0.0
         for w in range(many if many > 1 else 0):
-            variance, _ = variance_of_mean(values[w], base[w], waves[a:b])
+            variance, _ = variance_of_mean(values[w], base[w], slow_changes)
             doubt, slow = 0.0, 0.0
             if w > 0:
                 doubt, slow = variance_of_mean(
-                    values[w] - values[0], np.minimum(base[w], base[0]), waves[a:b]
+                    values[w] - values[0], np.minimum(base[w], base[0]), slow_changes
                 )
             chance = modes * doubt  # what noise alone would make of the waves
             square = slow - chance if slow > SIGNIFICANT * chance else 0.0
