@@ -39,6 +39,7 @@ from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.errors import ConfigError, EdgedError, UserError
+from edged.head import camera_facts, camera_figures
 from edged.head import head_of as head_of
 from edged.jobs import job_folders, load_job
 from edged.pipeline import PreparedRig, locate, prepare
@@ -180,7 +181,8 @@ class Daemon:
         self._path = path
         self._loaded = loaded
         self._world = world
-        self._cycle = Cycle(head_for(loaded, world), loaded.setup)
+        self._head = head_for(loaded, world)
+        self._cycle = Cycle(self._head, loaded.setup)
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.config.cell.name, self._figures)
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
@@ -229,7 +231,7 @@ class Daemon:
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
                 self._notifier.reloaded(refused=str(error))
                 return False
-            self._loaded = loaded
+            self._loaded, self._head = loaded, head or self._head
             self._cycle.exchange(loaded.setup, head)
             self._notifier.reloaded()
             log.info("reloaded %s, fingerprint %s", self._path, loaded.setup.fingerprint)
@@ -370,7 +372,7 @@ class Daemon:
                 "registered to the robot": registered,
                 **self._drift_facts(),
             },
-            "Cameras": {"source": config.cameras.source},
+            "Cameras": {"source": config.cameras.source, **camera_facts(self._head)},
         }
         modbus, zenoh, recorder = (self._servers.get(name) for name in ("modbus", "zenoh", "recorder"))
         if isinstance(modbus, ModbusPublisher):
@@ -403,6 +405,7 @@ class Daemon:
             ),
             "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
             "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
+            **camera_figures(self._head),
         }
         modbus, recorder = self._servers.get("modbus"), self._servers.get("recorder")
         if isinstance(modbus, ModbusPublisher):

@@ -193,6 +193,12 @@ class StereoHead:
         self._error: CaptureError | None = None
         self._attempt: asyncio.Task[None] | None = None
 
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        """Left and right."""
+        left, right = self._sides
+        return left.camera, right.camera
+
     async def open(self) -> None:
         """Connect both cameras, and look after those that are connected.
 

@@ -11,6 +11,7 @@ from edged.adapters.aravis import (
     AravisCamera,
     AravisSettings,
     FreeRun,
+    Health,
     Line,
     Output,
     Software,
@@ -140,3 +141,45 @@ def _aravis(
             features=tuple(section.features),
         ),
     )
+
+
+def camera_facts(head: StereoHead) -> dict[str, str]:
+    """How open cameras are, for people."""
+    facts = {}
+    for camera, health in _healths(head):
+        parts = [] if health.temperature_c is None else [f"{health.temperature_c:.1f} °C"]
+        parts.append("clock: PTP" if health.ptp else "clock: its own")
+        if health.clock_bound_ns is not None:
+            parts.append(f"known to {health.clock_bound_ns * 1e-3:.0f} µs")
+        if health.complete is not None:
+            parts.append(f"{health.complete} images, {health.failed or 0} damaged")
+        if health.resent is not None:
+            parts.append(f"packets: {health.resent} sent again, {health.lost or 0} lost")
+        facts[camera] = "; ".join(parts)
+    return facts
+
+
+def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
+    """The same for /metrics: name to (help text, value)."""
+    figures: dict[str, tuple[str, float]] = {}
+    for camera, health in _healths(head):
+        for name, text, value in (
+            ("temperature_celsius", "temperature", health.temperature_c),
+            ("clock_bound_seconds", "how well its clock is known", _seconds(health.clock_bound_ns)),
+            ("images", "whole images since it was opened", health.complete),
+            ("damaged_images", "images that were not whole since it was opened", health.failed),
+            ("resent_packets", "packets that it sent again since it was opened", health.resent),
+            ("lost_packets", "packets that never came since it was opened", health.lost),
+        ):
+            if value is not None:
+                figures[f"camera_{camera}_{name}"] = (f"{camera} camera: {text}", value)
+    return figures
+
+
+def _healths(head: StereoHead) -> list[tuple[str, Health]]:
+    cameras = [camera for camera in head.cameras if isinstance(camera, AravisCamera)]
+    return [(camera.name, health) for camera in cameras if (health := camera.health) is not None]
+
+
+def _seconds(duration_ns: int | None) -> float | None:
+    return None if duration_ns is None else duration_ns * 1e-9
