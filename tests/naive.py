@@ -507,25 +507,18 @@ def solve_groups(
     values: FloatArray,
     base: FloatArray,
     waves: FloatArray,
-    bias: FloatArray,
+    expected: FloatArray,
+    kinds: npt.NDArray[np.int64],
     unknowns: int,
     priors: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(delta, covariance, weights): every slow displacement is an unknown of its own with a prior."""
-    groups, many = len(bias), waves.shape[1]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(delta, covariance, weights, bias): every slow displacement is an unknown of its own with a prior."""
+    groups, many = len(expected), waves.shape[1]
     size = unknowns + groups * many
-    dense = np.zeros((len(values), size))
     prior = np.zeros(size)
     prior[unknowns - priors :] = 1.0
-    for g in range(groups):
-        rows = slice(starts[g], starts[g + 1])
-        for c, column in enumerate(columns[g]):
-            if column >= 0:
-                dense[rows, column] += design[rows, c]
-        own = unknowns + g * many
-        for first in (own, shared[g]):
-            if first >= 0:
-                dense[rows, first : first + many] = waves[rows] * bias[g]
+    bias = np.where(expected > 0, np.maximum(expected, 0.03), 0.0)
+    dense = _with_displacements(design, columns, shared, starts, waves, bias, unknowns)
     weights, scale, spread = base.copy(), np.ones(groups), np.ones(groups)
     delta, covariance = np.zeros(size), np.eye(size)
     for round_ in range(20):
@@ -548,9 +541,64 @@ def solve_groups(
                 scale[g] = max(math.sqrt(mean_square) * 1.06, 0.02)
             if round_ in (4, 6):
                 spread[g] = correlation_length(residuals[rows], weights[rows])
+        if 3 <= round_ <= 6:
+            bias = _learned_bias(shared, kinds, expected, bias, delta, covariance, unknowns, many)
+            dense = _with_displacements(design, columns, shared, starts, waves, bias, unknowns)
         if round_ > 6 and np.abs(delta - previous)[: unknowns - priors].max() < 1e-5:
             break
-    return delta[:unknowns], covariance[:unknowns, :unknowns], weights
+    return delta[:unknowns], covariance[:unknowns, :unknowns], weights, bias
+
+
+def _with_displacements(
+    design: FloatArray,
+    columns: npt.NDArray[np.int64],
+    shared: npt.NDArray[np.int64],
+    starts: npt.NDArray[np.int64],
+    waves: FloatArray,
+    bias: FloatArray,
+    unknowns: int,
+) -> FloatArray:
+    """The design with the displacements of each group as unknowns, in units of its bias."""
+    groups, many = len(bias), waves.shape[1]
+    dense = np.zeros((len(design), unknowns + groups * many))
+    for g in range(groups):
+        rows = slice(starts[g], starts[g + 1])
+        for c, column in enumerate(columns[g]):
+            if column >= 0:
+                dense[rows, column] += design[rows, c]
+        for first in (unknowns + g * many, shared[g]):
+            if first >= 0:
+                dense[rows, first : first + many] = waves[rows] * bias[g]
+    return dense
+
+
+def _learned_bias(
+    shared: npt.NDArray[np.int64],
+    kinds: npt.NDArray[np.int64],
+    expected: FloatArray,
+    bias: FloatArray,
+    delta: FloatArray,
+    covariance: FloatArray,
+    unknowns: int,
+    many: int,
+) -> FloatArray:
+    """The sigma of the displacements from what came out for each, all of them being unknowns here."""
+    variance = np.diag(covariance)
+    learned = np.zeros_like(bias)
+    for kind in np.unique(kinds):
+        members = [int(g) for g in np.nonzero((kinds == kind) & (bias > 0))[0]]
+        if not members:
+            continue
+        firsts = [(unknowns + g * many, g) for g in members]
+        firsts += [(int(first), min(g for g in members if shared[g] == first))
+                   for first in {shared[g] for g in members} if first >= 0]  # fmt: skip
+        square = known = 0.0
+        for first, g in firsts:
+            rows = slice(first, first + many)
+            square += float(np.sum(delta[rows] ** 2)) * (bias[g] / expected[g]) ** 2
+            known += float(np.sum(1 - variance[rows]))
+        learned[members] = expected[members] * math.sqrt((1 + square) / (1 + known))
+    return learned
 
 
 # --- edged.vision.widths ------------------------------------------------------------------------
@@ -590,7 +638,7 @@ def choose_width(
         squares.append(slow - chance if slow > 1.6 * chance else 0.0)
         merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))
     best = int(np.argmin(merits))
-    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.005)
+    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.002)
     both = (bases[0] > 0) & (bases[2] > 0)
     if not both.any():
         return best, bases[best], bias, 0.0

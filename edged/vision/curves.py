@@ -15,6 +15,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.camera import StereoRig
+from edged.vision.displacements import slants
 from edged.vision.geometry import apply
 from edged.vision.projection import project_with_jacobians
 
@@ -193,13 +194,15 @@ class Seen:
     """Samples of a curve in one raw image.
 
     pixels (N, 2); normals (N, 2) unit, along the curve's normal; design (N, 3 + free): motion along the
-    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame.
+    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame; slant (N,) as
+    `displacements.displacements` wants it.
     """
 
     pixels: FloatArray
     normals: FloatArray
     design: FloatArray
     points_mm: FloatArray
+    slant: FloatArray
 
 
 def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -> Seen:
@@ -209,8 +212,10 @@ def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -
     points = face.to_rig(flat)
     if side == "left":
         pixels, by_point, _ = project_with_jacobians(rig.left, points)
+        pose = np.eye(4)
     else:
-        pixels, by_point, _ = project_with_jacobians(rig.right, apply(rig.right_from_left, points))
+        pose = rig.right_from_left
+        pixels, by_point, _ = project_with_jacobians(rig.right, apply(pose, points))
         by_point = by_point @ rig.right_from_left[:3, :3]
     across = outline.normals @ np.stack([u, v])
     along = np.column_stack([-outline.normals[:, 1], outline.normals[:, 0]]) @ np.stack([u, v])
@@ -224,4 +229,4 @@ def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -
     design = np.column_stack(
         [up, up * outline.points[:, 0], up * outline.points[:, 1], out[:, None] * outline.speed]
     )
-    return Seen(pixels, normals, design, points)
+    return Seen(pixels, normals, design, points, slants(points, across, n, pose))

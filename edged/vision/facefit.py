@@ -9,13 +9,12 @@ Nothing is rectified, no ellipse is formed, no point needs a partner in the othe
 
 Each curve in each image is a group (see `robust`) with a scatter, a correlation along the edge and
 an operator width of its own. Half of the variance of the slow displacements is each curve's own,
-half is shared by the curves of one kind in one image: five holes in one light are not five
-independent witnesses.
+half is shared by the curves of one kind in both images: five holes in one light are not five
+independent witnesses, nor are two cameras (see `displacements`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +34,7 @@ from edged.vision.circlefit import (
     circle_axes,
     project_circle,
 )
+from edged.vision.displacements import displacements, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import project_with_jacobians
 from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups
@@ -123,13 +123,12 @@ def fit_face(
 class _Edges:
     """What the circles show in both images.
 
-    offset_px (2, N), NaN where is no edge; base (2, N) prior weights; waves (2, N, 5) slow displacements
-    and bias_px (2, K) one sigma of each; seen (K,) : whether both images show enough.
+    offset_px (2, N), NaN where is no edge; base (2, N) prior weights; bias_px (2, K) the sigma to expect of
+    slow displacements; seen (K,) : whether both images show enough.
     """
 
     offset_px: FloatArray
     base: FloatArray
-    waves: FloatArray
     bias_px: FloatArray
     seen: npt.NDArray[np.bool_]
 
@@ -336,28 +335,26 @@ class _Face:
         widths = WIDTHS_PX if final else START_WIDTHS_PX
         signs = self.polarity[self.index]
 
-        def side(number: int) -> tuple[ChosenEdges, FloatArray]:
+        def side(number: int) -> ChosenEdges:
             image, curve = images[number], curves[number]
             seen = edges_at_widths(
                 image, curve.pixels, curve.normals, reach, signs, widths, FINE_STEP_PX if final else 1.0
             )
-            slow = _slow_waves(curve.normals)
-            chosen = choose_widths(seen, self.starts, slow, params.min_slope)
+            chosen = choose_widths(seen, self.starts, slow_waves(curve.normals), params.min_slope)
             if final:
                 blur2 = np.repeat(chosen.blur2_px2, np.diff(self.starts))
                 chosen.offset_px[:] += 0.5 * blur2 * self._curvature(curve)
-            return chosen, slow
+            return chosen
 
         # coarsely sampled, a second thread would cost more than it does
         sides = for_both(side) if final else (side(0), side(1))
-        base = np.stack([chosen.base for chosen, _ in sides])
+        base = np.stack([chosen.base for chosen in sides])
         counts = np.add.reduceat(base > 0, self.starts[:-1], axis=1)
         enough: npt.NDArray[np.bool_] = np.all(counts >= MIN_SAMPLES, axis=0)
         return _Edges(
-            np.stack([chosen.offset_px for chosen, _ in sides]),
+            np.stack([chosen.offset_px for chosen in sides]),
             base,
-            np.stack([slow for _, slow in sides]),
-            np.stack([chosen.bias_px for chosen, _ in sides]),
+            np.stack([chosen.bias_px for chosen in sides]),
             enough,
         )
 
@@ -383,27 +380,45 @@ class _Face:
         columns: npt.NDArray[np.int64],
         final: bool,
     ) -> tuple[Groups, int]:
-        """The samples of both images as groups, and the number of unknowns for shared displacements."""
+        """The samples of both images as groups, and the number of unknowns for shared displacements.
+
+        What one kind of edge has in common, it has in both images: light and walls are the same.
+        """
         starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
-        waves = np.concatenate(list(edges.waves))
+        waves = self._displacements(curves) if final else np.zeros((2 * len(self.index), 0))
         many = waves.shape[1]
         bias = edges.bias_px.ravel() * np.sqrt(0.5)
         design = np.concatenate([self.design(curve) for curve in curves])
         seen = np.tile(edges.seen, 2)
-        kinds = [(side, int(sign)) for side in range(2) for sign in self.polarity]
-        common = sorted({kind for kind, known in zip(kinds, seen, strict=True) if known}) if final else []
-        shared = np.array([self.unknowns + many * common.index(k) if k in common else -1 for k in kinds])
-        shared[~seen] = -1
+        kinds = np.tile((self.polarity > 0).astype(np.int64), 2)
+        common = np.unique(kinds[seen]) if final else kinds[:0]
+        shared = np.where(
+            seen & np.isin(kinds, common), self.unknowns + many * np.searchsorted(common, kinds), -1
+        )
         values = np.nan_to_num(edges.offset_px.ravel())
         base = edges.base.ravel() * np.repeat(seen, np.diff(starts))
-        return Groups(design, columns, shared, starts, values, base, waves, bias), many * len(common)
+        groups = Groups(design, columns, shared, kinds, starts, values, base, waves, bias)
+        return groups, many * len(common)
+
+    def _displacements(self, curves: tuple[ProjectedCircle, ...]) -> FloatArray:
+        """(2 N, 7): the shapes of slow displacements, in both images."""
+        points, radial = self._points(), self._radial()
+        return np.concatenate(
+            [
+                displacements(curve.normals, slants(points, radial, self.normal, pose))
+                for curve, pose in zip(curves, (np.eye(4), self.rig.right_from_left), strict=True)
+            ]
+        )
+
+    def _radial(self) -> FloatArray:
+        """(N, 3): direction of each sample from its circle's centre."""
+        u, v, _ = self.frame()
+        return np.asarray(np.cos(self.phase)[:, None] * u + np.sin(self.phase)[:, None] * v)
 
     def _points(self) -> FloatArray:
         """(N, 3): the samples in space."""
-        u, v, _ = self.frame()
-        radial = np.cos(self.phase)[:, None] * u + np.sin(self.phase)[:, None] * v
         centres = self.origin + self.places @ self.frame()
-        return np.asarray(centres[self.index] + self.radii[self.index, None] * radial)
+        return np.asarray(centres[self.index] + self.radii[self.index, None] * self._radial())
 
     def moved(self, delta: FloatArray) -> _Face | None:
         """The state after a step; None when it has run away."""
@@ -477,17 +492,6 @@ class _Face:
             column = _FIRST + 3 * (k - 1)
             to_circle[:3, column], to_circle[:3, column + 1], to_circle[5, column + 2] = u, v, 1.0
         return to_circle
-
-
-def _slow_waves(normals: FloatArray) -> FloatArray:
-    """(N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
-
-    What a wrong circle looks like, and a bias: light and view have one direction in the image.
-    """
-    angle = np.arctan2(normals[:, 1], normals[:, 0])
-    root2 = math.sqrt(2.0)  # so that each wave has a mean square of 1
-    rest = [root2 * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
-    return np.column_stack([np.ones(len(angle)), *rest])
 
 
 def _calibration_causes(

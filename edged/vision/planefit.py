@@ -20,6 +20,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
+from edged.vision.displacements import displacements, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import shifts_by_calibration
 from edged.vision.robust import MIN_SAMPLES, Groups, Solution, propagate, solve_groups
@@ -169,6 +170,7 @@ class _Samples:
     normals: FloatArray
     design: FloatArray
     points_mm: FloatArray
+    slant: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,6 +206,7 @@ class _State:
                     np.concatenate([one.normals for one in seen]),
                     np.concatenate([_widened(one, width) for one in seen]),
                     np.concatenate([one.points_mm for one in seen]),
+                    np.concatenate([one.slant for one in seen]),
                 )
             )
         return sides[0], sides[1]
@@ -252,22 +255,24 @@ class _State:
         starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
         sides = self._seen(outlines)
         offsets, base, bias = self._measure(images, sides, starts, reach, params, final)
-        waves = np.concatenate([_slow_waves(seen.normals) for seen in sides])
+        waves = np.concatenate([displacements(seen.normals, seen.slant) for seen in sides])
+        many = waves.shape[1] if final else 0
         columns, priors = np.tile(self._columns(), (2, 1)), 0
         shared = np.full(len(columns), -1)
-        if final:  # half of a slow displacement is the curve's own, half that of its kind in this image
-            kinds = [(side, curve.polarity) for side in SIDES for curve in self.curves]
-            common = sorted(set(kinds))
-            shared = np.array([self.unknowns + WAVES * common.index(kind) for kind in kinds])
-            priors = WAVES * len(common)
+        kinds = np.tile([int(curve.polarity > 0) for curve in self.curves], 2)
+        if final:  # half of a slow displacement is the curve's own, half that of its kind
+            common = np.unique(kinds)
+            shared = self.unknowns + many * np.searchsorted(common, kinds)
+            priors = many * len(common)
         groups = Groups(
             np.concatenate([seen.design for seen in sides]),
             columns,
             shared,
+            kinds,
             np.concatenate([starts, starts[1:] + starts[-1]]),
             np.nan_to_num(offsets.ravel()),
             base.ravel(),
-            waves,
+            waves[:, :many],
             bias.ravel() * math.sqrt(0.5),
         )
         solution = solve_groups(groups, self.unknowns + priors, priors)
@@ -320,7 +325,7 @@ class _State:
 
     def _slow_changes(self, seen: _Samples, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N, 5): what tells a slow displacement from scatter; an edge, of one direction, has half waves."""
-        waves = _slow_waves(seen.normals)
+        waves = slow_waves(seen.normals)
         for k, curve in enumerate(self.curves):
             if not curve.closed:
                 waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
@@ -403,13 +408,6 @@ def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tupl
 
 def _widened(seen: Seen, width: int) -> FloatArray:
     return np.pad(seen.design, ((0, 0), (0, width - seen.design.shape[1])))
-
-
-def _slow_waves(normals: FloatArray) -> FloatArray:
-    """(N, 5): by the direction of an edge in the image, up to two waves around; light has one direction."""
-    angle = np.arctan2(normals[:, 1], normals[:, 0])
-    rest = [math.sqrt(2.0) * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
-    return np.column_stack([np.ones(len(angle)), *rest])
 
 
 def _half_waves(count: int) -> FloatArray:

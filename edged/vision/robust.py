@@ -3,8 +3,8 @@
 A group is what one curve shows in one image. Its samples scatter (scale), repeat each other along
 the edge (spread), and may be displaced together, slowly along the curve (bias): by texture beside
 the edge, by shading, by a second edge close by. A displacement is a combination of "waves" with
-a known sigma and is eliminated from the normal equations, so that it ends up where it belongs: in
-the weight of the group and in the covariance.
+a sigma that the samples tell (see `displacements`) and is eliminated from the normal equations, so
+that it ends up where it belongs: in the weight of the group and in the covariance.
 
 Solved by iteratively reweighted least squares; the first rounds weigh like the median
 (1 / |residual|), which a third of wrong edges does not move, then Tukey's biweight.
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
+from edged.vision.displacements import DOUBT_PX, learn_sizes
 from edged.vision.jit import kernel
 from edged.vision.spd import invert_spd
 
@@ -266,27 +267,31 @@ def _residuals(
 
 
 @kernel(
-    "i8(f8[:, ::1], i8[:, ::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[::1], i8,"
-    " f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1])"
+    "i8(f8[:, ::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[::1], i8,"
+    " f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def _solve(
     design: F64,
     columns: I64,
     shared: I64,
+    kinds: I64,
     starts: I64,
     values: F64,
     base: F64,
     waves: F64,
-    bias: F64,
+    expected: F64,
     priors: int,
     delta: F64,
     covariance: F64,
     weights: F64,
     residuals: F64,
     precision: F64,
+    bias: F64,
 ) -> int:
-    """The rounds; fills the last five arguments. Returns the number of rounds, 0 where it is singular."""
+    """The rounds; fills the last six arguments. Returns the number of rounds, 0 where it is singular."""
     groups, size = len(bias), len(delta)
+    for g in range(groups):
+        bias[g] = max(expected[g], DOUBT_PX) if expected[g] > 0 else 0.0
     each = design.shape[1] + waves.shape[1]
     scale, spread = np.ones(groups), np.ones(groups)
     matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
@@ -348,6 +353,8 @@ def _solve(
                 scale[g] = max(np.sqrt(square / total) * _SHRINK, MIN_SIGMA_PX)
             if round_ in SPREAD_ROUNDS:
                 spread[g] = correlation_length(residuals[a:b], weights[a:b])
+        if MEDIAN_ROUNDS <= round_ <= SPREAD_ROUNDS[1]:
+            learn_sizes(columns, shared, kinds, expected, moments, own_right, delta, covariance, bias)
         if round_ > SPREAD_ROUNDS[1] and moved < _SETTLED:
             break
     return rounds
@@ -358,7 +365,8 @@ class Solution:
     """A solved step.
 
     delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples; precision (G,):
-    what a sample of weight 1 in a group counts, 1 / (scale² spread).
+    what a sample of weight 1 in a group counts, 1 / (scale² spread).  bias (G,) : sigma of the slow
+    displacements, as they came out.
     """
 
     delta: FloatArray
@@ -366,6 +374,7 @@ class Solution:
     weights: FloatArray
     residuals: FloatArray
     precision: FloatArray
+    bias: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,13 +384,15 @@ class Groups:
     design (N, C) : derivatives of each sample by the unknowns its group depends on; columns (G, C) :
     which those are, -1 for none.  starts (G + 1,) : where each group begins.  shared (G,) : the first of
     the M unknowns for the displacement that it has in common with others, in units of its bias; -1 for none.
+    kinds (G,) : numbers below G; the displacements of a kind are as large as each other, in units of bias.
     values, base (N,) : samples and prior weights (0: no sample).  waves (N, M), bias (G,) : slow
-    displacements and their sigma, 0 for none.
+    displacements and the sigma to expect of them, 0 for none.
     """
 
     design: FloatArray
     columns: npt.NDArray[np.int64]
     shared: npt.NDArray[np.int64]
+    kinds: npt.NDArray[np.int64]
     starts: npt.NDArray[np.int64]
     values: FloatArray
     base: FloatArray
@@ -396,11 +407,12 @@ def solve_groups(groups: Groups, unknowns: int, priors: int) -> Solution | None:
     """
     delta, covariance = np.zeros(unknowns), np.empty((unknowns, unknowns))
     weights, residuals = np.empty(len(groups.values)), np.empty(len(groups.values))
-    precision = np.empty(len(groups.bias))
+    precision, bias = np.empty(len(groups.bias)), np.empty(len(groups.bias))
     rounds = _solve(
         np.ascontiguousarray(groups.design),
         np.ascontiguousarray(groups.columns),
         np.ascontiguousarray(groups.shared),
+        np.ascontiguousarray(groups.kinds),
         groups.starts,
         groups.values,
         groups.base,
@@ -412,10 +424,11 @@ def solve_groups(groups: Groups, unknowns: int, priors: int) -> Solution | None:
         weights,
         residuals,
         precision,
+        bias,
     )
     if rounds == 0 or not np.isfinite(delta).all() or not np.isfinite(covariance).all():
         return None
-    return Solution(delta, covariance, weights, residuals, precision)
+    return Solution(delta, covariance, weights, residuals, precision, bias)
 
 
 def propagate(groups: Groups, solution: Solution, causes: FloatArray) -> FloatArray:
@@ -428,12 +441,12 @@ def propagate(groups: Groups, solution: Solution, causes: FloatArray) -> FloatAr
         rows = slice(groups.starts[g], groups.starts[g + 1])
         design, columns, waves = groups.design[rows], groups.columns[g], groups.waves[rows]
         if groups.shared[g] >= 0:
-            design = np.hstack([design, waves * groups.bias[g]])
+            design = np.hstack([design, waves * solution.bias[g]])
             columns = np.concatenate([columns, groups.shared[g] + np.arange(waves.shape[1])])
         weights = (solution.weights[rows] * solution.precision[g])[:, None]
         wanted = design.T @ (causes[rows] * weights)
-        if groups.bias[g] > 0:
-            inner = waves.T @ (waves * weights) + np.eye(waves.shape[1]) / groups.bias[g] ** 2
+        if solution.bias[g] > 0:
+            inner = waves.T @ (waves * weights) + np.eye(waves.shape[1]) / solution.bias[g] ** 2
             wanted -= (
                 design.T @ (waves * weights) @ np.linalg.solve(inner, waves.T @ (causes[rows] * weights))
             )
