@@ -42,6 +42,7 @@ from edged.errors import ConfigError, EdgedError, UserError
 from edged.head import camera_facts, camera_figures
 from edged.head import head_of as head_of
 from edged.jobs import job_folders, load_job
+from edged.logs import fields
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.ports import Publisher
 from edged.robots import Convention
@@ -234,7 +235,13 @@ class Daemon:
             self._loaded, self._head = loaded, head or self._head
             self._cycle.exchange(loaded.setup, head)
             self._notifier.reloaded()
-            log.info("reloaded %s, fingerprint %s", self._path, loaded.setup.fingerprint)
+            fingerprint_ = loaded.setup.fingerprint
+            log.info(
+                "reloaded %s, fingerprint %s",
+                self._path,
+                fingerprint_,
+                extra=fields(fingerprint=fingerprint_),
+            )
             return True
 
     async def _run_cycle(self) -> None:

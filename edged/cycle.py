@@ -38,6 +38,7 @@ from edged.domain import (
 )
 from edged.drift import DriftLimits, DriftMonitor, refused
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError, CommandRefused
+from edged.logs import FaultLog, cycle_number, fields
 from edged.payload import moved_frame
 from edged.ports import Publisher
 
@@ -123,6 +124,7 @@ class Cycle:
         self._missed = 0
         self._state: CellState | None = None
         self._drift = DriftMonitor(setup.drift)
+        self._faults = FaultLog(log)
         self._pending: tuple[Setup, Head | None] | None = None
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
@@ -265,6 +267,7 @@ class Cycle:
             self._change_job(command)
             return
         self._number += 1
+        cycle_number.set(self._number)
         self._tell_state("BUSY", keep_error=True)
         snapshot = await self._measure(command, heard)
         self._announce(snapshot)
@@ -272,6 +275,7 @@ class Cycle:
             self._tell_state("FAULT", error=snapshot.error, code=snapshot.error_code)
         else:
             self._tell_state("READY")
+        cycle_number.set(None)
         # a free-running loop at full speed must still let every other task run
         await asyncio.sleep(0)
 
@@ -281,7 +285,7 @@ class Cycle:
             self._announce(CommandFailed(command, f"job {command.job} is no longer there"))
             return
         self._active = job
-        log.info("job %d (%s) is active", job.number, job.name)
+        log.info("job %d (%s) is active", job.number, job.name, extra=fields(job=job.name))
         self._announce(JobChanged(job.number, job.name, command))
         if self._state is not None:
             self._tell_state(self._state.state, keep_error=True)
@@ -372,6 +376,10 @@ class Cycle:
             error_code=code,
             calibrated=self._drift.state().verdict,
         )
+        if error and not keep_error:
+            self._faults.failed(error, code)
+        elif state == "READY" and not error:
+            self._faults.well()
         if new == self._state:
             return
         if self._state is not None and new.calibrated is not self._state.calibrated:
@@ -381,12 +389,8 @@ class Cycle:
                 new.calibrated.name,
                 drift.rows_px,
                 drift.length_percent,
+                extra=fields(calibration=self._setup.calibration_id),
             )
-        if self._state is not None and error != self._state.error:
-            if error:
-                log.error("%s", error)
-            else:
-                log.info("recovered from: %s", self._state.error)
         self._state = new
         self._announce(new)
 

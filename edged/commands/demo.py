@@ -15,9 +15,10 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.adapters.aravis import aravis_missing
+from edged.adapters.journal import set_up_logging
 from edged.adapters.terminal import DemoView, reading_hints
 from edged.app import Daemon, load_cell, warm_up
-from edged.commands.run import SWITCH_INTERVAL_S, serve, set_up_logging
+from edged.commands.run import SWITCH_INTERVAL_S, serve
 from edged.domain import FloatArray, Snapshot
 from edged.jobs import save_job
 from edged.pipeline import prepare
@@ -46,8 +47,7 @@ class DemoOptions:
 
 def demo(options: DemoOptions) -> int:
     """Make a cell, teach it, run the daemon on it; 0 when every cycle found the part, 1 when not."""
-    set_up_logging()
-    logging.getLogger().setLevel(logging.WARNING)
+    set_up_logging(level=logging.WARNING)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     console = Console(stderr=options.as_json)
     gige = not options.in_process and _aravis_is_here(console)

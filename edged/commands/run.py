@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import faulthandler
 import gc
 import logging
-import os
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
 
+from edged.adapters.journal import set_up_logging
 from edged.app import Daemon, load_cell, warm_up
 
 log = logging.getLogger(__name__)
@@ -20,37 +20,13 @@ SWITCH_INTERVAL_S = 0.0005
 """Python code in the vision thread yields to the PLC's request this often (default: 5 ms)."""
 
 
-def set_up_logging() -> None:
-    """Log to stderr; under journald with a syslog level prefix and without a time of our own."""
-    handler = logging.StreamHandler(sys.stderr)
-    if os.environ.get("JOURNAL_STREAM"):
-        handler.setFormatter(_JournalFormatter("%(name)s: %(message)s"))
-    else:
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-
-
-class _JournalFormatter(logging.Formatter):
-    """sd-daemon(3): a line that starts with <N> has the priority N."""
-
-    PRIORITIES: ClassVar = {
-        logging.DEBUG: 7,
-        logging.INFO: 6,
-        logging.WARNING: 4,
-        logging.ERROR: 3,
-        logging.CRITICAL: 2,
-    }
-
-    def format(self, record: logging.LogRecord) -> str:
-        prefix = f"<{self.PRIORITIES.get(record.levelno, 6)}>"
-        return "\n".join(prefix + line for line in super().format(record).splitlines())
-
-
 def run(path: Path) -> int:
     """Run the daemon of a configuration file until SIGTERM or SIGINT."""
     set_up_logging()
+    faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     loaded = load_cell(path)
+    set_up_logging(loaded.config.cell.name)
     warm_up(loaded)
     log.info(
         "cell %s, fingerprint %s, %d job(s)",

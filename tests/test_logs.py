@@ -1,0 +1,237 @@
+"""What the log says: structured entries on a real journal socket, and each fault once."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import socket
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from livecell import LiveCell
+from wire.test_wrong import Plc
+
+from edged.adapters.journal import JournalHandler, encode, set_up_logging
+from edged.logs import RELAPSE_S, FaultLog, cycle_number, fields
+from edged.registers import STATUS
+
+
+class Journald:
+    """journald's end of the socket."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(path))
+        self.socket.setblocking(False)
+
+    def entries(self) -> list[dict[str, str]]:
+        """What has come, read as the protocol's document says."""
+        found = []
+        while True:
+            try:
+                found.append(decoded(self.socket.recv(1 << 20)))
+            except BlockingIOError:
+                return found
+
+
+def decoded(data: bytes) -> dict[str, str]:
+    """An entry of the native protocol."""
+    entry = {}
+    while data:
+        line, data = data.split(b"\n", 1)
+        if b"=" in line:
+            name, value = line.split(b"=", 1)
+        else:
+            (length,) = struct.unpack("<Q", data[:8])
+            name, value, data = line, data[8 : 8 + length], data[9 + length :]
+        entry[name.decode()] = value.decode()
+    return entry
+
+
+@pytest.fixture
+def journald(tmp_path: Path) -> Iterator[Journald]:
+    """A journal that listens."""
+    end = Journald(tmp_path / "journal")
+    yield end
+    end.socket.close()
+
+
+@pytest.fixture
+def log(journald: Journald) -> Iterator[logging.Logger]:
+    """A logger that writes to it."""
+    logger = logging.Logger("edged.cycle")
+    handler = JournalHandler(journald.path, "cell1")
+    logger.addHandler(handler)
+    yield logger
+    handler.close()
+
+
+@pytest.fixture
+def own_root() -> Iterator[None]:
+    """Whatever is set up, the root logger is as before afterwards."""
+    handlers, level = logging.root.handlers[:], logging.root.level
+    logging.root.handlers[:] = []
+    yield
+    for handler in logging.root.handlers:
+        handler.close()
+    logging.root.handlers[:], logging.root.level = handlers, level
+
+
+def test_an_entry_has_fields_to_search_for(journald: Journald, log: logging.Logger) -> None:
+    """Text, priority, place in the code, cell, the cycle it belongs to, and the call's own fields."""
+    token = cycle_number.set(4711)
+    log.error("camera %s: unplugged", "left", extra=fields(fault=101))
+    cycle_number.reset(token)
+    (entry,) = journald.entries()
+    expected = {"MESSAGE": "camera left: unplugged", "PRIORITY": "3", "LOGGER": "edged.cycle"}
+    expected |= {"EDGED_CELL": "cell1", "EDGED_CYCLE": "4711", "EDGED_FAULT": "101"}
+    assert expected.items() <= entry.items()
+    assert (Path(__file__).name, "edged") == (Path(entry["CODE_FILE"]).name, entry["SYSLOG_IDENTIFIER"])
+
+
+def test_no_text_can_forge_a_field(journald: Journald, log: logging.Logger) -> None:
+    """A newline in what a client or camera sent stays in the message, as does a trace of several lines."""
+    log.warning("from the network: %s", "x\nPRIORITY=0\n\ud800")
+    try:
+        raise ValueError("bug")
+    except ValueError:
+        log.exception("a bug")
+    forged, trace = journald.entries()
+    assert ("from the network: x\nPRIORITY=0\n?", "4") == (forged["MESSAGE"], forged["PRIORITY"])
+    assert trace["MESSAGE"].startswith("a bug\nTraceback")
+    assert "ValueError: bug" in trace["MESSAGE"]
+
+
+@pytest.mark.parametrize("text", ["", "plain", "a=b", "two\nlines", "\n", "µ"])
+def test_a_value_arrives_as_it_was(text: str) -> None:
+    """Coding and decoding by the document of the protocol."""
+    assert decoded(encode({"A": text, "B": "end"})) == {"A": text, "B": "end"}
+
+
+def test_a_text_of_any_length_fits_a_datagram(journald: Journald, log: logging.Logger) -> None:
+    """A megabyte is cut and says so."""
+    log.info("x" * 1_000_000)
+    (entry,) = journald.entries()
+    assert entry["MESSAGE"].endswith("(cut)")
+
+
+def test_a_journal_that_is_stuck_stops_nobody_and_the_loss_is_said(
+    journald: Journald, log: logging.Logger
+) -> None:
+    """With its queue full every call returns at once; the first entry after says how many are missing."""
+    for number in range(3000):
+        log.info("%d", number)
+    taken = len(journald.entries())
+    assert 0 < taken < 3000
+    log.info("again")
+    (entry,) = journald.entries()
+    assert f"again ({3000 - taken} entries before this one were lost)" == entry["MESSAGE"]
+
+
+def test_stderr_that_leads_to_the_journal_is_replaced_by_its_socket(
+    journald: Journald, own_root: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JOURNAL_STREAM names the very file that stderr is: entries are structured, stderr stays empty."""
+    with (tmp_path / "stream").open("w+") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        status = os.fstat(stream.fileno())
+        environment = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+        set_up_logging("cell1", environment=environment, journal=journald.path)
+        logging.getLogger("edged").info("hello")
+        stream.seek(0)
+        assert ("hello", "") == (journald.entries()[0]["MESSAGE"], stream.read())
+        # without the socket: lines on stderr that carry their priority
+        set_up_logging("cell1", environment=environment, journal=tmp_path / "nowhere")
+        logging.getLogger("edged").error("two\nlines")
+        stream.seek(0)
+        assert "<3>edged: two\n<3>lines\n" == stream.read()
+
+
+def test_a_redirected_stderr_is_a_file_like_any_other(
+    journald: Journald, own_root: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`edged run cell.toml 2>file` in a service: JOURNAL_STREAM is inherited, lines go to the file."""
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    set_up_logging(environment={"JOURNAL_STREAM": "8:1234"}, journal=journald.path)
+    token = cycle_number.set(7)
+    logging.getLogger("edged").warning("hello")
+    cycle_number.reset(token)
+    assert "WARNING edged: hello [cycle 7]\n" in stream.getvalue()
+    assert [] == journald.entries()
+
+
+class Faults:
+    """A fault log with a clock that only moves when told, and what it wrote."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.lines: list[str] = []
+        log = logging.Logger("faults")
+        handler = logging.Handler()
+        handler.emit = lambda record: self.lines.append(f"{record.levelname} {record.getMessage()}")  # type: ignore[method-assign]
+        log.addHandler(handler)
+        self.log = FaultLog(log, lambda: self.now_s)
+
+    def play(self, *codes: int, step_s: float = 1.0) -> None:
+        """Cycles, a second apart: 0 for a good one, else the code of its fault."""
+        for code in codes:
+            self.now_s += step_s
+            self.log.failed(f"fault {code} at {self.now_s}", code) if code else self.log.well()
+
+
+def test_a_fault_is_said_once_with_a_count_when_it_ends() -> None:
+    """A thousand failed cycles are two lines; the changing figures in their texts do not matter."""
+    faults = Faults()
+    faults.play(0, 0, *[104] * 1000, 0, 0)
+    assert [
+        "ERROR fault 104 at 3.0",
+        "INFO recovered after 1000.0 s: 1000 x fault 104 at 3.0",
+    ] == faults.lines
+
+
+def test_an_outage_with_several_faults_ends_once() -> None:
+    """A camera that is gone is late, then unreachable: each is said once, their end together."""
+    faults = Faults()
+    faults.play(104, 101, 104, 101, 0)
+    expected = "INFO recovered after 4.0 s: 2 x fault 104 at 1.0; 2 x fault 101 at 2.0"
+    assert ["ERROR fault 104 at 1.0", "ERROR fault 101 at 2.0", expected] == faults.lines
+
+
+def test_a_loose_plug_does_not_fill_the_log() -> None:
+    """Every other cycle fails for a day: three lines, the last when it has been well for a while."""
+    faults = Faults()
+    faults.play(*[105, 0] * 43_200)
+    assert 2 == len(faults.lines)
+    faults.play(0, step_s=RELAPSE_S + 1)
+    assert "came back 43199 times: 43200 x fault 105 at 1.0" in faults.lines[-1]
+    faults.play(105)
+    assert "ERROR fault 105" in faults.lines[-1], "after that it is a new event"
+    assert 4 == len(faults.lines)
+
+
+def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCaptureFixture) -> None:
+    """The real loop: many failed cycles are one error, and one recovery with their number."""
+    with LiveCell(period_s=0.0) as cell, caplog.at_level(logging.INFO, "edged.cycle"):
+        plc = Plc(cell.port)
+
+        def wait_for(code: int) -> None:
+            plc.until(lambda: plc.read(STATUS)["ERROR"], lambda shown: shown == code)
+
+        cell.head.broken = True
+        wait_for(104)
+        time.sleep(0.2)
+        cell.head.broken = False
+        wait_for(0)
+        plc.close()
+    told = [record for record in caplog.records if record.name == "edged.cycle"]
+    assert ["ERROR", "INFO"] == [record.levelname for record in told]
+    assert "camera left: unplugged" in told[0].getMessage()
+    assert 104 == told[0].edged["fault"]  # type: ignore[attr-defined]
+    assert 5 < told[1].edged["failures"]  # type: ignore[attr-defined]

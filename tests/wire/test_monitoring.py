@@ -1,0 +1,97 @@
+"""The example dashboard and alert rules against what a running daemon answers at /metrics."""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from prometheus_client.parser import text_string_to_metric_families
+from wire.test_daemon import Cell, free_port, until
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+DASHBOARD = json.loads((CONFIG / "grafana-dashboard.json").read_text())
+RULES = yaml.safe_load((CONFIG / "prometheus-alerts.yml").read_text())["groups"][0]["rules"]
+EXPRESSIONS = [target["expr"] for panel in DASHBOARD["panels"] for target in panel["targets"]]
+EXPRESSIONS += [rule["expr"] for rule in RULES]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[str]]]:
+    """Name of each sample at /metrics, of a cell with every part, to the labels it has."""
+    folder = tmp_path_factory.mktemp("cell")
+    cell = Cell(folder, 'source = "virtual-inprocess"')
+    port = free_port()
+    more = f'\n[web]\nport = {port}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n'
+    cell.config.write_text(cell.config.read_text() + more)
+    cell.start()
+
+    def samples() -> dict[str, set[str]]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:
+            text = answer.read().decode()
+        found: dict[str, set[str]] = {}
+        for family in text_string_to_metric_families(text):
+            for sample in family.samples:
+                found.setdefault(sample.name, set()).update(sample.labels)
+        return found
+
+    yield until(lambda: found if "edged_sigma_meters" in (found := samples()) else None, "a good result")
+    cell.stop()
+
+
+def used(expression: str) -> dict[str, set[str]]:
+    """Name of each metric in a PromQL expression to the labels it is chosen by."""
+    found: dict[str, set[str]] = {}
+    for name, chosen in re.findall(r"\b((?:edged|process)_\w+)(\{[^}]*\})?", expression):
+        found.setdefault(name, set()).update(re.findall(r"(\w+)\s*(?:=~|!~|!=|=)", chosen))
+    return found
+
+
+@pytest.mark.parametrize("expression", EXPRESSIONS)
+def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: dict[str, set[str]]) -> None:
+    """A metric that was renamed would leave an empty panel, or an alarm that never comes."""
+    names = used(expression)
+    assert names, expression
+    assert names.keys() <= served.keys()
+    grouped = {label for labels in re.findall(r"by \(([^)]*)\)", expression) for label in labels.split(", ")}
+    for name, labels in names.items():
+        # Prometheus adds `instance` and `job` when it scrapes
+        assert labels | grouped <= served[name] | {"instance", "job"}, name
+
+
+def test_the_dashboard_misses_nothing_that_an_operator_needs(served: dict[str, set[str]]) -> None:
+    """Every metric of edged's own has its panel, except counts that stand beside one that is shown."""
+    shown = {name for expression in EXPRESSIONS for name in used(expression)}
+    shown |= {name.replace("_bucket", part) for name in shown for part in ("_sum", "_count", "_created")}
+    shown |= {name.replace("_total", "_created") for name in shown}
+    own = {name for name in served if name.startswith("edged_")}
+    assert {"edged_recordings"} == own - shown
+
+
+def test_the_dashboard_can_be_imported_anywhere() -> None:
+    """No data source of somebody's own; panels are numbered, do not overlap, and say what they show."""
+    panels = DASHBOARD["panels"]
+    assert len({panel["id"] for panel in panels}) == len(panels)
+    places = [
+        (x, y)
+        for at in (panel["gridPos"] for panel in panels)
+        for x in range(at["x"], at["x"] + at["w"])
+        for y in range(at["y"], at["y"] + at["h"])
+    ]
+    assert len(set(places)) == len(places)
+    assert max(x for x, _ in places) < 24
+    assert all(panel["description"] and panel["fieldConfig"]["defaults"]["unit"] for panel in panels)
+    sources = re.findall(r'"uid": "([^"]*)"', json.dumps(DASHBOARD["panels"]))
+    assert {"${datasource}"} == set(sources)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
+def test_every_alarm_says_where_and_what(rule: dict[str, object]) -> None:
+    """A summary that names the instance, and stands in docs/operation.md with what to do."""
+    summary = rule["annotations"]["summary"]  # type: ignore[index]
+    assert summary.startswith("{{ $labels.instance }}: ")
+    assert str(rule["alert"]) in (CONFIG.parent / "docs" / "operation.md").read_text()
