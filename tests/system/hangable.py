@@ -1,0 +1,37 @@
+"""`edged` with two ways to hang, for a watchdog that is to be believed.
+
+python tests/system/hangable.py run /etc/edged/cell.toml
+
+SIGUSR1: the next measurement never ends; the event loop and its servers go on.
+SIGUSR2: the event loop itself stands still.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import Any
+
+import edged.app
+from edged.__main__ import main
+
+hang = threading.Event()
+locate = edged.app.locate
+
+
+def locate_or_hang(*arguments: Any) -> Any:
+    """The pipeline, until SIGUSR1."""
+    if hang.is_set():
+        stand_still()
+    return locate(*arguments)
+
+
+def stand_still() -> None:
+    """For ever."""
+    threading.Event().wait()
+
+
+edged.app.locate = locate_or_hang  # type: ignore[assignment]
+signal.signal(signal.SIGUSR1, lambda *_: hang.set())
+signal.signal(signal.SIGUSR2, lambda *_: stand_still())
+main()

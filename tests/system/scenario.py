@@ -1,0 +1,262 @@
+"""What a service must do under a real systemd, step by step; runs as root inside a throwaway machine.
+
+python tests/system/scenario.py /out/verdicts.json
+
+One verdict per step. The units are those of `systemd/`, with a drop-in that shortens the watchdog's time
+and shows this checkout to the sandbox. Standard library only; nothing is imported from edged.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+WATCHDOG_S = 3.0
+PATIENCE_S = 120.0
+"""A very busy test machine starts the daemon in this time; a quiet one in three seconds."""
+CELL = Path("/etc/edged/cell.toml")
+
+
+def command(*words: str) -> str:
+    """Output of a command that must succeed."""
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(words)}: {done.returncode} {done.stdout} {done.stderr}"
+    return done.stdout
+
+
+def shown(name: str, unit: str = "edged") -> str:
+    """A property of a unit."""
+    return command("systemctl", "show", "--value", "--property", name, unit).strip()
+
+
+def journal(unit: str = "edged", *words: str) -> list[dict[str, Any]]:
+    """Every journal entry that came from the unit's processes or speaks of it."""
+    command("journalctl", "--sync")
+    text = command("journalctl", "--output=json", "--no-pager", "--unit", unit, *words)
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def messages(unit: str = "edged") -> str:
+    """Their texts."""
+    return "\n".join(str(entry.get("MESSAGE", "")) for entry in journal(unit))
+
+
+def until(look: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
+    """Wait for something true; what it was."""
+    deadline_s = time.monotonic() + patience_s
+    while not (seen := look()):
+        assert time.monotonic() < deadline_s, f"not within {patience_s:g} s: {what}"
+        time.sleep(0.05)
+    return seen
+
+
+def page(path: str, port: int = 8080) -> int:
+    """Status code of the web server; 0 when nobody answers."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=2) as answer:
+            return int(answer.status)
+    except urllib.error.HTTPError as error:
+        return int(error.code)
+    except OSError:
+        return 0
+
+
+def registers(address: int, count: int, port: int = 1502) -> tuple[int, ...]:
+    """Input registers, by the bytes of the specification; () when nobody answers."""
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=2) as plc:
+            plc.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, address, count))
+            answer = plc.recv(9 + 2 * count, socket.MSG_WAITALL)
+    except OSError:
+        return ()
+    return struct.unpack(f">{count}H", answer[9:]) if len(answer) == 9 + 2 * count else ()
+
+
+def has_result() -> bool:
+    """Whether the PLC is shown a valid result now."""
+    status = registers(200, 16)
+    return bool(status) and bool(status[1] & 1 << 5)
+
+
+def main_pid(unit: str = "edged") -> int:
+    """Of the running daemon."""
+    return int(shown("MainPID", unit))
+
+
+def runs_again(old_pid: int) -> bool:
+    """Whether another process is ready, with a result for the PLC."""
+    return main_pid() not in (0, old_pid) and shown("ActiveState") == "active" and has_result()
+
+
+# --- the steps -------------------------------------------------------------------------------------
+
+
+def becomes_ready() -> str:
+    """`systemctl start` returns when the daemon measures: the page says ready, the PLC gets a result."""
+    start_s = time.monotonic()
+    command("systemctl", "start", "edged")
+    took_s = time.monotonic() - start_s
+    assert (shown("ActiveState"), shown("SubState")) == ("active", "running")
+    until(lambda: page("/ready") == 200, "the page says ready")
+    until(has_result, "a valid result for the PLC")
+    until(lambda: "READY: job flange" in shown("StatusText"), "the status line")
+    return f"ready {took_s:.1f} s after systemctl start; status: {shown('StatusText')}"
+
+
+def is_confined() -> str:
+    """It runs as nobody's user, with three capabilities, and writes in its own directories only."""
+    pid = main_pid()
+    status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    user = int(status["Uid"].split()[0])
+    assert 61184 <= user <= 65519, f"dynamic users are 61184-65519, this is {user}"
+    net_bind, net_raw, sys_nice = 1 << 10, 1 << 13, 1 << 23
+    assert int(status["CapEff"], 16) == int(status["CapBnd"], 16) == net_bind | net_raw | sys_nice
+    assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
+    written = [until(lambda: list(Path("/var/lib/edged/recordings").rglob("*.zip")), "a recording")[0]]
+    written += [Path("/var/cache/edged/numba")]
+    assert {path.stat().st_uid for path in written} == {user}
+    assert not Path("/etc/edged/numba").exists()
+    return f"user {user}, CAP_NET_BIND_SERVICE, CAP_NET_RAW, CAP_SYS_NICE; recordings in /var/lib/edged"
+
+
+def reloads() -> str:
+    """`systemctl reload`: another configuration in the same process; one with a mistake changes nothing."""
+    pid, before = main_pid(), registers(0, 16)
+    good = CELL.read_text()
+    CELL.write_text(good.replace("period_s = 0.5", "period_s = 0.4"))
+    command("systemctl", "reload", "edged")
+    until(lambda: registers(0, 16) not in ((), before), "another fingerprint in the PLC's constants")
+    until(lambda: shown("SubState") == "running", "the end of the reload")
+    after = registers(0, 16)
+    CELL.write_text(good.replace("period_s = 0.5", "periods_s = 0.4"))
+    command("systemctl", "reload", "edged")
+    until(lambda: "reload refused" in shown("StatusText"), "the refusal in the status")
+    assert (pid, "active", after) == (main_pid(), shown("ActiveState"), registers(0, 16))
+    refused = shown("StatusText")
+    CELL.write_text(good)
+    command("systemctl", "reload", "edged")
+    until(lambda: registers(0, 16) == before, "the first fingerprint again")
+    assert main_pid() == pid
+    return f"same process, fingerprint taken and given back; mistake: {refused}"
+
+
+def hung_cycle_is_killed() -> str:
+    """The measurement hangs while page and PLC are still served: queries do not feed the watchdog."""
+    pid = main_pid()
+    command("kill", "-USR1", str(pid))
+    start_s, answered = time.monotonic(), 0
+    while main_pid() == pid and shown("ActiveState") == "active":
+        answered += page("/health") == 200 and bool(registers(200, 16))
+        assert time.monotonic() < start_s + PATIENCE_S, "the watchdog did not bite"
+        time.sleep(0.1)
+    bitten_s = time.monotonic() - start_s
+    until(lambda: runs_again(pid), "a new process with a result")
+    assert answered >= 3, f"the servers answered {answered} times only: that was no hang of the cycle alone"
+    assert "stand_still" in messages(), "the journal does not say where it hung"
+    return f"{answered} queries answered meanwhile, killed after {bitten_s:.1f} s, measures again"
+
+
+def hung_loop_is_killed() -> str:
+    """The event loop stands still: nobody is served; the watchdog ends it."""
+    pid = main_pid()
+    command("kill", "-USR2", str(pid))
+    start_s = time.monotonic()
+    until(lambda: runs_again(pid), "a new process with a result")
+    assert messages().count("Watchdog timeout") >= 2
+    return f"measures again after {time.monotonic() - start_s:.1f} s"
+
+
+def crash_is_restarted() -> str:
+    """SIGKILL: back without anybody's help."""
+    pid, restarts = main_pid(), int(shown("NRestarts"))
+    command("kill", "-KILL", str(pid))
+    start_s = time.monotonic()
+    until(lambda: runs_again(pid), "a new process with a result")
+    assert int(shown("NRestarts")) == restarts + 1
+    return f"measures again after {time.monotonic() - start_s:.1f} s"
+
+
+def logs_in_fields() -> str:
+    """What the daemon logs is in the journal under the unit's name, with fields to search for."""
+    told = journal("edged", "EDGED_CELL=service")
+    assert {"edged.commands.run", "edged.app"} <= {entry["LOGGER"] for entry in told}
+    assert all({"PRIORITY", "CODE_FILE", "CODE_LINE", "EDGED_VERSION"} <= set(entry) for entry in told)
+    refused = [entry for entry in told if "reload refused" in entry["MESSAGE"]]
+    assert [("3", True)] == [(entry["PRIORITY"], "\n" in entry["MESSAGE"]) for entry in refused]
+    return f"{len(told)} entries found by EDGED_CELL=service"
+
+
+def stops_cleanly() -> str:
+    """`systemctl stop`: within 2 s and a second's grace, exit code 0, port free, nothing left running."""
+    start_s = time.monotonic()
+    command("systemctl", "stop", "edged")
+    took_s = time.monotonic() - start_s
+    assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
+    assert registers(0, 1) == ()
+    left = [line for line in command("ps", "-eo", "args").splitlines() if "edged run" in line]
+    assert left == []
+    return f"{took_s:.1f} s, exit code 0"
+
+
+def cells_side_by_side() -> str:
+    """edged@NAME: two cells, each with its user, its ports and its directories; one stops alone."""
+    units = ("edged@left", "edged@right")
+    command("systemctl", "start", *units)
+    assert [shown("ActiveState", unit) for unit in units] == ["active", "active"]
+    until(lambda: all(registers(0, 1, port) for port in (1503, 1504)), "both PLC servers")
+    users = {Path(f"/proc/{main_pid(unit)}").stat().st_uid for unit in units}
+    assert len(users) == 2
+    command("systemctl", "stop", "edged@left")
+    assert shown("ActiveState", "edged@right") == "active"
+    assert (registers(0, 1, 1503), len(registers(0, 1, 1504))) == ((), 1)
+    command("systemctl", "stop", "edged@right")
+    assert [shown("Result", unit) for unit in units] == ["success", "success"]
+    return f"users {sorted(users)}"
+
+
+STEPS: tuple[Callable[[], str], ...] = (
+    becomes_ready,
+    is_confined,
+    reloads,
+    hung_cycle_is_killed,
+    hung_loop_is_killed,
+    crash_is_restarted,
+    logs_in_fields,
+    stops_cleanly,
+    cells_side_by_side,
+)
+
+
+def play(path: Path) -> int:
+    """Every step in order; 0 when all are good. The first bad one ends the play: the others stand on it."""
+    verdicts: dict[str, dict[str, Any]] = {}
+    for step in STEPS:
+        start_s = time.monotonic()
+        try:
+            detail, good = step(), True
+        except Exception as error:  # noqa: BLE001 - the verdict of a step is told by whoever reads it
+            detail, good = f"{type(error).__name__}: {error}", False
+        took_s = round(time.monotonic() - start_s, 1)
+        verdicts[step.__name__] = {"good": good, "detail": detail, "took_s": took_s}
+        print(f"{'ok ' if good else 'BAD'} {took_s:5.1f} s  {step.__name__}: {detail}", flush=True)
+        if not good:
+            print(
+                subprocess.run(
+                    ["journalctl", "--no-pager", "-n", "60"], capture_output=True, text=True, check=False
+                ).stdout
+            )
+            break
+    path.write_text(json.dumps(verdicts))
+    return int(not all(verdict["good"] for verdict in verdicts.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(play(Path(sys.argv[1])))
