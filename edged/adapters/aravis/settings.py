@@ -18,6 +18,7 @@ class AravisSettings:
     packet_size : GVSP packet in bytes, IP and UDP headers included; None negotiates the largest that passes.
     serial : the serial number that is expected there; "" takes any camera.
     trigger : what starts an exposure. outputs : lines that show something, a strobe for example.
+    chunks : have the exposure time sent with each image and compare it with exposure_us.
     ptp : None leaves the PTP clock as the camera has it.
     calibrated : (width, height) of the image that the rig was calibrated with; None takes any.
     packet_delay_us : pause after each packet; None: what the link and the neighbour ask for.
@@ -34,6 +35,7 @@ class AravisSettings:
     gain_db: float | None = None
     trigger: Trigger = field(default_factory=Software)
     outputs: tuple[Output, ...] = ()
+    chunks: bool = False
     ptp: bool | None = None
     calibrated: tuple[int, int] | None = None
     packet_size: int | None = None

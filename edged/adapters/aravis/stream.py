@@ -18,6 +18,9 @@ from edged.vision.pixelformats import BY_CODE, grey8
 PUMP_POLL_US = 20_000
 """How long a stopping pump may still wait; nothing else depends on it."""
 
+EXPOSURE_TOLERANCE, EXPOSURE_STEP_US = 0.01, 40.0
+"""A camera rounds an exposure to its own steps: some of its lines."""
+
 BLOCK_IDS = 65_535
 """GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again."""
 
@@ -64,51 +67,89 @@ class FrameCounter:
         return frame_id
 
 
-def pump(
-    aravis: Any,
-    stream: Any,
-    stop: threading.Event,
-    counter: FrameCounter,
-    placement: Placement | None,
-    deliver: Callable[[Arrival], None],
-) -> None:
+def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable[[Arrival], None]) -> None:
     """Take buffers out of the stream until told to stop; each goes back at once, copied."""
     while not stop.is_set():
         buffer = stream.timeout_pop_buffer(PUMP_POLL_US)
         if buffer is None:
             continue
         try:
-            arrival = _arrival(aravis, buffer, counter, placement)
+            arrival = decoder.arrival(buffer)
         finally:
             stream.push_buffer(buffer)
         deliver(arrival)
 
 
-def _arrival(aravis: Any, buffer: Any, counter: FrameCounter, placement: Placement | None) -> Arrival:
-    frame_id = counter.count(buffer.get_frame_id())
-    device_ns = buffer.get_timestamp()
-    arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
+class Decoder:
+    """Makes arrivals of buffers.
 
-    def failed(problem: str) -> Arrival:
-        return Arrival(frame_id, device_ns, arrived_ns, None, problem)
+    placement : where a region belongs. check : of the exposure time, for a camera that sends it along.
+    """
 
-    status = buffer.get_status()
-    if status != aravis.BufferStatus.SUCCESS:
-        return failed(f"frame {frame_id} is incomplete: {status.value_nick.replace('-', ' ')}")
-    if buffer.get_payload_type() != aravis.BufferPayloadType.IMAGE:
-        return failed(f"frame {frame_id} carries {buffer.get_payload_type().value_nick}, not an image")
-    pixels = BY_CODE.get(buffer.get_image_pixel_format())
-    if pixels is None:
-        return failed(f"frame {frame_id} has an unknown pixel format 0x{buffer.get_image_pixel_format():08x}")
-    width, height = buffer.get_image_width(), buffer.get_image_height()
-    data = np.frombuffer(buffer.get_data(), np.uint8)
-    try:
-        image = grey8(data, pixels, width, height)
-    except ValueError as error:
-        return failed(f"frame {frame_id}: {error}")
-    if placement is not None:
-        image = _placed(image, placement)
-    return Arrival(frame_id, device_ns, arrived_ns, image)
+    def __init__(
+        self, aravis: Any, counter: FrameCounter, placement: Placement | None, check: ExposureCheck | None
+    ) -> None:
+        self._aravis, self._counter, self._placement, self._check = aravis, counter, placement, check
+
+    def arrival(self, buffer: Any) -> Arrival:
+        """The image in a buffer, or why there is none."""
+        frame_id = self._counter.count(buffer.get_frame_id())
+        device_ns = buffer.get_timestamp()
+        arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
+        problem, image = self._problem(buffer), None
+        if not problem:
+            pixels = BY_CODE[buffer.get_image_pixel_format()]
+            # what comes after the image is chunk data
+            data = buffer.get_image_data() if buffer.has_chunks() else buffer.get_data()
+            try:
+                image = grey8(
+                    np.frombuffer(data, np.uint8), pixels, buffer.get_image_width(), buffer.get_image_height()
+                )
+            except ValueError as error:
+                problem = str(error)
+        if image is None:
+            return Arrival(frame_id, device_ns, arrived_ns, None, f"frame {frame_id}: {problem}")
+        if self._placement is not None:
+            image = _placed(image, self._placement)
+        return Arrival(frame_id, device_ns, arrived_ns, image)
+
+    def _problem(self, buffer: Any) -> str:
+        status, kind = buffer.get_status(), buffer.get_payload_type()
+        kinds = self._aravis.BufferPayloadType
+        if status != self._aravis.BufferStatus.SUCCESS:
+            return f"incomplete: {status.value_nick.replace('-', ' ')}"
+        if kind not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+            return f"it carries {kind.value_nick}, not an image"
+        if buffer.get_image_pixel_format() not in BY_CODE:
+            return f"unknown pixel format 0x{buffer.get_image_pixel_format():08x}"
+        return "" if self._check is None else self._check.problem(buffer)
+
+
+class ExposureCheck:
+    """Compares what chunk data say of an exposure with what was asked for.
+
+    Firmware that shortens exposures without a word, or a forgotten automatic, gives pictures that look alike.
+    parser : Aravis' parser of chunk data; error : what it raises. wanted_us : None takes any exposure.
+    """
+
+    def __init__(self, parser: Any, error: type[Exception], wanted_us: float | None) -> None:
+        self._parser, self._error, self._wanted_us = parser, error, wanted_us
+
+    def problem(self, buffer: Any) -> str:
+        """What is wrong with the exposure of the image in a buffer, or nothing."""
+        if not buffer.has_chunks():
+            return "chunk data are missing"
+        try:
+            exposed_us = float(self._parser.get_float_value(buffer, "ChunkExposureTime"))
+        except self._error as error:
+            return f"chunk data without exposure time: {error}"
+        wanted_us = self._wanted_us
+        if (
+            wanted_us is None
+            or abs(exposed_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us + EXPOSURE_STEP_US
+        ):
+            return ""
+        return f"exposed for {exposed_us:g} us, not {wanted_us:g} us"
 
 
 def _placed(region: Image, placement: Placement) -> Image:
