@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
+import subprocess
+import sys
 from ipaddress import IPv4Interface
 from pathlib import Path
 
@@ -13,13 +16,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from edged import doctor
 from edged.adapters.aravis import CameraInfo, aravis_missing
 from edged.commands.cameras import grab
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
-from edged.config import load
-from edged.doctor import Check, Interface, Verdict, examine
+from edged.config import CameraSection, load
+from edged.doctor import Check, Verdict, cameras, examine, firewall, machine, network
+from edged.doctor.firewall import Rules
+from edged.doctor.host import Interface
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
@@ -100,7 +104,7 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
         check = checks(folder / "cell.toml")["Modbus port"]
 
     assert check.verdict is Verdict.BAD
-    assert f"127.0.0.1:{port}" in check.finding
+    assert f"127.0.0.1:{port}: in use by " in check.finding
     assert check.remedy == f"ss -ltnp 'sport = :{port}'"
 
 
@@ -128,7 +132,7 @@ def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
     for side, device in (("left", "NOT-THERE-1"), ("right", "NOT-THERE-2")):
         check = found[f"{side} camera"]
         assert check.verdict is Verdict.BAD
-        assert check.finding.startswith(f"{device} does not answer; cameras that do: ")
+        assert check.finding.startswith(f"no camera with serial number {device} answers; cameras that do: ")
 
 
 def info(serial: str, address: str, control: str = "free") -> CameraInfo:
@@ -139,7 +143,7 @@ def info(serial: str, address: str, control: str = "free") -> CameraInfo:
 def test_two_cameras_at_one_address_are_found() -> None:
     """Fresh from the box both may have the same one."""
     found = [info("1", "10.0.0.5"), info("2", "10.0.0.5"), info("3", "10.0.0.6")]
-    (check,) = doctor._twins(found)
+    (check,) = cameras.twins(found)
     assert check.finding == "10.0.0.5 is the address of 1, 2"
 
 
@@ -151,19 +155,19 @@ def test_who_controls_a_camera_decides(control: str, verdict: Verdict) -> None:
     """Free, taken by some program, or seen and out of reach."""
     camera = info("1", "10.0.0.5", control)
     section = load_section("1")
-    assert doctor._camera("left", section, camera, [camera]).verdict is verdict
+    assert cameras.camera("left", section, camera, [camera]).verdict is verdict
 
 
-def load_section(device: str) -> doctor.CameraSection:
+def load_section(device: str) -> CameraSection:
     """A camera's part of a configuration."""
-    return doctor.CameraSection(device=device)
+    return CameraSection(device=device)
 
 
 def test_a_camera_outside_of_every_network_is_named() -> None:
     """The broadcast finds it; nothing else does."""
     port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 9000, 1000)
-    good, interface = doctor._subnet("left", info("1", "192.168.10.7"), [port])
-    bad, nowhere = doctor._subnet("left", info("1", "169.254.3.4"), [port])
+    good, interface = network.home("left", info("1", "192.168.10.7"), [port])
+    bad, nowhere = network.home("left", info("1", "169.254.3.4"), [port])
 
     assert (good.verdict, interface) == (Verdict.OK, port)
     assert (bad.verdict, nowhere) == (Verdict.BAD, None)
@@ -175,7 +179,7 @@ def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: Verdict) 
     """Two 1.2 MB images every 20 ms do not fit a gigabit; small packets are mentioned."""
     config = load(edit(folder, "period_s = 0.25", f"period_s = {period_s}"))
     port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 1500, 1000)
-    mtu, budget = doctor._link(port, ["left", "right"], 2 * 1280 * 960, config)
+    mtu, budget = network.link(port, ["left", "right"], 2 * 1280 * 960, config)
 
     assert "MTU 1500" in mtu.finding
     assert budget.verdict is verdict
@@ -189,3 +193,70 @@ def test_grab_saves_pairs_for_calibrate_and_teach(folder: Path, tmp_path: Path) 
     image = cv2.imread(str(tmp_path / "out" / names[0]), cv2.IMREAD_UNCHANGED)
     assert image is not None
     assert image.shape == (960, 1280)
+
+
+def nft(*rules: dict[str, object], policy: str = "accept") -> Rules:
+    """A ruleset with one input chain, as `nft --json` lists it."""
+    place = {"family": "inet", "table": "filter"}
+    chain = {"chain": {**place, "name": "input", "hook": "input", "policy": policy}}
+    return [chain, *({"rule": {**place, "chain": "input", "expr": [*parts.values()]}} for parts in rules)]
+
+
+@pytest.mark.parametrize(
+    ("rules", "open_to_all"),
+    [
+        (nft(), True),
+        (nft(policy="drop"), False),
+        (nft({"a": {"counter": {}}, "b": {"reject": {"type": "icmpx"}}}), False),
+        (nft({"a": {"match": {"right": 22}}, "b": {"drop": None}}), True),
+    ],
+)
+def test_a_firewall_shuts_by_policy_or_by_its_last_rule(rules: Rules, open_to_all: bool) -> None:
+    """ufw has the policy, firewalld a final reject; a rule that drops one thing shuts nothing else."""
+    assert open_to_all == firewall.accepts_by_default(rules)
+
+
+def test_a_firewall_that_names_the_port_or_the_network_lets_the_camera_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By interface, by network, or by a set of either; another network's rule does not help."""
+    network = {"prefix": {"addr": "192.168.77.0", "len": 24}}
+    for right, verdict in (
+        ("eth1", "ok"),
+        (network, "ok"),
+        ({"set": [network, "lo"]}, "ok"),
+        ("eth2", "warn"),
+    ):
+        rules = nft({"a": {"match": {"right": right}}, "b": {"accept": None}}, policy="drop")
+        monkeypatch.setattr(firewall, "run", lambda *_, rules=rules: json.dumps({"nftables": rules}))
+        monkeypatch.setattr(firewall, "has_capability", lambda _number: True)
+        assert verdict == firewall.look_at_firewall([("eth1", "192.168.77.11")]).verdict, right
+
+
+def test_without_the_right_to_packet_sockets_the_receive_buffer_decides() -> None:
+    """In a process that lost CAP_NET_RAW, as a user's has: an image of 100 MB finds no room."""
+    if shutil.which("setpriv") is None or os.geteuid() != 0:
+        pytest.skip("needs root and setpriv, to give up a right")
+    program = "from edged.doctor.network import receive_buffers; print(receive_buffers(10**8).to_json())"
+    command = ["setpriv", "--bounding-set=-net_raw", sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert "'verdict': 'bad'" in done.stdout
+    assert "net.core.rmem_max=400000000 | sudo tee" in done.stdout
+
+
+def test_a_clock_that_is_set_meanwhile_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of 0.5 s is told; time that only passes is not."""
+    watch = machine.ClockWatch()
+    assert [] == list(watch.look())
+    ahead_s = machine._ahead_s()
+    monkeypatch.setattr(machine, "_ahead_s", lambda: ahead_s + 0.5)
+    (check,) = watch.look()
+    assert "+0.500 s" in check.finding
+
+
+def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
+    """The usual slip: the address of the PLC instead of this PC's."""
+    path = edit(folder, "[modbus]", '[modbus]\nhost = "192.0.2.7"')
+    check = checks(path)["Modbus port"]
+    assert check.verdict is Verdict.BAD
+    assert "192.0.2.7 is no address of this machine" in check.finding

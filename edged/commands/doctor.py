@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.doctor import Verdict, examine
+from edged.doctor import Check, Verdict, examine
 
 MARKS = {
     Verdict.OK: "[green]ok[/]  ",
@@ -23,11 +23,7 @@ def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool) -> i
     for check in examine(config, trigger=trigger):
         checks.append(check)
         if not as_json:
-            console.print(MARKS[check.verdict], end=" ")
-            console.print(f"{check.name}: {check.finding}", markup=False, highlight=False, soft_wrap=True)
-            if check.verdict in (Verdict.WARN, Verdict.BAD):
-                console.print(f"       then: {check.consequence}", markup=False, highlight=False)
-                console.print(f"       help: {check.remedy}", markup=False, highlight=False, soft_wrap=True)
+            show(check, console)
     bad = sum(check.verdict is Verdict.BAD for check in checks)
     if as_json:
         print(json.dumps({"bad": bad, "checks": [check.to_json() for check in checks]}))
@@ -35,3 +31,12 @@ def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool) -> i
         warned = sum(check.verdict is Verdict.WARN for check in checks)
         console.print(f"{len(checks)} checks, {bad} bad, {warned} to look at")
     return 1 if bad else 0
+
+
+def show(check: Check, console: Console) -> None:
+    """A line for what is well, three for what is not; never wrapped, so that commands can be copied."""
+    console.print(MARKS[check.verdict], end=" ")
+    console.print(f"{check.name}: {check.finding}", markup=False, highlight=False, soft_wrap=True)
+    if check.verdict in (Verdict.WARN, Verdict.BAD):
+        console.print(f"       then: {check.consequence}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"       help: {check.remedy}", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,145 @@
+"""Who answers, at which address, and who controls it."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterator, Sequence
+
+from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
+from edged.adapters.aravis.library import control_state
+from edged.app import LoadedCell
+from edged.config import CameraSection
+from edged.doctor.findings import Check, Verdict
+from edged.doctor.firewall import look_at_firewall
+from edged.doctor.host import Interface, interfaces
+from edged.doctor.network import Place, home, look_at_network
+
+
+def look_at_cameras(loaded: LoadedCell) -> Iterator[Check]:
+    """Cameras of the configuration and the network that they are on."""
+    if missing := aravis_missing():
+        yield Check(
+            "Aravis",
+            Verdict.BAD,
+            missing,
+            "no camera can be reached",
+            "apt install gir1.2-aravis-0.8 python3-gi",
+        )
+        return
+    config, discovered = loaded.config, list_cameras()
+    yield from twins(discovered)
+    ports = interfaces()
+    if ports is None:
+        yield Check("network ports", Verdict.SKIP, "the command `ip` is missing: apt install iproute2")
+    places = list[Place]()
+    for side, section in (("left", config.cameras.left), ("right", config.cameras.right)):
+        info = _one(section.device, discovered)
+        if info is None or info.protocol != "GigEVision" or not ports:
+            yield camera(side, section, info, discovered, ports or ())
+            continue
+        where, interface = home(side, info, ports)
+        if interface is None or where.verdict is Verdict.BAD:
+            yield where  # which is why it does not answer
+            continue
+        yield camera(side, section, info, discovered, ports)
+        yield where
+        places.append(Place(side, info, interface))
+    rig = loaded.rig.rig
+    image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
+    yield from look_at_network(places, ports or (), image_bytes, config)
+    seen = [(place.interface.name, place.info.address) for place in places]
+    # behind a firewall a camera may not have been found: then every wire may be its own
+    wires = [(port.name, str(one.network)) for port in ports or () if port.ethernet for one in port.networks]
+    yield look_at_firewall(seen if len(seen) == 2 else wires)
+
+
+def _one(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
+    return next((one for one in found if device in (one.serial, one.address, one.device_id)), None)
+
+
+def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
+    """Two cameras with one address, or one serial number."""
+    addresses = [info.address for info in found]
+    for address in sorted({one for one in addresses if addresses.count(one) > 1}):
+        who = ", ".join(info.serial for info in found if info.address == address)
+        yield Check(
+            "camera addresses",
+            Verdict.BAD,
+            f"{address} is the address of {who}",
+            "images of one camera arrive as the other's, or not at all",
+            "unplug one, then give the other another address: arv-tool-0.8, or the maker's tool",
+        )
+    serials = [info.serial for info in found]
+    for serial in sorted({one for one in serials if one and serials.count(one) > 1}):
+        where = ", ".join(info.address for info in found if info.serial == serial)
+        yield Check(
+            "camera serial numbers",
+            Verdict.WARN,
+            f"{serial} answers at {where}",
+            "edged cannot tell them apart by serial number",
+            "write the IP addresses as `device` (one camera with two ports answers twice: take one of them)",
+        )
+
+
+def camera(
+    side: str,
+    section: CameraSection,
+    info: CameraInfo | None,
+    found: Sequence[CameraInfo],
+    ports: Sequence[Interface] = (),
+) -> Check:
+    """Whether a configured camera is there and can be taken."""
+    name = f"{side} camera"
+    if info is None:
+        return _absent(name, section.device, found, ports)
+    text = f"{info.vendor} {info.model} {info.serial} at {info.address}"
+    if info.control == "controlled":
+        return Check(
+            name,
+            Verdict.WARN,
+            f"{text}: controlled by another program",
+            "edged cannot take it (if the daemon is running now, it is that one)",
+            "close the viewer, or the other daemon: systemctl status 'edged*'",
+        )
+    if info.control not in ("", "free"):
+        return Check(
+            name,
+            Verdict.BAD,
+            f"{text}: {info.control}",
+            "CAPTURE_FAULT in every cycle",
+            f"ping {info.address}, and what is said of its network below",
+        )
+    return Check(name, Verdict.OK, text)
+
+
+def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
+    """A camera that discovery did not find: by its address it may answer all the same."""
+    others = ", ".join(f"{one.serial} at {one.address}" for one in found) or "none at all"
+    consequence = "CAPTURE_FAULT in every cycle"
+    try:
+        address = ipaddress.ip_address(device)
+    except ValueError:
+        remedy = "cable, power, a firewall (see below), a mistyped number? What answers: edged cameras"
+        dead = ", ".join(port.name for port in ports if not port.up)
+        if dead:
+            remedy = f"no link at {dead}: cable, power, switch; then: edged cameras"
+        finding = f"no camera with serial number {device} answers; cameras that do: {others}"
+        return Check(name, Verdict.BAD, finding, consequence, remedy)
+    if control_state(device) in ("free", "controlled"):
+        return Check(
+            name,
+            Verdict.WARN,
+            f"{device} answers when asked, but not to a broadcast",
+            "it works by its address, and would not by its serial number",
+            "a router lies between, or a firewall drops the answer (see below)",
+        )
+    near = [port for port in ports if any(address in network.network for network in port.networks)]
+    finding = f"{device} does not answer; cameras that do: {others}"
+    if ports and not near:
+        finding = f"{device} is in no network of this machine; cameras that answer: {others}"
+        remedy = "ip -br addr   (is the port up, with an address in the camera's network?)"
+    elif near and not near[0].up:
+        remedy = f"no link at {near[0].name}: cable, power of camera and switch"
+    else:
+        remedy = "cable, power, another address by now? edged cameras lists what answers"
+    return Check(name, Verdict.BAD, finding, consequence, remedy)

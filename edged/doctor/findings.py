@@ -1,0 +1,30 @@
+"""What a check says."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import asdict, dataclass
+
+
+class Verdict(enum.StrEnum):
+    """How a check ended."""
+
+    OK = "ok"
+    WARN = "warn"
+    BAD = "bad"
+    SKIP = "skip"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One finding; consequence and remedy are empty when all is well."""
+
+    name: str
+    verdict: Verdict
+    finding: str
+    consequence: str = ""
+    remedy: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Plain values."""
+        return {key: str(value) for key, value in asdict(self).items()}

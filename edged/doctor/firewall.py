@@ -1,0 +1,141 @@
+"""Whether the firewall lets images in.
+
+A camera sends images from a port of its own choice to one that Aravis chose: a rule for port 3956, where
+the commands go, does not let them pass. And an answer to a broadcast belongs to no connection that the
+firewall knows: such a camera is opened by its address, and not found by its serial number.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from edged.doctor.findings import Check, Verdict
+from edged.doctor.host import CAP_NET_RAW, has_capability, read, run
+
+Rules = Sequence[dict[str, Any]]
+"""As `nft --json list ruleset` gives them."""
+
+
+def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
+    """cameras : name of the port of this host and IP address, or network, of each."""
+    rules = _nft_rules()
+    if rules is None:
+        return _old_firewall()
+    if accepts_by_default(rules):
+        return Check("firewall", Verdict.OK, "drops nothing by default")
+    places = accepted_places(rules)
+    shut = [(port, address) for port, address in cameras if not _is_accepted(port, address, places)]
+    if not cameras:
+        return Check("firewall", Verdict.SKIP, "drops by default; where the cameras would be is not known")
+    if not shut:
+        return Check("firewall", Verdict.OK, "drops by default, and has rules that let the cameras in")
+    port, _ = shut[0]
+    packet_socket = has_capability(CAP_NET_RAW)
+    consequence = "a camera is not found by its serial number"
+    if not packet_socket:
+        consequence += ", and sends no image that arrives"
+    table = _input_chain(rules)
+    return Check(
+        "firewall",
+        Verdict.WARN if packet_socket else Verdict.BAD,
+        f"drops what no rule names, and none names {' or '.join(address for _, address in shut)}",
+        consequence,
+        f"sudo nft insert rule {table} iifname {port} meta l4proto udp accept"
+        "   (and the same in /etc/nftables.conf; ufw: ufw allow in on "
+        f"{port} proto udp; firewalld: firewall-cmd --permanent --zone=trusted --add-interface={port})",
+    )
+
+
+def accepts_by_default(rules: Rules) -> bool:
+    """Whether a ruleset lets in what no rule names."""
+    last: dict[tuple[str, str, str], Any] = {}
+    for rule in (entry["rule"] for entry in rules if "rule" in entry):
+        last[_place(rule, rule.get("chain"))] = rule.get("expr", [])
+    for chain in _input_chains(rules):
+        final = [part for part in last.get(_place(chain, chain.get("name")), []) if not _only_notes(part)]
+        if chain.get("policy") == "drop" or (len(final) == 1 and final[0].keys() & {"drop", "reject"}):
+            return False
+    return True
+
+
+def accepted_places(rules: Rules) -> set[str]:
+    """What the accepting rules name: ports of this host, addresses, networks."""
+    places = set[str]()
+    for rule in (entry["rule"] for entry in rules if "rule" in entry):
+        parts = rule.get("expr", [])
+        if any("accept" in part for part in parts):
+            for part in parts:
+                places |= _named(part.get("match", {}).get("right"))
+    return places
+
+
+def _is_accepted(port: str, address: str, places: set[str]) -> bool:
+    if port in places:
+        return True
+    for place in places:
+        with contextlib.suppress(ValueError):
+            wanted, known = ipaddress.ip_network(address), ipaddress.ip_network(place, strict=False)
+            if wanted.version == known.version and wanted.overlaps(known):
+                return True
+    return False
+
+
+def _input_chains(rules: Rules) -> list[dict[str, Any]]:
+    chains = (entry["chain"] for entry in rules if "chain" in entry)
+    return [chain for chain in chains if chain.get("hook") == "input"]
+
+
+def _input_chain(rules: Rules) -> str:
+    """Where a rule is to be inserted, as `nft` wants it."""
+    chains = _input_chains(rules)
+    shut = next((chain for chain in chains if chain.get("policy") == "drop"), chains[0])
+    return f"{shut.get('family')} {shut.get('table')} {shut.get('name')}"
+
+
+def _place(entry: dict[str, Any], chain: object) -> tuple[str, str, str]:
+    return str(entry.get("family")), str(entry.get("table")), str(chain)
+
+
+def _only_notes(part: dict[str, Any]) -> bool:
+    return bool(part.keys() & {"counter", "log"})
+
+
+def _named(value: Any) -> set[str]:
+    if isinstance(value, dict) and isinstance(value.get("prefix"), dict):
+        return {f"{value['prefix'].get('addr')}/{value['prefix'].get('len')}"}
+    if isinstance(value, dict):
+        return _named(value.get("set"))
+    if isinstance(value, list):
+        return {place for one in value for place in _named(one)}
+    return {str(value)}
+
+
+def _nft_rules() -> Rules | None:
+    with contextlib.suppress(ValueError):
+        value = json.loads(run("nft", "--json", "list", "ruleset") or "")
+        if isinstance(value, dict) and isinstance(value.get("nftables"), list):
+            return [entry for entry in value["nftables"] if isinstance(entry, dict)]
+    return None
+
+
+def _old_firewall() -> Check:
+    """Without nft: at least what the older iptables does by default."""
+    tables = read("/proc/net/ip_tables_names")
+    if tables is not None and "filter" not in tables.split():
+        return Check("firewall", Verdict.SKIP, "nft is not here; no filter by the older iptables")
+    policy = run("iptables", "-S", "INPUT")
+    if policy is None:
+        return Check("firewall", Verdict.SKIP, "cannot be read: as root, with nft: nft list ruleset")
+    if "-P INPUT DROP" in policy:
+        return Check(
+            "firewall",
+            Verdict.WARN,
+            "iptables drops what no rule names",
+            "a camera may not be found, or send no image that arrives",
+            "iptables -I INPUT -i PORT -p udp -j ACCEPT   (PORT: where the cameras are)",
+        )
+    return Check("firewall", Verdict.OK, "iptables drops nothing by default")

@@ -1,0 +1,209 @@
+"""This machine: kernel cache, clock, processor, disk, serial port, and the network ports to listen on."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import re
+import shutil
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+
+from edged.config import Config
+from edged.doctor.findings import Check, Verdict
+from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
+
+TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
+"""`struct timex` in longs, the place of maxerror, the state of a clock that nobody keeps: adjtimex(2)."""
+
+CLOCK_STEP_S = 0.001
+"""NTP slews by 0.5 ms a second at most; what moves more between two looks was set."""
+
+
+class ClockWatch:
+    """Sees whether the host's clock is set while the checks run.
+
+    Exposure times are UTC of this host: a step makes two of them disagree with the time between them.
+    """
+
+    def __init__(self) -> None:
+        self._ahead_s = _ahead_s()
+
+    def look(self) -> Iterator[Check]:
+        """A check when it was set since this was made; nothing when not."""
+        step_s = _ahead_s() - self._ahead_s
+        if abs(step_s) > CLOCK_STEP_S:
+            yield Check(
+                "clock steps",
+                Verdict.WARN,
+                f"the clock was set by {step_s:+.3f} s while these checks ran",
+                "exposure times in results jump with it",
+                "one time service only, and one that slews: timedatectl timesync-status; chronyc tracking",
+            )
+
+
+def _ahead_s() -> float:
+    return time.time() - time.monotonic()
+
+
+def look_at_machine(config: Config) -> Iterator[Check]:
+    """Kernel cache, clock, processor, disk, serial port."""
+    yield _cache()
+    yield _clock()
+    yield _governor()
+    if config.recorder is not None:
+        yield _disk(config.recorder.folder, config.recorder.min_free_mib)
+    if config.modbus.serial is not None:
+        yield _serial(Path(config.modbus.serial.device))
+
+
+def _cache() -> Check:
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or getattr(numba.config, "CACHE_DIR", "") or "")
+    if str(folder) in ("", "."):
+        return Check(
+            "kernel cache",
+            Verdict.WARN,
+            "NUMBA_CACHE_DIR is not set: kernels are cached beside the program, where that is allowed",
+            "a start may compile for 20 s",
+            "export NUMBA_CACHE_DIR=/var/cache/edged/numba",
+        )
+    if not os.access(folder, os.W_OK):
+        return Check(
+            "kernel cache",
+            Verdict.BAD,
+            f"{folder} cannot be written",
+            "every start compiles for 20 s, or fails",
+            f"sudo install -d -o $USER {folder}",
+        )
+    if not any(folder.rglob("*.nbi")):
+        return Check(
+            "kernel cache",
+            Verdict.WARN,
+            f"{folder} is empty",
+            "the first start compiles for 20 s",
+            "edged warm",
+        )
+    return Check("kernel cache", Verdict.OK, str(folder))
+
+
+def _clock() -> Check:
+    """What the kernel says: whoever keeps the clock (NTP, PTP) tells it how well."""
+    timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: only look
+    state = ctypes.CDLL(None).adjtimex(timex)
+    if state < 0:
+        return Check("clock", Verdict.SKIP, "the kernel does not tell")
+    if state == TIME_ERROR:
+        return Check(
+            "clock",
+            Verdict.WARN,
+            "not synchronised by NTP or PTP",
+            "exposure times in results cannot be compared with other machines'",
+            "sudo timedatectl set-ntp true",
+        )
+    return Check("clock", Verdict.OK, f"synchronised, to {timex[TIMEX_MAXERROR_US] * 1e-3:.1f} ms at worst")
+
+
+def _governor() -> Check:
+    text = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+    if text is None:
+        return Check("processor speed", Verdict.SKIP, "this machine does not say how it is governed")
+    if text != "performance":
+        return Check(
+            "processor speed",
+            Verdict.WARN,
+            f"governor {text}",
+            "cycles after a pause take up to twice as long",
+            "sudo cpupower frequency-set -g performance",
+        )
+    return Check("processor speed", Verdict.OK, "governor performance")
+
+
+def _disk(folder: Path, min_free_mib: int) -> Check:
+    place = next((parent for parent in (folder, *folder.parents) if parent.exists()), Path("/"))
+    free = shutil.disk_usage(place).free / 2**20
+    if not os.access(place, os.W_OK):
+        return Check(
+            "recordings",
+            Verdict.BAD,
+            f"{place} cannot be written",
+            "nothing is recorded",
+            f"sudo chown $USER {place}   (for the service: a folder below /var/lib/edged)",
+        )
+    if free < 1.5 * min_free_mib:
+        return Check(
+            "recordings",
+            Verdict.BAD if free < min_free_mib else Verdict.WARN,
+            f"{free:.0f} MiB free, {min_free_mib} are kept free",
+            "recording stops when there is no more room",
+            f"du -xh --max-depth=2 {place} | sort -h | tail   (free some, or lower recorder.min_free_mib)",
+        )
+    return Check("recordings", Verdict.OK, f"{free:.0f} MiB free at {place}")
+
+
+def _serial(device: Path) -> Check:
+    name = "serial port"
+    if not device.exists():
+        return Check(
+            name, Verdict.BAD, f"{device} is not there", "no Modbus RTU", "ls /dev/tty*; is it plugged in?"
+        )
+    if not os.access(device, os.R_OK | os.W_OK):
+        remedy = "sudo usermod -aG dialout $USER, then log in again"
+        return Check(name, Verdict.BAD, f"no right to use {device}", "no Modbus RTU", remedy)
+    return Check(name, Verdict.OK, str(device))
+
+
+# --- ports ---------------------------------------------------------------------------------------
+
+
+def look_at_ports(config: Config) -> Iterator[Check]:
+    """The ports that the daemon will listen on."""
+    if config.modbus.enabled:
+        yield _port("Modbus port", config.modbus.host, config.modbus.port)
+    if config.web is not None:
+        yield _port("status page port", config.web.host, config.web.port)
+    for endpoint in config.zenoh.listen if config.zenoh.enabled else ():
+        protocol, _, place = endpoint.partition("/")
+        host, _, port = place.rpartition(":")
+        if protocol in ("tcp", "tls") and port.isdigit():
+            yield _port("Zenoh port", host.strip("[]"), int(port))
+
+
+def _port(name: str, host: str, port: int) -> Check:
+    place = f"{host}:{port}"
+    if port < 1024 and not has_capability(CAP_NET_BIND_SERVICE):
+        return Check(
+            name,
+            Verdict.WARN,
+            f"{place} needs a right that you do not have here; the service has it",
+            "started by hand, the daemon cannot listen",
+            "take a port above 1023, or run it as a service",
+        )
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        return Check(
+            name,
+            Verdict.BAD,
+            f"{place}: {_why_not(error, host, port)}",
+            "the daemon does not start (if it is running now, this is it)",
+            f"ss -ltnp 'sport = :{port}'",
+        )
+    return Check(name, Verdict.OK, f"{place} is free")
+
+
+def _why_not(error: OSError, host: str, port: int) -> str:
+    """In the words of who has to change it, and with the program that is there already."""
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{host} is no address of this machine"
+    if error.errno == errno.EADDRINUSE:
+        users = re.search(r'users:\(\("([^"]+)",pid=(\d+)', run("ss", "-Hltnp", f"sport = :{port}") or "")
+        return f"in use by {users[1]}, process {users[2]}" if users else "in use by another program"
+    return error.strerror or str(error)

@@ -1,0 +1,95 @@
+"""A few test pictures, as the daemon would take them."""
+
+from __future__ import annotations
+
+import asyncio
+import statistics
+import time
+from collections.abc import Iterator
+
+from edged.app import LoadedCell, head_of
+from edged.doctor.findings import Check, Verdict
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    EdgedError,
+    FrameIncomplete,
+    FrameTimeout,
+    PairingError,
+)
+from edged.sim.world import VirtualWorld
+
+TRIGGERS = 5
+
+REMEDIES: dict[type[EdgedError], str] = {
+    CameraBusy: "close the viewer, or the daemon that has it: systemctl status 'edged*'",
+    CameraSetupError: "the setting that the message names, below [cameras.left] or [cameras.right]",
+    CameraUnreachable: "cable and power; what answers: edged cameras",
+    FrameIncomplete: "packets are lost: MTU, receive buffers and link above; a switch without flow control",
+    FrameTimeout: "no image came: trigger source, exposure_us against cameras.timeout_s, firewall above",
+    PairingError: "one trigger for both cameras? cameras.max_skew_ms",
+}
+"""By what went wrong, the first that fits."""
+
+
+def take_pictures(loaded: LoadedCell) -> Iterator[Check]:
+    """One check: open the cameras, take a few pairs, and see whether they fit the rig."""
+    source = loaded.config.cameras.source
+    try:
+        if source.startswith("virtual"):
+            with VirtualWorld(gige=source == "virtual") as world:
+                yield asyncio.run(_shoot(loaded, world))
+        else:
+            yield asyncio.run(_shoot(loaded, None))
+    except EdgedError as error:
+        yield Check("test pictures", Verdict.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
+
+
+async def _shoot(loaded: LoadedCell, world: VirtualWorld | None) -> Check:
+    head = head_of(loaded.config.cameras, world)
+    times_ms, skews_ms, faults = [], [], list[CaptureError]()
+    sizes = [(camera.height, camera.width) for camera in (loaded.rig.rig.left, loaded.rig.rig.right)]
+    try:
+        await head.open()
+        for _ in range(TRIGGERS):
+            start = time.perf_counter()
+            try:
+                pair = await head.capture()
+            except CaptureError as error:
+                faults.append(error)
+                continue
+            times_ms.append((time.perf_counter() - start) * 1e3)
+            skews_ms.append(abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6)
+            if [pair.left.image.shape, pair.right.image.shape] != sizes:
+                return Check(
+                    "test pictures",
+                    Verdict.BAD,
+                    f"{pair.left.image.shape[::-1]} and {pair.right.image.shape[::-1]} pixels",
+                    "the rig was calibrated for another size: every cycle fails",
+                    "calibrate again, or set Width and Height as they were",
+                )
+    finally:
+        await head.close()
+    text = f"{len(times_ms)} of {TRIGGERS} pairs"
+    if times_ms:
+        text += f", {statistics.median(times_ms):.0f} ms from trigger to both images"
+        text += f", skew up to {max(skews_ms):.2f} ms"
+    if faults:
+        return Check(
+            "test pictures",
+            Verdict.BAD,
+            f"{text}; {faults[0]}",
+            "CAPTURE_FAULT in such cycles",
+            _remedy(faults[0]),
+        )
+    return Check("test pictures", Verdict.OK, text)
+
+
+def _remedy(error: EdgedError) -> str:
+    """Where to look first."""
+    for kind, remedy in REMEDIES.items():
+        if isinstance(error, kind):
+            return remedy
+    return "what the message names"
