@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator
 
-from edged.app import LoadedCell, head_of
+from edged.app import LoadedCell
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
     CameraBusy,
@@ -18,13 +18,16 @@ from edged.errors import (
     FrameIncomplete,
     FrameTimeout,
     PairingError,
+    WrongCamera,
 )
+from edged.head import camera_facts, head_of
 from edged.sim.world import VirtualWorld
 
 TRIGGERS = 5
 
 REMEDIES: dict[type[EdgedError], str] = {
     CameraBusy: "close the viewer, or the daemon that has it: systemctl status 'edged*'",
+    WrongCamera: "cables or addresses were swapped: edged cameras lists who is where",
     CameraSetupError: "the setting that the message names, below [cameras.left] or [cameras.right]",
     CameraUnreachable: "cable and power; what answers: edged cameras",
     FrameIncomplete: "packets are lost: MTU, receive buffers and link above; a switch without flow control",
@@ -36,7 +39,10 @@ REMEDIES: dict[type[EdgedError], str] = {
 
 def take_pictures(loaded: LoadedCell) -> Iterator[Check]:
     """One check: open the cameras, take a few pairs, and see whether they fit the rig."""
-    source = loaded.config.cameras.source
+    source, mode = loaded.config.cameras.source, loaded.config.cameras.trigger.mode
+    if mode == "line" or loaded.config.cycle.mode == "external" or loaded.config.cameras.trigger.first_line:
+        yield Check("test pictures", Verdict.SKIP, "somebody else triggers the cameras: run it and see")
+        return
     try:
         if source.startswith("virtual"):
             with VirtualWorld(gige=source == "virtual") as world:
@@ -70,12 +76,14 @@ async def _shoot(loaded: LoadedCell, world: VirtualWorld | None) -> Check:
                     "the rig was calibrated for another size: every cycle fails",
                     "calibrate again, or set Width and Height as they were",
                 )
+        facts = camera_facts(head)
     finally:
         await head.close()
     text = f"{len(times_ms)} of {TRIGGERS} pairs"
     if times_ms:
         text += f", {statistics.median(times_ms):.0f} ms from trigger to both images"
         text += f", skew up to {max(skews_ms):.2f} ms"
+    text += "".join(f"; {side}: {fact}" for side, fact in facts.items())
     if faults:
         return Check(
             "test pictures",
