@@ -72,10 +72,13 @@ class LoadedCell:
     files: Mapping[str, bytes]
 
 
-def load_cell(path: Path) -> LoadedCell:
-    """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them."""
+def load_cell(path: Path, *, elsewhere: bool = False) -> LoadedCell:
+    """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them.
+
+    elsewhere : on a machine that it need not run on; certificates and keys may be missing.
+    """
     config = load(path)
-    problems: list[str] = []
+    problems = [] if elsewhere else config.missing_files()
     rig: PreparedRig | None = None
     try:
         rig = prepare(load_rig(config.cell.rig))
@@ -110,7 +113,12 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
     jobs: list[Job] = []
-    for entry in job_folders(folder):
+    try:
+        entries = job_folders(folder)
+    except OSError as error:
+        problems.append(f"cell.jobs: {folder}: cannot be read: {error.strerror or error}")
+        return []
+    for entry in entries:
         try:
             job = load_job(entry)
         except UserError as error:

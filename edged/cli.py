@@ -412,7 +412,7 @@ def restore(
         bool, typer.Option("--force", help="replace a folder that is in use; it is kept beside")
     ] = False,
 ) -> None:
-    """Check a backup and make a folder of it. 0: done; 1: done, but this version does not run it."""
+    """Check a backup and make a folder of it. 0: done; 1: done, but it would not start."""
     from rich.console import Console
 
     from edged.commands.backup import restore as command

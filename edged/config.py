@@ -20,6 +20,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PlainValidator,
     ValidationError,
     ValidationInfo,
     model_validator,
@@ -43,7 +44,7 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class CellSection(_Section):
@@ -66,7 +67,13 @@ class CycleSection(_Section):
     period_s: float = Field(0.5, ge=0.0, le=3600, description="time from trigger to trigger in free mode")
 
 
-FeatureGroup = dict[str, bool | int | float | str]
+def _feature(value: object) -> bool | int | float | str:
+    if not isinstance(value, bool | int | float | str):
+        raise ValueError("expected true or false, a number or a text")  # noqa: TRY004  (pydantic's way)
+    return value
+
+
+FeatureGroup = dict[str, Annotated[bool | int | float | str, PlainValidator(_feature)]]
 
 
 def _groups(value: object) -> object:
@@ -258,12 +265,22 @@ class ModbusSection(_Section):
         return self
 
 
+def _endpoint(value: str) -> str:
+    protocol, _, address = value.partition("/")
+    if not protocol or not address or ":" in protocol:
+        raise ValueError("expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447")
+    return value
+
+
+Endpoint = Annotated[str, AfterValidator(_endpoint)]
+
+
 class ZenohSection(_Section):
     """Publication to other processes."""
 
     enabled: bool = True
-    listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
-    connect: list[str] = Field(default_factory=list)
+    listen: list[Endpoint] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
+    connect: list[Endpoint] = Field(default_factory=list)
     config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
     encoding: Literal["json", "cbor"] = "json"
     trigger_timeout_s: float = Field(
@@ -282,6 +299,14 @@ class DriftSection(_Section):
     warn_length_percent: float = Field(0.1, gt=0, le=100, description="of the job's witness")
     invalid_length_percent: float = Field(0.3, gt=0, le=100)
     min_cycles: int = Field(20, ge=2, le=100_000, description="before any verdict")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> DriftSection:
+        for what in ("rows_px", "length_percent"):
+            warn, invalid = getattr(self, f"warn_{what}"), getattr(self, f"invalid_{what}")
+            if warn > invalid:
+                raise ValueError(f"warn_{what} {warn:g} is beyond invalid_{what} {invalid:g}")
+        return self
 
 
 class RecorderSection(_Section):
@@ -353,6 +378,31 @@ class Config(_Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _ports_differ(self) -> Config:
+        web, modbus = self.web, self.modbus
+        if web is not None and modbus.enabled and web.port == modbus.port:
+            raise ValueError(f"web.port and modbus.port are both {web.port}")
+        return self
+
+    def machine_files(self) -> dict[str, Path]:
+        """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
+        found: dict[str, Path] = {}
+        if (tls := self.modbus.tls) is not None:
+            found |= {
+                f"modbus.tls.{name}": getattr(tls, name) for name in ("certificate", "key", "authority")
+            }
+        if (web := self.web) is not None and web.certificate is not None and web.key is not None:
+            found |= {"web.certificate": web.certificate, "web.key": web.key}
+        return found
+
+    def missing_files(self) -> list[str]:
+        """A line for each named file that is not there; rig and jobs are read, and judged, elsewhere."""
+        named = self.machine_files()
+        if self.zenoh.enabled and self.zenoh.config_file is not None:
+            named["zenoh.config_file"] = self.zenoh.config_file
+        return [f"{place}: {file}: no such file" for place, file in named.items() if not file.is_file()]
+
 
 def load(path: Path) -> Config:
     """Read and check a configuration file.
@@ -371,6 +421,8 @@ def load(path: Path) -> Config:
         raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(path), [f"not TOML: {error}"]) from error
+    except RecursionError:
+        raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
     try:
         return Config.model_validate(data, context={"directory": path.resolve().parent})
     except ValidationError as error:
@@ -379,7 +431,6 @@ def load(path: Path) -> Config:
 
 def _problem(detail: Any) -> str:
     """One line of `edged check`: dotted path, what is wrong, what was found."""
-    # a union such as `features.X: bool | int | ...` adds its branch to the path; people never wrote that
     place = ".".join(str(part) for part in detail["loc"]) or "(file)"
     if detail["type"] == "extra_forbidden":
         return f"{place}: unknown key"

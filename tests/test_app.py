@@ -68,3 +68,19 @@ def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
     job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1"))
 
     assert load_cell(folder / "cell.toml").setup.fingerprint != before
+
+
+def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
+    """Certificates, keys and Zenoh's own file, each by its key; not when it is to run elsewhere."""
+    config = folder / "cell.toml"
+    text = config.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "z.json5"')
+    text += '\n[modbus.tls]\ncertificate = "c.pem"\nkey = "k.pem"\nauthority = "a.pem"\n'
+    config.write_text(text + '\n[web]\ncertificate = "c.pem"\nkey = "k.pem"\n')
+    (folder / "c.pem").write_text("")
+
+    with pytest.raises(ConfigError) as caught:
+        load_cell(config)
+
+    places = [problem.partition(":")[0] for problem in caught.value.problems]
+    assert ["modbus.tls.key", "modbus.tls.authority", "web.key", "zenoh.config_file"] == places
+    assert load_cell(config, elsewhere=True).config.cell.name == "demo"

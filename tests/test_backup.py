@@ -77,7 +77,7 @@ def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path
     (here / "left.toml").write_text(text + '\n[web]\ncertificate = "tls.pem"\nkey = "tls.key"\n')
 
     assert 0 == backup(here / "left.toml", tmp_path / "a.tar.gz", QUIET)
-    assert 0 == restore(tmp_path / "a.tar.gz", tmp_path / "new", QUIET)
+    assert 1 == restore(tmp_path / "a.tar.gz", tmp_path / "new", QUIET), "it cannot start without its key"
 
     config = load(tmp_path / "new" / "left.toml")
     places = (config.cell.rig, config.cell.jobs, config.zenoh.config_file)

@@ -70,10 +70,17 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
         (('name = "cell1"', "name = 7"), "cell.name"),
         (("[cameras]", "[cycle]\nperiod_s = nan\n[cameras]"), "cycle.period_s"),
         (("[cameras]", "[cycle]\nperiod_s = inf\n[cameras]"), "cycle.period_s"),
+        (("[cameras]", '[cycle]\nperiod_s = "0.5"\n[cameras]'), "cycle.period_s"),
+        (("[cameras]", "[modbus]\nport = true\n[cameras]"), "modbus.port"),
+        (("[cameras]", '[zenoh]\nlisten = ["tcp:127.0.0.1:7447"]\n[cameras]'), "zenoh.listen.0"),
+        (("[cameras]", "[drift]\nwarn_rows_px = 2.0\n[cameras]"), "drift"),
+        (("[cameras]", "[drift]\nwarn_length_percent = 2.0\n[cameras]"), "drift"),
+        (("[cameras]", "[web]\nport = 1502\n[cameras]"), "(file)"),
+        (('"192.0.2.2"', '"192.0.2.2"\nleft.features.Gain = [1]'), "cameras.left.features.0.Gain"),
     ],
 )
 def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], place: str) -> None:
-    """Same device twice, missing devices, names that break keys, NaN and infinity."""
+    """Same device twice, names that break keys, NaN, a value of another type, limits the wrong way round."""
     (problem,) = problems(tmp_path, GOOD.replace(*change))
 
     assert problem.startswith(f"{place}: ")
@@ -81,7 +88,12 @@ def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], p
 
 @pytest.mark.parametrize(
     "content, message",
-    [(b"[cell\n", "not TOML"), (b"\xff\xfe", "not UTF-8"), (b"#" * 2_000_000, "larger than")],
+    [
+        (b"[cell\n", "not TOML"),
+        (b"\xff\xfe", "not UTF-8"),
+        (b"#" * 2_000_000, "larger than"),
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+    ],
 )
 def test_files_that_are_no_configuration_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
     """Broken TOML says where, binary and huge files are not read further."""

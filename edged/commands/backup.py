@@ -73,7 +73,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
-    loaded = load_cell(config)
+    loaded = load_cell(config, elsewhere=True)
     files, left_out = _collect(config, loaded.config)
     taken = Backup(
         datetime.now(UTC).replace(microsecond=0),
@@ -87,7 +87,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     data = pack(taken)
     with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
         _write(Path(place), unpack(data, str(output)))
-        found = load_cell(Path(place) / config.name).setup.fingerprint
+        found = load_cell(Path(place) / config.name, elsewhere=True).setup.fingerprint
     if found != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     try:
@@ -107,8 +107,8 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
 def restore(archive: Path, output: Path | None, console: Console, *, force: bool = False) -> int:
     """Check an archive; with an output make it that folder, as a whole or not at all.
 
-    force : an existing folder makes room and is kept beside it. Returns 0, or 1 when this version cannot run
-    what was restored. Raises `UserError`; then nothing has changed.
+    force : an existing folder makes room and is kept beside it. Returns 0, or 1 when the
+    daemon would not start with what was restored. Raises `UserError`; then nothing has changed.
     """
     taken = unpack(_read(archive), str(archive))
     console.print(
@@ -131,12 +131,12 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
 
 
 def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
-    """Whether this version of edged would run the restored cell, and as the same one."""
+    """Whether the daemon would start with the restored cell, and as the same one."""
     config = output / taken.config
     try:
         fingerprint = load_cell(config).setup.fingerprint
     except ConfigError as error:
-        console.print(f"restored, but this version does not run it: {error}", markup=False, highlight=False)
+        console.print(f"restored, but it would not start here: {error}", markup=False, highlight=False)
         return 1
     same = "the same" if fingerprint == taken.fingerprint else "another one: the version reads it differently"
     console.print(
@@ -174,16 +174,10 @@ def _collect(path: Path, config: Config) -> tuple[dict[str, bytes], dict[str, st
     if path.name in files:
         raise UserError(f"{path}: has the name of another file of the cell: {path.name}")
     files[path.name] = text.encode()
-    tls, web = config.modbus.tls, config.web
-    machine = {
-        "modbus.tls.certificate": tls and tls.certificate,
-        "modbus.tls.key": tls and tls.key,
-        "modbus.tls.authority": tls and tls.authority,
-        "web.certificate": web and web.certificate,
-        "web.key": web and web.key,
-        "cameras.folder": config.cameras.folder,
-    }
-    return files, {place: str(file) for place, file in machine.items() if file is not None}
+    left_out = {place: str(file) for place, file in config.machine_files().items()}
+    if config.cameras.folder is not None:
+        left_out["cameras.folder"] = str(config.cameras.folder)
+    return files, left_out
 
 
 def _add(files: dict[str, bytes], member: str, path: Path) -> None:
