@@ -68,6 +68,21 @@ def test_the_expected_camera_opens(cell: Cell) -> None:
     run(lambda camera: camera.open(), left_camera(serial="EDGED-T1"))
 
 
+def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
+    cell: Cell, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nobody answers where it was; the log says where it is now."""
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    frame = run(script, left_camera(NOBODY, serial="EDGED-T1"))
+
+    cell.left_sensor.saw(frame.image)
+    assert f"{NOBODY} does not answer, its serial number EDGED-T1 does at {LEFT}" in caplog.text
+
+
 # --- geometry -----------------------------------------------------------------------------------------
 
 

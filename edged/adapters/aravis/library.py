@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import ipaddress
+import logging
 import math
 import socket
 import struct
@@ -17,6 +18,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError
+
+log = logging.getLogger(__name__)
 
 INSTALL_HINT = "install it with: apt install gir1.2-aravis-0.8 python3-gi"
 
@@ -227,20 +230,32 @@ def control_state(address: str) -> str:
     return "controlled" if int.from_bytes(answer[8:12]) & CONTROLLED else "free"
 
 
-def connect(camera: str, device: str) -> Any:
+def connect(camera: str, device: str, serial: str = "") -> Any:
     """The `Aravis.Camera` with this IP address, serial number or Aravis id.
 
-    An address is asked directly, across routers too; everything else must answer discovery.
+    An address is asked directly, across routers too; everything else must answer discovery. A camera that does
+    not answer at its address is looked for by its serial number, where that is known: it may have got another.
     Raises `CameraUnreachable`; takes a few seconds at most.
     """
-    aravis = library(camera).aravis
     try:
         ipaddress.ip_address(device)
     except ValueError:
-        device_id = _find(camera, device)
-    else:
-        device_id = device
-    with translated(camera, f"connecting to {device}"):
+        return _connect(camera, _find(camera, device))
+    try:
+        return _connect(camera, device)
+    except CameraUnreachable:
+        if not serial:
+            raise
+    moved = _find(camera, serial)
+    log.warning(
+        "camera %s: %s does not answer, its serial number %s does at %s", camera, device, serial, moved
+    )
+    return _connect(camera, moved)
+
+
+def _connect(camera: str, device_id: str) -> Any:
+    aravis = library(camera).aravis
+    with translated(camera, f"connecting to {device_id}"):
         return aravis.Camera.new(device_id)
 
 

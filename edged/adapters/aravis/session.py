@@ -110,7 +110,7 @@ class Session:
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
         self._counter = FrameCounter(first_frame_id)
-        self._camera: Any = connect(name, settings.device)
+        self._camera: Any = connect(name, settings.device, settings.serial)
         try:
             with self._talking("setting up"):
                 self._set_up()
