@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gigecell import HEIGHT, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
+from gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
@@ -80,7 +80,7 @@ def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     frame = run(script, left_camera(NOBODY, serial="EDGED-T1"))
 
     cell.left_sensor.saw(frame.image)
-    assert f"{NOBODY} does not answer, its serial number EDGED-T1 does at {LEFT}" in caplog.text
+    assert f"{NOBODY} does not answer, but EDGED-T1 does at {LEFT}" in caplog.text
 
 
 # --- geometry -----------------------------------------------------------------------------------------

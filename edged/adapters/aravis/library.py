@@ -233,9 +233,9 @@ def control_state(address: str) -> str:
 def connect(camera: str, device: str, serial: str = "") -> Any:
     """The `Aravis.Camera` with this IP address, serial number or Aravis id.
 
-    An address is asked directly, across routers too; everything else must answer discovery. A camera that does
-    not answer at its address is looked for by its serial number, where that is known: it may have got another.
-    Raises `CameraUnreachable`; takes a few seconds at most.
+    An address is asked directly, across routers too; everything else must answer discovery. A camera that
+    does not answer at its address may have got another: it is looked for by its serial number, where that is
+    known. Raises `CameraUnreachable`; takes a few seconds at most.
     """
     try:
         ipaddress.ip_address(device)
@@ -247,9 +247,7 @@ def connect(camera: str, device: str, serial: str = "") -> Any:
         if not serial:
             raise
     moved = _find(camera, serial)
-    log.warning(
-        "camera %s: %s does not answer, its serial number %s does at %s", camera, device, serial, moved
-    )
+    log.warning("camera %s: %s does not answer, but %s does at %s", camera, device, serial, moved)
     return _connect(camera, moved)
 
 
