@@ -11,6 +11,7 @@ import pytest
 
 from edged.domain import FloatArray
 from edged.vision import robust
+from edged.vision.median import median
 from edged.vision.robust import Groups, propagate, solve_groups
 from edged.vision.spd import invert_spd
 
@@ -94,6 +95,18 @@ def test_small_kernels_equal_their_twins(seed: int) -> None:
     inverse = np.empty((7, 7))
     assert invert_spd(square @ square.T + 0.1 * np.eye(7), inverse)
     np.testing.assert_allclose(inverse, np.linalg.inv(square @ square.T + 0.1 * np.eye(7)), rtol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 17, 40, 333, 2000])
+def test_the_median_is_numpys(count: int) -> None:
+    """With few and many samples, outliers, equal samples and two heaps; what is no number ends, too."""
+    rng = np.random.default_rng(count)
+    rough = rng.normal(0, 0.1, count)
+    for values in (rough, np.abs(rough) + 1e6 * (rng.random(count) < 0.2), np.full(count, 2.5)):
+        assert median(values) == np.median(values)
+    assert median(np.repeat([0.0, 1.0], count)) == 0.5
+    assert math.isnan(median(np.full(count, np.nan)))
+    median(np.where(rng.random(count) < 0.5, np.inf, rough))
 
 
 def test_a_singular_matrix_is_told() -> None:

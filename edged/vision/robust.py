@@ -21,6 +21,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.displacements import DOUBT_PX, learn_sizes
 from edged.vision.jit import kernel
+from edged.vision.median import median
 from edged.vision.spd import invert_spd
 
 F64 = npt.NDArray[np.float64]
@@ -50,7 +51,7 @@ def robust_scale(residuals: F64, base: F64) -> float:
             count += 1
     if count == 0:
         return 0.0
-    return 1.4826 * np.median(kept[:count])
+    return 1.4826 * median(kept[:count])
 
 
 @kernel("f8(f8)")

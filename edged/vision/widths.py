@@ -15,6 +15,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.edges import WIDTHS_PX, EdgeSamples
 from edged.vision.jit import kernel
+from edged.vision.median import median
 from edged.vision.robust import variance_of_mean
 
 F64 = npt.NDArray[np.float64]
@@ -113,7 +114,7 @@ def _weigh(
         kept += 1
     if kept == 0:
         return
-    middle = np.median(contrast[:kept])
+    middle = median(contrast[:kept])
     for n in range(count):
         if around[n] < middle:
             base[n] *= (around[n] / middle) ** 2
@@ -129,7 +130,7 @@ def _blur2(narrow_slope: F64, narrow_base: F64, wide_slope: F64, wide_base: F64)
             count += 1
     if count == 0:
         return 0.0
-    ratio = np.median(ratios[:count]) ** 2
+    ratio = median(ratios[:count]) ** 2
     narrow2, wide2 = WIDTHS_PX[0] ** 2, WIDTHS_PX[START_WIDTH] ** 2
     if ratio <= 1.0:
         return wide2
