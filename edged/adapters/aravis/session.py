@@ -235,7 +235,9 @@ class Session:
             with contextlib.suppress(self._library.glib.Error):  # it may be gone, that is why we close
                 camera.stop_acquisition()
         self._stream = None
-        # the last reference gives up control and ends Aravis' own threads; cycles would keep them
+        # the last reference gives up control and ends Aravis' own threads. Cycles would keep it, and so would
+        # this session, which lives as long as the traceback of an error that it raised
+        self._features = self._latch = None
         del camera
         gc.collect()
 

@@ -1,0 +1,250 @@
+"""What goes wrong with cameras in a factory, each over real UDP with the real Aravis.
+
+Every fault is noticed within the time that docs/cameras.md states, has its own code, publishes nothing that
+is not a whole, new pair, and is healed without a restart when its cause has gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+import pytest
+from gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
+
+from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
+from edged.capture import REOPEN_AFTER, StereoHead
+from edged.errors import (
+    CameraBusy,
+    CameraRestarted,
+    CameraUnreachable,
+    CaptureError,
+    FrameFrozen,
+    FrameIncomplete,
+    FrameTimeout,
+    StreamStalled,
+    WrongCamera,
+)
+from edged.sim.gige import GigeCamera
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+TIMEOUT_S = 0.5
+ELSEWHERE = "127.0.40.7"
+LOADED_S = 15.0
+"""On top of every stated time: the test machine may be busy with other things."""
+
+
+class Line:
+    """A cell with both cameras, and a head that runs without pause; keeps what it saw."""
+
+    def __init__(self, cell: Cell, **settings: Any) -> None:
+        self.cell = cell
+        left = AravisSettings(settings.pop("device", LEFT), **settings)
+        self.head = StereoHead(
+            AravisCamera("left", left),
+            AravisCamera("right", AravisSettings(RIGHT)),
+            timeout_s=TIMEOUT_S,
+            max_skew_s=0.4,
+            max_backoff_s=0.2,
+        )
+        self.faults: list[CaptureError] = []
+
+    async def shoot(self) -> CaptureError | None:
+        """One exposure: a fault, or a pair that is whole, new and of one exposure."""
+        try:
+            pair = await asyncio.wait_for(self.head.capture(), 2 * TIMEOUT_S + LOADED_S)
+        except CaptureError as error:
+            self.faults.append(error)
+            await asyncio.sleep(0.02)
+            return error
+        left, right = self.cell.left_sensor, self.cell.right_sensor
+        left.saw(pair.left.image)
+        right.saw(pair.right.image)
+        assert pair.left.device_ns == left.requests[-1].device_ns
+        assert pair.right.device_ns == right.requests[-1].device_ns
+        return None
+
+    async def until(self, wanted: type[CaptureError] | None, within_s: float) -> float:
+        """Shoot until this fault, or a good pair; the seconds it took."""
+        began_s = time.monotonic()
+        while True:
+            error = await self.shoot()
+            if (error is None) if wanted is None else (type(error) is wanted):
+                return time.monotonic() - began_s
+            told = [f"{type(fault).__name__}: {fault}" for fault in self.faults[-5:]]
+            assert time.monotonic() < began_s + within_s + LOADED_S, told
+
+    async def good(self) -> None:
+        """It works, or works again."""
+        await self.until(None, 5)
+
+
+def play(script: Callable[[Line], Awaitable[None]], cell: Cell, **settings: Any) -> Line:
+    """Run a script on a line whose cameras work."""
+    line = Line(cell, **settings)
+
+    async def main(_head: StereoHead) -> None:
+        await line.good()
+        line.faults.clear()
+        await script(line)
+        await line.good()
+
+    run(main, line.head, limit_s=120)
+    return line
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    """A running cell."""
+    with running(Cell()) as cell:
+        yield cell
+        cell.left.stop()  # the one that a test has put there
+
+
+@contextlib.contextmanager
+def viewer(address: str) -> Iterator[None]:
+    """Another program that controls a camera, by plain GVCP."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.connect((address, 3956))
+        udp.settimeout(2)
+        # control access with a heartbeat time-out of a minute; and at the end no access
+        for number, (register, value) in enumerate(((0x0A00, 2), (0x0938, 60_000), (0x0A00, 0)), start=1):
+            if value == 0:
+                yield
+            udp.send(struct.pack(">BBHHHII", 0x42, 1, 0x82, 8, number, register, value))
+            assert b"\0\0" == udp.recv(64)[:2]  # success
+
+
+def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T1") -> GigeCamera:
+    """The left camera after its power came back: it knows nobody."""
+    cell.left_sensor = Sensor(3)
+    cell.left = gige_camera(address, serial, cell.left_sensor)
+    return cell.left
+
+
+def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Cell) -> None:
+    """A tenth of the packets gone and none sent again: incomplete (105), with the frame; then good again."""
+
+    async def script(line: Line) -> None:
+        cell.left.faults.packet_loss = 0.1
+        await line.until(FrameIncomplete, TIMEOUT_S)
+        for _ in range(4):
+            await line.shoot()
+        cell.left.faults.packet_loss = 0.0
+
+    line = play(script, cell, resend=False, packet_size=1500)
+    assert {"left"} == {fault.camera for fault in line.faults}
+    assert {type(fault) for fault in line.faults} <= {FrameIncomplete, FrameTimeout}
+
+
+def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
+    """The same loss, one in a hundred: with resend every picture comes, whole."""
+
+    async def script(line: Line) -> None:
+        cell.left.faults.packet_loss = cell.right.faults.packet_loss = 0.005
+        for _ in range(8):
+            await line.shoot()
+        cell.left.faults.packet_loss = cell.right.faults.packet_loss = 0.0
+
+    assert [] == play(script, cell, packet_size=1500).faults
+
+
+def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
+    """Triggers are taken, nothing comes: 104 after the time-out, 112 with the third; opened again."""
+
+    async def script(line: Line) -> None:
+        cell.left.faults.stalled = True
+        await line.until(FrameTimeout, TIMEOUT_S)
+        await line.until(StreamStalled, REOPEN_AFTER * TIMEOUT_S)
+        cell.left.faults.stalled = False
+
+    line = play(script, cell)
+    assert ["left"] * len(line.faults) == [fault.camera for fault in line.faults]
+
+
+def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
+    """New numbers and the same pixels: 110, as long as it lasts."""
+
+    async def script(line: Line) -> None:
+        cell.right.faults.frozen = True
+        for _ in range(2):
+            assert FrameFrozen is type(await line.shoot())
+        cell.right.faults.frozen = False
+
+    line = play(script, cell)
+    assert {"right"} == {fault.camera for fault in line.faults}
+
+
+def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -> None:
+    """101 within the 1.2 s of a command that is not answered; good again when the cable is back."""
+
+    async def script(line: Line) -> None:
+        cell.left.faults.unplugged = True
+        await line.until(CameraUnreachable, 1.2 + TIMEOUT_S)
+        cell.left.faults.unplugged = False
+
+    line = play(script, cell)
+    assert {"left"} == {fault.camera for fault in line.faults}
+
+
+def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
+    """It answers, and belongs to nobody: told, and opened again."""
+
+    async def script(line: Line) -> None:
+        cell.left.stop()
+        switched_on_again(cell).start()
+
+    line = play(script, cell)
+    assert line.faults
+    assert {type(fault) for fault in line.faults} <= {
+        CameraRestarted, CameraUnreachable, CameraBusy, FrameTimeout
+    }  # fmt: skip
+
+
+def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
+    """102 as soon as a command is refused, and while it lasts; good again by itself."""
+
+    async def script(line: Line) -> None:
+        cell.left.stop()
+        switched_on_again(cell).start()
+        with viewer(LEFT):
+            await line.until(CameraBusy, 2 * TIMEOUT_S)
+            line.faults.clear()
+            for _ in range(5):
+                await line.shoot()
+            assert {CameraBusy} == {type(fault) for fault in line.faults}
+
+    play(script, cell)
+
+
+def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
+    """DHCP gave it another one: 101, then good again from there."""
+
+    async def script(line: Line) -> None:
+        cell.left.stop()
+        switched_on_again(cell, address=ELSEWHERE).start()
+        await line.until(CameraUnreachable, 1.2)
+
+    play(script, cell, device="EDGED-T1")
+
+
+def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -> None:
+    """Another serial number at the left camera's address: 108, and never a picture of the wrong one."""
+
+    async def script(line: Line) -> None:
+        cell.left.stop()
+        with switched_on_again(cell, serial="EDGED-T9"):
+            await line.until(WrongCamera, 1.2 + TIMEOUT_S)
+            line.faults.clear()
+            for _ in range(3):
+                await line.shoot()
+            assert {WrongCamera} == {type(fault) for fault in line.faults}
+        switched_on_again(cell).start()
+
+    play(script, cell, serial="EDGED-T1")
