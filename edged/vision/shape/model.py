@@ -30,8 +30,6 @@ MAX_ORIGIN = 4.0
 """Of half the region's diagonal: farther from its middle an origin makes every angle a leap."""
 MARGIN_PX = 32
 """Around the disc of the region: what smoothing and the search for symmetries see of the surroundings."""
-BORDER_PX = 2.0
-"""Nearer to the border of the picture an edge is half unseen."""
 PADDING_PX = 10
 """Reach of the measuring operator."""
 MIN_TOP_RADIUS_PX = 14.0
@@ -277,7 +275,7 @@ def _measured(image: Image, points: FloatArray, normals: FloatArray) -> tuple[Fl
     offsets, slopes = edges_along_normals(image, points, normals, 1.5, 1)
     height, width = image.shape
     inside = np.minimum(points, np.array([width - 1.0, height - 1.0]) - points).min(axis=1)
-    cut = np.flatnonzero((inside >= BORDER_PX) & (inside < PADDING_PX) & ~np.isfinite(offsets))
+    cut = np.flatnonzero((inside < PADDING_PX) & ~np.isfinite(offsets))
     if len(cut):
         padded = np.asarray(cv2.copyMakeBorder(image, *(PADDING_PX,) * 4, cv2.BORDER_REPLICATE), np.uint8)
         offsets[cut], slopes[cut] = edges_along_normals(

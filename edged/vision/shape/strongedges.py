@@ -30,6 +30,9 @@ STRONGEST_SHARE = 0.05
 """... or, where there is little else, at least this share of all edges."""
 COMPONENT_SHARE = 0.08
 """Shortest connected edge that counts, in widths of the region."""
+NEAREST_PX, BORDER_PX = 1.0, 3.0
+"""Across an edge the picture must show so much to both sides: to have it in a template that is cut tightly,
+and to know its slope."""
 MIN_POINTS = 24
 MIN_STRONG = 4
 """Pixels of a connected edge that must be strong: one is noise."""
@@ -62,13 +65,16 @@ def strong_edges(
     faint = _faintest(image, mask, smoothing)
     if params.contrast_low is not None:
         faint = min(faint, params.contrast_low)
-    thin = cv2.Canny(gx, gy, UNIT * faint, 2 * UNIT * faint, L2gradient=True)
+    thin = np.asarray(cv2.Canny(gx, gy, UNIT * faint, 2 * UNIT * faint, L2gradient=True), np.uint8)
     thin[mask == 0] = 0
-    at = np.nonzero(thin)
+    ys, xs = np.nonzero(thin)
+    room_px = _room(ys, xs, gx, gy)
+    at = ys[room_px >= NEAREST_PX], xs[room_px >= NEAREST_PX]
     slopes = np.hypot(gx[at].astype(np.float64), gy[at]) / UNIT
     if len(slopes) < MIN_POINTS:
         return None
-    low, high = _thresholds(slopes, width_px, params)
+    whole = slopes[room_px[room_px >= NEAREST_PX] >= BORDER_PX]
+    low, high = _thresholds(whole if len(whole) >= MIN_POINTS else slopes, width_px, params)
     linked = np.zeros_like(thin)
     linked[at] = slopes > low
     _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
@@ -77,6 +83,19 @@ def strong_edges(
     keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= MIN_STRONG)
     keep[0] = False
     return StrongEdges(keep[labels].astype(np.uint8), gx, gy)
+
+
+def _room(
+    ys: npt.NDArray[np.intp], xs: npt.NDArray[np.intp], gx: npt.NDArray[np.int16], gy: npt.NDArray[np.int16]
+) -> npt.NDArray[np.float64]:
+    """(N,) px that the picture shows to both sides of an edge; much, of one that runs into its border."""
+    height, width = gx.shape
+    slope_x, slope_y = np.abs(gx[ys, xs].astype(np.float64)), np.abs(gy[ys, xs].astype(np.float64))
+    slope = np.hypot(slope_x, slope_y)
+    room_x, room_y = np.minimum(xs, width - 1 - xs), np.minimum(ys, height - 1 - ys)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.fmin(room_x * slope / slope_x, room_y * slope / slope_y)  # 0 / 0: it meets the border
+    return np.asarray(np.nan_to_num(room, nan=np.inf), np.float64)
 
 
 def _thresholds(slopes: npt.NDArray[np.float64], width_px: float, params: ModelParams) -> tuple[float, float]:
