@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from edged.adapters.aravis import Action
-from edged.adapters.aravis.trigger import ACTION_ACK, ACTION_COMMAND, ACTION_LATE, send_action
+from edged.adapters.aravis.trigger import ACTION_ACK, ACTION_COMMAND, send_action
 from edged.errors import FrameTimeout
 
 PEER, OTHER = "127.0.41.1", "127.0.41.2"
@@ -88,7 +88,12 @@ def test_nobody_there_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    "status, reason", [(ACTION_LATE, "too late: its lead is too short"), (0x8006, "status 0x8006")]
+    "status, reason",
+    [
+        (0x8016, "too late: its lead is too short"),
+        (0x8013, "no PTP time"),
+        (0x8006, "status 0x8006"),
+    ],
 )
 def test_a_refusal_is_told_with_its_reason(status: int, reason: str) -> None:
     """A schedule in the past, a device that is not ours."""

@@ -90,6 +90,7 @@ class Decoder:
         self, aravis: Any, counter: FrameCounter, placement: Placement | None, check: ExposureCheck | None
     ) -> None:
         self._aravis, self._counter, self._placement, self._check = aravis, counter, placement, check
+        self._extended = aravis.BufferPayloadType.EXTENDED_CHUNK_DATA
 
     def arrival(self, buffer: Any) -> Arrival:
         """The image in a buffer, or why there is none."""
@@ -98,13 +99,8 @@ class Decoder:
         arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
         problem, image = self._problem(buffer), None
         if not problem:
-            pixels = BY_CODE[buffer.get_image_pixel_format()]
-            # what comes after the image is chunk data
-            data = buffer.get_image_data() if buffer.has_chunks() else buffer.get_data()
             try:
-                image = grey8(
-                    np.frombuffer(data, np.uint8), pixels, buffer.get_image_width(), buffer.get_image_height()
-                )
+                image = self._image(buffer)
             except ValueError as error:
                 problem = str(error)
         if image is None:
@@ -113,12 +109,19 @@ class Decoder:
             image = _placed(image, self._placement)
         return Arrival(frame_id, device_ns, arrived_ns, image)
 
+    def _image(self, buffer: Any) -> Image:
+        width, height = buffer.get_image_width(), buffer.get_image_height()
+        pixels = BY_CODE[buffer.get_image_pixel_format()]
+        data = np.frombuffer(buffer.get_data(), np.uint8)
+        if buffer.has_chunks() or buffer.get_payload_type() == self._extended:
+            data = data[: pixels.size(width * height)]  # what comes after the image is chunk data
+        return grey8(data, pixels, width, height)
+
     def _problem(self, buffer: Any) -> str:
         status, kind = buffer.get_status(), buffer.get_payload_type()
-        kinds = self._aravis.BufferPayloadType
         if status != self._aravis.BufferStatus.SUCCESS:
             return f"incomplete: {status.value_nick.replace('-', ' ')}"
-        if kind not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+        if kind not in (self._aravis.BufferPayloadType.IMAGE, self._extended):
             return f"it carries {kind.value_nick}, not an image"
         if buffer.get_image_pixel_format() not in BY_CODE:
             return f"unknown pixel format 0x{buffer.get_image_pixel_format():08x}"
@@ -138,7 +141,8 @@ class ExposureCheck:
     def problem(self, buffer: Any) -> str:
         """What is wrong with the exposure of the image in a buffer, or nothing."""
         if not buffer.has_chunks():
-            return "chunk data are missing"
+            # of the extended chunk payload of GigE Vision 1.x Aravis 0.8 reads the image only
+            return "no chunk data that could be read: set chunks = false for this camera"
         try:
             exposed_us = float(self._parser.get_float_value(buffer, "ChunkExposureTime"))
         except self._error as error:

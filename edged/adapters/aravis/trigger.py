@@ -22,8 +22,11 @@ ACTION_COMMAND, ACTION_ACK = 0x0100, 0x0101
 ACK_WANTED, SCHEDULED = 0x01, 0x80
 """GVCP ACTION_CMD and the bits of its flags (GigE Vision 2.0, 16.7)."""
 
-ACTION_LATE = 0x8012
-"""GEV_STATUS_ACTION_LATE: the scheduled time had passed when the command came."""
+REFUSALS = {
+    0x8013: "has no PTP time to schedule the action by",  # GEV_STATUS_NO_REF_TIME
+    0x8016: "had the scheduled action too late: its lead is too short",  # GEV_STATUS_ACTION_LATE
+}
+"""Status codes of GigE Vision 2.0, table 19-1, that an integrator can do something about."""
 
 ACK_S = 0.3
 """A camera acknowledges within milliseconds. The command is not repeated: it might expose twice."""
@@ -225,10 +228,9 @@ def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str
     status, kind, _, number = struct.unpack(">HHHH", answer[:8])
     if kind != ACTION_ACK or number != request:
         return ""
-    if status == ACTION_LATE:
-        raise FrameTimeout(camera, f"{address} had the scheduled action too late: its lead is too short")
     if status != 0:
-        raise FrameTimeout(camera, f"{address} refused the action command: status 0x{status:04x}")
+        reason = REFUSALS.get(status, f"refused the action command: status 0x{status:04x}")
+        raise FrameTimeout(camera, f"{address} {reason}")
     return address
 
 
