@@ -6,11 +6,13 @@ those from 0x10000 on are this camera's own and known to clients only through th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-MONO8 = 0x01080001
-"""PFNC code of Mono8."""
+from edged.sim.clock import PTP_STATES
+from edged.sim.faults import Quirk
+from edged.vision.pixelformats import FORMATS
+
 XML_ADDRESS = 0x0020_0000
 XML_NAME = "edged_virtual_camera.xml"
 
@@ -34,24 +36,52 @@ DISCOVERY_BYTES = 0xF8
 
 FIRE_TEST_PACKET, DO_NOT_FRAGMENT, PACKET_SIZE_MASK = 0x8000_0000, 0x4000_0000, 0xFFFF
 
-ACQUISITION_START, ACQUISITION_STOP, TRIGGER_SOFTWARE = 0x10100, 0x10104, 0x10108
 WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = 0x10000, 0x10004, 0x10008, 0x1000C
 PIXEL_FORMAT, PAYLOAD_SIZE, WIDTH_MAX, HEIGHT_MAX = 0x10010, 0x10014, 0x10018, 0x1001C
 ACQUISITION_MODE, TRIGGER_SELECTOR, TRIGGER_MODE, TRIGGER_SOURCE = 0x10020, 0x10024, 0x10028, 0x1002C
 EXPOSURE_TIME, GAIN, FRAME_RATE, TEMPERATURE = 0x10030, 0x10034, 0x10038, 0x1003C
+FRAME_RATE_ENABLE, TRIGGER_ACTIVATION, TRIGGER_DELAY = 0x10040, 0x10044, 0x10048
+ACQUISITION_START, ACQUISITION_STOP, TRIGGER_SOFTWARE, DEVICE_RESET = 0x10100, 0x10104, 0x10108, 0x1010C
+LINE_SELECTOR, LINE_STATUS_ALL, ACTION_SELECTOR = 0x10200, 0x10204, 0x10208
+LINE_MODE, LINE_INVERTER, LINE_DEBOUNCER, LINE_SOURCE, LINE_STATUS = range(0x10210, 0x10260, 0x10)
+ACTION_DEVICE_KEY, ACTION_GROUP_KEY, ACTION_GROUP_MASK = 0x10270, 0x10274, 0x10278
+PTP_ENABLE, PTP_STATUS, PTP_LATCH, PTP_OFFSET = 0x10300, 0x10304, 0x10308, 0x10310
+LATCH, LATCH_VALUE, CLOCK_RESET = 0x10320, 0x10328, 0x10330
+CHUNK_MODE, CHUNK_SELECTOR, CHUNK_ENABLE = 0x10400, 0x10404, 0x10410
+
+PIXEL_FORMATS = (
+    "Mono8",
+    "Mono10",
+    "Mono12",
+    "Mono10Packed",
+    "Mono12Packed",
+    "Mono10p",
+    "Mono12p",
+    "BayerRG8",
+)
+LINES = {"Line1": 0, "Line2": 1, "Line3": 2}
+LINE_DIRECTIONS: tuple[tuple[int, ...], ...] = ((0,), (1,), (0, 1))
+"""Line1 is wired as an input (0), Line2 as an output (1), Line3 can be either."""
+SOFTWARE, LINE1, ACTION1, LINE3 = 0, 1, 2, 3
+TRIGGER_SOURCES = {"Software": SOFTWARE, "Line1": LINE1, "Action1": ACTION1, "Line3": LINE3}
+RISING, FALLING, ANY = 0, 1, 2
+OFF, EXPOSURE_ACTIVE = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """A GenICam node with a 4-byte register.
+    """A GenICam node with a register.
 
-    kind : what the register holds. low, high : limits of a number. choices : of an enumeration.
+    kind : what the register holds. start : after power-on; of a command, what it is written to be done.
+    low, high : limits of a number. choices : of an enumeration. length : bytes, 4 or 8.
+    selector : enumeration that chooses one of several registers, 4 bytes apart, that this node shows.
+    chunk : where the value is found in an image's chunk data, instead of in a register.
     """
 
     name: str
     category: str
     address: int
-    kind: Literal["integer", "float", "enumeration", "command"]
+    kind: Literal["integer", "float", "boolean", "enumeration", "command"]
     start: float = 0
     low: float = 0
     high: float = 0
@@ -59,19 +89,54 @@ class Feature:
     choices: dict[str, int] = field(default_factory=dict)
     read_only: bool = False
     step: int = 1
+    length: int = 4
+    selector: str = ""
+    chunk: int = 0
 
 
-def features(width: int, height: int) -> tuple[Feature, ...]:
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A kind of chunk data. index : of its ChunkSelector entry."""
+
+    name: str
+    index: int
+    id: int
+    kind: Literal["integer", "float"]
+    length: int
+
+
+CHUNKS = (
+    Chunk("FrameID", 0, 0x1001, "integer", 8),
+    Chunk("Timestamp", 1, 0x1002, "integer", 8),
+    Chunk("ExposureTime", 2, 0x1003, "float", 4),
+)
+IMAGE_CHUNK_ID = 0x1000
+LARGEST = 2**62
+
+
+def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) -> tuple[Feature, ...]:
     """The features of a camera with a sensor of width x height px."""
-    image, acquisition, analog = "ImageFormatControl", "AcquisitionControl", "AnalogControl"
-    return (
+    table = [*_image(width, height), *_acquisition(), *_device()]
+    if Quirk.FEW_NODES not in quirks:
+        table += [*_rate(), *_trigger_details(), *_lines(), *_actions(), *_time(), *_chunks()]
+    sources = {"Software": SOFTWARE, "Line1": LINE1} if Quirk.FEW_NODES in quirks else TRIGGER_SOURCES
+    changes: dict[str, dict[str, object]] = {"TriggerSource": {"choices": sources}}
+    if Quirk.EXPOSURE_TIME_ABS in quirks:
+        changes["ExposureTime"] = {"name": "ExposureTimeAbs"}
+    return tuple(replace(feature, **changes.get(feature.name, {})) for feature in table)  # type: ignore[arg-type]
+
+
+def _image(width: int, height: int) -> list[Feature]:
+    image = "ImageFormatControl"
+    formats = {name: FORMATS[name].code for name in PIXEL_FORMATS}
+    return [
         Feature("Width", image, WIDTH, "integer", width, 16, width, step=4),
         Feature("Height", image, HEIGHT, "integer", height, 16, height, step=2),
         Feature("OffsetX", image, OFFSET_X, "integer", 0, 0, width - 16),
         Feature("OffsetY", image, OFFSET_Y, "integer", 0, 0, height - 16),
         Feature("WidthMax", image, WIDTH_MAX, "integer", width, 16, width, read_only=True),
         Feature("HeightMax", image, HEIGHT_MAX, "integer", height, 16, height, read_only=True),
-        Feature("PixelFormat", image, PIXEL_FORMAT, "enumeration", MONO8, choices={"Mono8": MONO8}),
+        Feature("PixelFormat", image, PIXEL_FORMAT, "enumeration", formats["Mono8"], choices=formats),
         Feature(
             "PayloadSize",
             "TransportLayerControl",
@@ -82,27 +147,33 @@ def features(width: int, height: int) -> tuple[Feature, ...]:
             2**31 - 1,
             read_only=True,
         ),
-        Feature(
-            "AcquisitionMode", acquisition, ACQUISITION_MODE, "enumeration", 0, choices={"Continuous": 0}
-        ),
-        Feature("AcquisitionStart", acquisition, ACQUISITION_START, "command"),
-        Feature("AcquisitionStop", acquisition, ACQUISITION_STOP, "command"),
-        Feature("AcquisitionFrameRate", acquisition, FRAME_RATE, "float", 10.0, 0.1, 100.0, "Hz"),
-        Feature(
-            "TriggerSelector", acquisition, TRIGGER_SELECTOR, "enumeration", 0, choices={"FrameStart": 0}
-        ),
-        Feature("TriggerMode", acquisition, TRIGGER_MODE, "enumeration", 0, choices={"Off": 0, "On": 1}),
-        Feature(
-            "TriggerSource",
-            acquisition,
-            TRIGGER_SOURCE,
-            "enumeration",
-            0,
-            choices={"Software": 0, "Line1": 1},
-        ),
-        Feature("TriggerSoftware", acquisition, TRIGGER_SOFTWARE, "command"),
-        Feature("ExposureTime", acquisition, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
-        Feature("Gain", analog, GAIN, "float", 0.0, 0.0, 24.0, "dB"),
+    ]
+
+
+def _acquisition() -> list[Feature]:
+    group = "AcquisitionControl"
+    return [
+        Feature("AcquisitionMode", group, ACQUISITION_MODE, "enumeration", choices={"Continuous": 0}),
+        Feature("AcquisitionStart", group, ACQUISITION_START, "command", 1),
+        Feature("AcquisitionStop", group, ACQUISITION_STOP, "command", 1),
+        Feature("TriggerSelector", group, TRIGGER_SELECTOR, "enumeration", choices={"FrameStart": 0}),
+        Feature("TriggerMode", group, TRIGGER_MODE, "enumeration", choices={"Off": 0, "On": 1}),
+        Feature("TriggerSource", group, TRIGGER_SOURCE, "enumeration"),
+        Feature("TriggerSoftware", group, TRIGGER_SOFTWARE, "command", 1),
+        Feature("ExposureTime", group, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
+        Feature("Gain", "AnalogControl", GAIN, "float", 0.0, 0.0, 24.0, "dB"),
+    ]
+
+
+def _device() -> list[Feature]:
+    return [Feature("DeviceReset", "DeviceControl", DEVICE_RESET, "command", 1)]
+
+
+def _rate() -> list[Feature]:
+    group = "AcquisitionControl"
+    return [
+        Feature("AcquisitionFrameRateEnable", group, FRAME_RATE_ENABLE, "boolean", 1),
+        Feature("AcquisitionFrameRate", group, FRAME_RATE, "float", 10.0, 0.1, 100.0, "Hz"),
         Feature(
             "DeviceTemperature",
             "DeviceControl",
@@ -114,62 +185,100 @@ def features(width: int, height: int) -> tuple[Feature, ...]:
             "C",
             read_only=True,
         ),
-    )
-
-
-def description(table: tuple[Feature, ...], model: str) -> bytes:
-    """The GenICam XML (schema 1.1) of a table of features."""
-    categories: dict[str, list[str]] = {}
-    for feature in table:
-        categories.setdefault(feature.category, []).append(feature.name)
-    parts = [
-        '<?xml version="1.0" encoding="utf-8"?>',
-        '<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1" '
-        'ModelName="' + model + '" VendorName="edged" ToolTip="virtual camera" '
-        'StandardNameSpace="GEV" SchemaMajorVersion="1" '
-        'SchemaMinorVersion="1" SchemaSubMinorVersion="0" '
-        'MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
-        'ProductGuid="6d1ed9ed-0000-4000-8000-000000000001"  '
-        'VersionGuid="6d1ed9ed-0000-4000-8000-000000000002">',
-        '<Category Name="Root" NameSpace="Standard">'
-        + "".join(f"<pFeature>{name}</pFeature>" for name in categories)
-        + "</Category>",
     ]
-    for name, members in categories.items():
-        inside = "".join(f"<pFeature>{member}</pFeature>" for member in members)
-        parts.append(f'<Category Name="{name}" NameSpace="Standard">{inside}</Category>')
-    for feature in table:
-        parts.append(_node(feature))
-        parts.append(_register(feature))
-    parts.append('<Port Name="Device" NameSpace="Standard"/>')
-    parts.append("</RegisterDescription>")
-    return "\n".join(parts).encode()
 
 
-def _node(feature: Feature) -> str:
-    register = f"<pValue>{feature.name}Reg</pValue>"
-    head = f'Name="{feature.name}" NameSpace="Standard"'
-    if feature.kind == "command":
-        return f"<Command {head}>{register}<CommandValue>1</CommandValue></Command>"
-    if feature.kind == "enumeration":
-        entries = "".join(
-            f'<EnumEntry Name="{name}" NameSpace="Standard"><Value>{value}</Value></EnumEntry>'
-            for name, value in feature.choices.items()
-        )
-        return f"<Enumeration {head}>{entries}{register}</Enumeration>"
-    if feature.kind == "float":
-        unit = f"<Unit>{feature.unit}</Unit>" if feature.unit else ""
-        return f"<Float {head}>{register}<Min>{feature.low}</Min><Max>{feature.high}</Max>{unit}</Float>"
-    limits = f"<Min>{feature.low:.0f}</Min><Max>{feature.high:.0f}</Max><Inc>{feature.step}</Inc>"
-    return f"<Integer {head}>{register}{limits}</Integer>"
+def _trigger_details() -> list[Feature]:
+    group, edges = "AcquisitionControl", {"RisingEdge": RISING, "FallingEdge": FALLING, "AnyEdge": ANY}
+    return [
+        Feature("TriggerActivation", group, TRIGGER_ACTIVATION, "enumeration", choices=edges),
+        Feature("TriggerDelay", group, TRIGGER_DELAY, "float", 0.0, 0.0, 1_000_000.0, "us"),
+    ]
 
 
-def _register(feature: Feature) -> str:
-    access = "RO" if feature.read_only else ("WO" if feature.kind == "command" else "RW")
-    where = f"<Address>0x{feature.address:X}</Address><Length>4</Length><AccessMode>{access}</AccessMode>"
-    where += "<pPort>Device</pPort>"
-    cache = "<Cachable>NoCache</Cachable>"
-    if feature.kind == "float":
-        return f'<FloatReg Name="{feature.name}Reg">{where}{cache}<Endianess>BigEndian</Endianess></FloatReg>'
-    sign = "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>"
-    return f'<IntReg Name="{feature.name}Reg">{where}{cache}{sign}</IntReg>'
+def _lines() -> list[Feature]:
+    group, select = "DigitalIOControl", "LineSelector"
+    modes, sources = {"Input": 0, "Output": 1}, {"Off": OFF, "ExposureActive": EXPOSURE_ACTIVE}
+    return [
+        Feature("LineSelector", group, LINE_SELECTOR, "enumeration", choices=LINES),
+        Feature("LineMode", group, LINE_MODE, "enumeration", choices=modes, selector=select),
+        Feature("LineInverter", group, LINE_INVERTER, "boolean", selector=select),
+        Feature(
+            "LineDebouncerTime", group, LINE_DEBOUNCER, "float", 0.0, 0.0, 20_000.0, "us", selector=select
+        ),
+        Feature("LineSource", group, LINE_SOURCE, "enumeration", choices=sources, selector=select),
+        Feature("LineStatus", group, LINE_STATUS, "boolean", read_only=True, selector=select),
+        Feature("LineStatusAll", group, LINE_STATUS_ALL, "integer", 0, 0, 7, read_only=True),
+    ]
+
+
+def _actions() -> list[Feature]:
+    group, largest = "ActionControl", 2**32 - 1
+    return [
+        Feature("ActionSelector", group, ACTION_SELECTOR, "integer", 1, 1, 1),
+        Feature("ActionDeviceKey", group, ACTION_DEVICE_KEY, "integer", 0, 0, largest),
+        Feature("ActionGroupKey", group, ACTION_GROUP_KEY, "integer", 0, 0, largest),
+        Feature("ActionGroupMask", group, ACTION_GROUP_MASK, "integer", 0, 0, largest),
+    ]
+
+
+def _time() -> list[Feature]:
+    group, ptp = "DeviceControl", "TransportLayerControl"
+    long = {"low": 0, "high": LARGEST, "read_only": True, "length": 8}
+    return [
+        Feature("TimestampLatch", group, LATCH, "command", 1),
+        Feature("TimestampReset", group, CLOCK_RESET, "command", 1),
+        Feature("TimestampLatchValue", group, LATCH_VALUE, "integer", unit="ns", **long),  # type: ignore[arg-type]
+        Feature("PtpEnable", ptp, PTP_ENABLE, "boolean"),
+        Feature("PtpStatus", ptp, PTP_STATUS, "enumeration", choices=PTP_STATES, read_only=True),
+        Feature("PtpDataSetLatch", ptp, PTP_LATCH, "command", 1),
+        Feature(
+            "PtpOffsetFromMaster",
+            ptp,
+            PTP_OFFSET,
+            "integer",
+            0,
+            -LARGEST,
+            LARGEST,
+            "ns",
+            read_only=True,
+            length=8,
+        ),
+    ]
+
+
+def bootstrap_nodes() -> list[Feature]:
+    """Nodes that show registers of the standard."""
+    group = "TransportLayerControl"
+    long = {"low": 0, "high": LARGEST, "read_only": True, "length": 8}
+    return [
+        Feature("GevTimestampTickFrequency", group, TICKS_HIGH, "integer", unit="Hz", **long),  # type: ignore[arg-type]
+        Feature("GevTimestampControlLatch", group, TIMESTAMP_CONTROL, "command", 2),
+        Feature("GevTimestampControlReset", group, TIMESTAMP_CONTROL, "command", 1),
+        Feature("GevTimestampValue", group, TIMESTAMP_HIGH, "integer", **long),  # type: ignore[arg-type]
+        Feature("GevSCPD", group, PACKET_DELAY, "integer", 0, 0, 2**31 - 1),
+    ]
+
+
+def _chunks() -> list[Feature]:
+    group = "ChunkDataControl"
+    selected = {chunk.name: chunk.index for chunk in CHUNKS}
+    return [
+        Feature("ChunkModeActive", group, CHUNK_MODE, "boolean"),
+        Feature("ChunkSelector", group, CHUNK_SELECTOR, "enumeration", choices=selected),
+        Feature("ChunkEnable", group, CHUNK_ENABLE, "boolean", 1, selector="ChunkSelector"),
+        *(
+            Feature(
+                f"Chunk{chunk.name}",
+                group,
+                0,
+                chunk.kind,
+                low=0,
+                high=LARGEST,
+                read_only=True,
+                length=chunk.length,
+                chunk=chunk.id,
+            )
+            for chunk in CHUNKS
+        ),
+    ]

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import struct
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edged.sim.genicam import MONO8
-
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
-IMAGE = 1
-BURST_BYTES = 96 * 1024
-"""Half of Linux's default receive buffer of 208 KiB: a receiver without privileges keeps up."""
-BURST_PAUSE_S = 0.0003
+IMAGE, EXTENDED_CHUNK = 0x0001, 0x0005
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One image on its way. packet_bytes : image bytes in each packet."""
+    """One image on its way.
+
+    ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, and chunk data behind them.
+    packet_bytes : bytes of data in each packet. payload_type : `IMAGE` or `EXTENDED_CHUNK`.
+    """
 
     block_id: int
-    device_ns: int
+    ticks: int
+    pixel_format: int
     width: int
     height: int
     offset: tuple[int, int]
     data: bytes
     packet_bytes: int
+    payload_type: int = IMAGE
 
     @property
     def packets(self) -> int:
@@ -33,44 +34,38 @@ class Block:
         return -(-len(self.data) // self.packet_bytes)
 
 
+def with_chunks(image: bytes, image_id: int, chunks: Sequence[tuple[int, bytes]]) -> bytes:
+    """The image as a chunk, and (id, content) of others; id and length stand behind each content."""
+    return b"".join(
+        part
+        for chunk_id, content in ((image_id, image), *chunks)
+        for part in (content, struct.pack(">II", chunk_id, len(content)))
+    )
+
+
+def packet(block: Block, number: int) -> tuple[bytes, ...]:
+    """The parts of the packet with this number, 0 to `block.packets` + 1."""
+    if number == 0:
+        return (_leader(block),)
+    if number > block.packets:
+        return (_trailer(block),)
+    start = (number - 1) * block.packet_bytes
+    return _header(block, PAYLOAD, number), block.data[start : start + block.packet_bytes]
+
+
 def _header(block: Block, kind: int, number: int) -> bytes:
     return struct.pack(">HHI", 0, block.block_id, kind << 24 | number)
 
 
-def leader(block: Block) -> bytes:
+def _leader(block: Block) -> bytes:
     """What comes: payload type, time stamp, pixel format and region."""
-    image = (MONO8, block.width, block.height, *block.offset, 0, 0)
-    time_stamp = (block.device_ns >> 32 & 0xFFFFFFFF, block.device_ns & 0xFFFFFFFF)
-    return _header(block, LEADER, 0) + struct.pack(">HHIIIIIIIHH", 0, IMAGE, *time_stamp, *image)
+    image = (block.pixel_format, block.width, block.height, *block.offset, 0, 0)
+    time_stamp = (block.ticks >> 32 & 0xFFFFFFFF, block.ticks & 0xFFFFFFFF)
+    kind = block.payload_type
+    return _header(block, LEADER, 0) + struct.pack(">HHIIIIIIIHH", 0, kind, *time_stamp, *image)
 
 
-def payload_packet(block: Block, number: int) -> tuple[bytes, memoryview]:
-    """Header and data of the payload packet with this number, from 1."""
-    start = (number - 1) * block.packet_bytes
-    return _header(block, PAYLOAD, number), memoryview(block.data)[start : start + block.packet_bytes]
-
-
-def trailer(block: Block) -> bytes:
-    """That was all: the number of lines."""
-    return _header(block, TRAILER, block.packets + 1) + struct.pack(">HHI", 0, IMAGE, block.height)
-
-
-class Pacing:
-    """Keeps a sender from overrunning receivers: pauses after bursts, and the packet delay it was told."""
-
-    def __init__(self, burst_bytes: int = BURST_BYTES, pause_s: float = BURST_PAUSE_S) -> None:
-        self._burst_bytes, self._pause_s = burst_bytes, pause_s
-        self._sent = 0
-
-    def begin(self) -> None:
-        """A new block."""
-        self._sent = 0
-
-    def wait(self, sent_bytes: int, delay_s: float) -> None:
-        """After a packet of so many bytes."""
-        if delay_s > 0:
-            time.sleep(delay_s)
-        self._sent += sent_bytes
-        if self._sent >= self._burst_bytes:
-            self._sent = 0
-            time.sleep(self._pause_s)
+def _trailer(block: Block) -> bytes:
+    """That was all: the number of lines; of chunk data, its size too."""
+    lines = struct.pack(">HHI", 0, block.payload_type, block.height)
+    return _header(block, TRAILER, block.packets + 1) + lines

@@ -111,8 +111,8 @@ def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
 
 def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
     """The picture looks the same and measures wrong: unless the configuration says so, it is an error."""
-    cell.left._put(g.WIDTH, 160)
-    cell.left._put(g.OFFSET_X, 32)
+    cell.left.registers.put(g.WIDTH, 160)
+    cell.left.registers.put(g.OFFSET_X, 32)
 
     assert "OffsetX is 32: an image that lies otherwise than at calibration" in refused()
     stated = ({"Width": 160, "OffsetX": 32},)
@@ -128,10 +128,10 @@ def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
 def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
     """The later one counts; a mistake in the second keeps the first from being written."""
     run(lambda camera: camera.open(), left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
-    assert 5.0 == cell.left._value(g.GAIN)
+    assert 5.0 == cell.left.registers.number(g.GAIN)
 
     assert "Nonsense: the camera has no such feature" in refused(features=({"Gain": 7.0}, {"Nonsense": 1}))
-    assert 5.0 == cell.left._value(g.GAIN)
+    assert 5.0 == cell.left.registers.number(g.GAIN)
 
 
 # --- the network ----------------------------------------------------------------------------------------
@@ -140,10 +140,10 @@ def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
 def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
     """In ticks of its clock; left to itself nothing is delayed on loopback."""
     run(lambda camera: camera.open(), left_camera(neighbour=RIGHT))
-    assert 0 == cell.left._memory[g.PACKET_DELAY]
+    assert 0 == cell.left.registers.word(g.PACKET_DELAY)
 
     run(lambda camera: camera.open(), left_camera(packet_delay_us=12.5))
-    assert 12_500 == cell.left._memory[g.PACKET_DELAY]
+    assert 12_500 == cell.left.registers.word(g.PACKET_DELAY)
 
 
 def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
@@ -205,7 +205,7 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
 
     pairs = run(script, head)
 
-    assert 20.0 == cell.left._value(g.FRAME_RATE)
+    assert 20.0 == cell.left.registers.number(g.FRAME_RATE)
     steps = np.diff([pair.left.frame_id for pair in pairs])
     assert (steps >= 2).all()
     for pair in pairs:

@@ -17,19 +17,17 @@ from edged.domain import Image
 from edged.errors import CaptureError, ListenError
 from edged.sim import genicam as g
 from edged.sim.exposure import ExposureRequest
-from edged.sim.gige import (
+from edged.sim.gige import Faults, GigeCamera, moving_ramp
+from edged.sim.registers import (
     ACCESS_DENIED,
     BAD_ALIGNMENT,
-    GVCP_PORT,
     INVALID_ADDRESS,
     INVALID_PARAMETER,
     NOT_IMPLEMENTED,
     SUCCESS,
     WRITE_PROTECT,
-    Faults,
-    GigeCamera,
-    moving_ramp,
 )
+from tests.gigeclient import Client
 
 ADDRESS, OTHER = "127.0.50.1", "127.0.50.2"
 needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")
@@ -47,38 +45,6 @@ class Sensor:
         return self.seen[-1]
 
 
-class Client:
-    """GVCP by hand."""
-
-    def __init__(self, address: str = ADDRESS) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.settimeout(2.0)
-        self.socket.connect((address, GVCP_PORT))
-        self.request = 0
-
-    def send(self, command: int, body: bytes, request: int | None = None) -> None:
-        """One command; a new request number unless one is given."""
-        self.request = request if request is not None else self.request + 1
-        self.socket.send(struct.pack(">BBHHH", 0x42, 1, command, len(body), self.request) + body)
-
-    def ask(self, command: int, body: bytes, request: int | None = None) -> tuple[int, bytes]:
-        """(status, body) of the answer to one command."""
-        self.send(command, body, request)
-        answer = self.socket.recv(2048)
-        status, acknowledged, length, number = struct.unpack(">HHHH", answer[:8])
-        assert (acknowledged, number, length) == (command + 1, self.request, len(answer) - 8)
-        return status, answer[8:]
-
-    def read(self, address: int) -> tuple[int, int]:
-        """(status, value) of one register."""
-        status, body = self.ask(0x80, struct.pack(">I", address))
-        return status, int.from_bytes(body, "big")
-
-    def write(self, address: int, value: int) -> int:
-        """Status of writing one register."""
-        return self.ask(0x82, struct.pack(">II", address, value))[0]
-
-
 @pytest.fixture
 def camera() -> Iterator[GigeCamera]:
     """A small camera with a test pattern."""
@@ -89,7 +55,7 @@ def camera() -> Iterator[GigeCamera]:
 @pytest.fixture
 def client(camera: GigeCamera) -> Iterator[Client]:
     """A client of it."""
-    client = Client()
+    client = Client(ADDRESS)
     yield client
     client.socket.close()
 
@@ -157,7 +123,7 @@ def test_a_repeated_request_is_answered_again_but_not_done_again(client: Client)
 
 def test_one_controller_at_a_time_and_a_silent_one_loses_control(client: Client) -> None:
     """The second client is denied until the heartbeat of the first is missing."""
-    second = Client()
+    second = Client(ADDRESS)
     try:
         assert client.write(g.CONTROL_PRIVILEGE, 2) == SUCCESS
         assert client.write(g.HEARTBEAT_MS, 500) == SUCCESS

@@ -1,0 +1,130 @@
+"""The clock of a virtual camera: free running with an offset and a drift, or led by PTP.
+
+The PTP master is the host's own UTC, as a grandmaster on the cell PC would be.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+DISABLED, INITIALIZING, UNCALIBRATED, SLAVE, MASTER = 0, 1, 6, 8, 5
+PTP_STATES = {
+    "Disabled": DISABLED,
+    "Initializing": INITIALIZING,
+    "Master": MASTER,
+    "Uncalibrated": UNCALIBRATED,
+    "Slave": SLAVE,
+}
+"""GenICam PtpStatus; the values are this camera's own, clients know them by name."""
+
+
+class DeviceClock:
+    """Device time as a function of the host's monotonic clock; may be changed from any thread.
+
+    offset_s : what the clock shows at power-on. drift_ppm : how much faster than the host's it runs.
+    tick_hz : of the time stamps in registers and images. ptp_error_ns : what is left between this clock
+    and its master when locked. ptp_settle_s : from PtpEnable to locked.
+    """
+
+    def __init__(
+        self,
+        *,
+        offset_s: float = 0.0,
+        drift_ppm: float = 0.0,
+        tick_hz: int = 1_000_000_000,
+        ptp_error_ns: int = 0,
+        ptp_settle_s: float = 0.0,
+    ) -> None:
+        self.tick_hz = tick_hz
+        self.ptp_error_ns, self.ptp_settle_s = ptp_error_ns, ptp_settle_s
+        self._offset_ns = round(offset_s * 1e9)
+        self._drift_ppm = drift_ppm
+        self._lock = threading.Lock()
+        self.power_on()
+
+    def power_on(self) -> None:
+        """From the offset on, without PTP."""
+        with self._lock:
+            self._ptp_since_ns: int | None = None
+            self._anchor_ns, self._shown_ns = time.monotonic_ns(), self._offset_ns
+
+    def reset(self) -> None:
+        """From zero on, as by GevTimestampControlReset; one led by PTP is not its own to be reset."""
+        with self._lock:
+            self._anchor_ns, self._shown_ns = time.monotonic_ns(), 0
+
+    def at(self, monotonic_ns: int) -> int:
+        """Device time, ns, when the host's monotonic clock shows `monotonic_ns`."""
+        with self._lock:
+            return self._at(monotonic_ns)
+
+    def ticks(self, device_ns: int) -> int:
+        """Device time as the camera says it."""
+        return device_ns * self.tick_hz // 10**9
+
+    def monotonic_at(self, ticks: int) -> int:
+        """The host's monotonic time, ns, when a locked clock shows so many ticks."""
+        return ticks * 10**9 // self.tick_hz - self.ptp_error_ns - _utc_minus_monotonic_ns()
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster than the host's clock it runs; changing it makes no step."""
+        return self._drift_ppm
+
+    @drift_ppm.setter
+    def drift_ppm(self, value: float) -> None:
+        with self._lock:
+            self._go_on_from(time.monotonic_ns())
+            self._drift_ppm = value
+
+    def jump(self, seconds: float) -> None:
+        """Step the free-running clock."""
+        with self._lock:
+            self._shown_ns += round(seconds * 1e9)
+
+    @property
+    def ptp(self) -> bool:
+        """Whether PTP is enabled. Switched off, the clock runs on from where it is."""
+        return self._ptp_since_ns is not None
+
+    @ptp.setter
+    def ptp(self, enabled: bool) -> None:
+        with self._lock:
+            if enabled and self._ptp_since_ns is None:
+                self._ptp_since_ns = time.monotonic_ns()
+            elif not enabled and self._ptp_since_ns is not None:
+                self._go_on_from(time.monotonic_ns())
+                self._ptp_since_ns = None
+
+    @property
+    def locked(self) -> bool:
+        """Whether it shows the PTP master's time."""
+        since_ns = self._ptp_since_ns
+        return since_ns is not None and time.monotonic_ns() - since_ns >= self.ptp_settle_s * 1e9
+
+    @property
+    def ptp_state(self) -> int:
+        """One of `PTP_STATES`."""
+        return SLAVE if self.locked else UNCALIBRATED if self.ptp else DISABLED
+
+    @property
+    def offset_from_master_ns(self) -> int:
+        """Clock minus PTP master, ns; 0 without PTP."""
+        if not self.ptp:
+            return 0
+        now_ns = time.monotonic_ns()
+        return self.at(now_ns) - now_ns - _utc_minus_monotonic_ns()
+
+    def _at(self, monotonic_ns: int) -> int:
+        if self.locked:
+            return monotonic_ns + _utc_minus_monotonic_ns() + self.ptp_error_ns
+        elapsed_ns = monotonic_ns - self._anchor_ns
+        return self._shown_ns + elapsed_ns + round(elapsed_ns * self._drift_ppm * 1e-6)
+
+    def _go_on_from(self, monotonic_ns: int) -> None:
+        self._anchor_ns, self._shown_ns = monotonic_ns, self._at(monotonic_ns)
+
+
+def _utc_minus_monotonic_ns() -> int:
+    return time.time_ns() - time.monotonic_ns()

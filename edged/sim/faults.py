@@ -1,0 +1,55 @@
+"""What goes wrong with a virtual GigE Vision camera, and what its firmware does otherwise than others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+@dataclass(slots=True)
+class Faults:
+    """What goes wrong; may be changed while the camera runs.
+
+    unplugged : the cable is out: nothing is heard or said.
+    stalled : triggers are taken, but no image is sent. delay_s : every image comes so much later.
+    drop_next : so many next images are not sent.
+    frozen : the sensor delivers its last image again and again. repeat_id : the block id stands still.
+    packet_loss : share of stream packets that are not sent (resent ones neither).
+    lost_packets : packets of these numbers (0 is the leader) are not sent, but are when asked for again.
+    no_resend : requests to send packets again are not heard.
+    reordering : share of packets that are sent after the one that follows them.
+    duplication : share of packets that are sent twice.
+    answer_loss : share of answers to commands that are not sent. answer_delay_s : they come so much later.
+    """
+
+    packet_loss: float = 0.0
+    unplugged: bool = False
+    stalled: bool = False
+    delay_s: float = 0.0
+    frozen: bool = False
+    drop_next: int = 0
+    repeat_id: bool = False
+    lost_packets: tuple[int, ...] = ()
+    no_resend: bool = False
+    reordering: float = 0.0
+    duplication: float = 0.0
+    answer_loss: float = 0.0
+    answer_delay_s: float = 0.0
+
+
+class Quirk(StrEnum):
+    """Habits of firmware that clients must live with."""
+
+    MODE_BEFORE_SOURCE = "mode-before-source"
+    """A TriggerSource that is written while TriggerMode is Off is acknowledged and forgotten."""
+    SOURCE_CLEARS_MODE = "source-clears-mode"
+    """Writing TriggerSource switches TriggerMode off."""
+    CLAMPED_EXPOSURE = "clamped-exposure"
+    """Exposure times above 10 ms are acknowledged and become 10 ms, whatever the description says."""
+    EXPOSURE_TIME_ABS = "exposure-time-abs"
+    """The exposure time's node has its old name, ExposureTimeAbs."""
+    FEW_NODES = "few-nodes"
+    """No frame rate, temperature, lines, actions, chunks or PTP."""
+
+
+CLAMPED_EXPOSURE_US = 10_000.0

@@ -1,0 +1,205 @@
+"""The memory of a virtual GigE Vision camera: bootstrap registers, features, and its description."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from edged.sim import genicam as g
+from edged.sim.description import description
+from edged.sim.faults import CLAMPED_EXPOSURE_US, Quirk
+from edged.vision.pixelformats import BY_CODE
+
+# GigE Vision 2.0, table 19-1
+SUCCESS, NOT_IMPLEMENTED, INVALID_PARAMETER, INVALID_ADDRESS = 0x0000, 0x8001, 0x8002, 0x8003
+WRITE_PROTECT, BAD_ALIGNMENT, ACCESS_DENIED, BUSY = 0x8004, 0x8005, 0x8006, 0x8007
+NO_REFERENCE_TIME, ACTION_LATE = 0x8013, 0x8016
+
+MAX_READ = 536  # bytes of one READMEM, so that the answer fits 576-byte datagrams
+GEOMETRY = (g.WIDTH, g.HEIGHT, g.OFFSET_X, g.OFFSET_Y, g.PIXEL_FORMAT)
+FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who the camera says it is."""
+
+    address: str
+    serial: str
+    model: str
+
+
+class Registers:
+    """32-bit words by address.
+
+    hooks : what happens when a register is written, instead of keeping the word; each returns a status.
+    live : registers whose content is computed when it is read.
+    acquiring : whether geometry must stay as it is.
+    """
+
+    def __init__(self, identity: Identity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
+        self._identity, self._quirks = identity, quirks
+        table = g.features(width, height, quirks)
+        self._features = {
+            feature.address + 4 * index: feature
+            for feature in table
+            if not feature.chunk
+            for index in range(_count(feature, table))
+        }
+        shown = g.bootstrap_nodes() if Quirk.FEW_NODES not in quirks else []
+        self._xml = description((*table, *shown), identity.model)
+        self._xml += b"\0" * (-len(self._xml) % 4)
+        self.hooks: dict[int, Callable[[int], int]] = {}
+        self.live: dict[int, Callable[[], int]] = {}
+        self.acquiring = False
+        self._words: dict[int, int] = {}
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Everything as it was made."""
+        self._words = self._bootstrap()
+        for address, feature in self._features.items():
+            self.put(address, feature.start, feature.length)
+        if g.LINE_MODE in self._features:
+            for index, directions in enumerate(g.LINE_DIRECTIONS):
+                self.put(g.LINE_MODE + 4 * index, directions[0])
+        self.acquiring = False
+
+    def _bootstrap(self) -> dict[int, int]:
+        words = dict.fromkeys(range(0, 0x1000, 4), 0)
+
+        def text(address: int, value: str, size: int) -> None:
+            padded = value.encode()[: size - 1].ljust(size, b"\0")
+            for offset in range(0, size, 4):
+                words[address + offset] = int.from_bytes(padded[offset : offset + 4], "big")
+
+        number = int.from_bytes(socket.inet_aton(self._identity.address), "big")
+        words[g.VERSION], words[g.DEVICE_MODE] = 0x0002_0000, 0x8000_0001  # 2.0; big endian, UTF-8
+        words[g.MAC_HIGH], words[g.MAC_LOW] = 0x0200, number  # locally administered, unique per address
+        words[g.IP_OPTIONS] = words[g.IP_CONFIGURATION] = 0x0000_0006
+        words[g.CURRENT_IP], words[g.SUBNET_MASK] = number, 0xFF00_0000
+        text(g.MANUFACTURER, "edged", 32)
+        text(g.MODEL, self._identity.model, 32)
+        text(g.DEVICE_VERSION, "1", 32)
+        text(g.INFO, "virtual camera", 48)
+        text(g.SERIAL, self._identity.serial, 16)
+        text(g.FIRST_URL, f"Local:{g.XML_NAME};{g.XML_ADDRESS:x};{len(self._xml):x}", 512)
+        words[g.INTERFACES] = words[g.STREAM_CHANNELS] = 1
+        # serial number register; PTP, scheduled actions; actions; PACKETRESEND, WRITEMEM, concatenation
+        words[g.CAPABILITY] = 0x4000_0000 | 0x0008_0000 | 0x0002_0000 | 0x0000_0040 | 0x0000_0007
+        words[g.HEARTBEAT_MS] = 3000
+        words[g.PACKET_SIZE] = 1500
+        return words
+
+    def put(self, address: int, value: float, length: int = 4) -> None:
+        """Set a register from inside, as its feature holds it; 64 bits for a length of 8."""
+        feature = self._features.get(address)
+        if feature is not None and feature.kind == "float":
+            self._words[address] = int.from_bytes(struct.pack(">f", value), "big")
+            return
+        number = int(value)
+        if length == 8:
+            self._words[address] = number >> 32 & 0xFFFF_FFFF
+            address += 4
+        self._words[address] = number & 0xFFFF_FFFF
+
+    def __contains__(self, address: int) -> bool:
+        return address in self._words
+
+    def word(self, address: int) -> int:
+        """A register as it is; 0 where this camera has none."""
+        return self._words.get(address, 0)
+
+    def number(self, address: int, default: float = 0.0) -> float:
+        """The value of a float feature; `default` where this camera has none."""
+        word = self._words.get(address)
+        return default if word is None else _float(word)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the image, px."""
+        return self.word(g.WIDTH), self.word(g.HEIGHT)
+
+    @property
+    def chunks(self) -> tuple[g.Chunk, ...]:
+        """What is sent behind each image; empty when chunk mode is off."""
+        if not self.word(g.CHUNK_MODE):
+            return ()
+        return tuple(chunk for chunk in g.CHUNKS if self.word(g.CHUNK_ENABLE + 4 * chunk.index))
+
+    def read(self, address: int, count: int) -> bytes | int:
+        """`count` bytes from `address`, or the status that says why not."""
+        if address % 4 or count % 4 or not 0 < count <= MAX_READ:
+            return BAD_ALIGNMENT
+        if g.XML_ADDRESS <= address < g.XML_ADDRESS + len(self._xml):
+            start = address - g.XML_ADDRESS
+            return self._xml[start : start + count].ljust(count, b"\0")
+        words = []
+        for place in range(address, address + count, 4):
+            if place not in self._words:
+                return INVALID_ADDRESS
+            word = self.live[place]() if place in self.live else self._words[place]
+            words.append(word.to_bytes(4, "big"))
+        return b"".join(words)
+
+    def write(self, address: int, word: int) -> int:
+        """Write one register as its controller; returns the status."""
+        if address % 4:
+            return BAD_ALIGNMENT
+        feature = self._features.get(address)
+        if feature is not None:
+            return self._write_feature(feature, address, word)
+        if address not in self._words:
+            return INVALID_ADDRESS
+        if address in self.hooks:
+            return self.hooks[address](word)
+        return WRITE_PROTECT
+
+    def _write_feature(self, feature: g.Feature, address: int, word: int) -> int:
+        if feature.read_only:
+            return WRITE_PROTECT
+        if feature.kind == "command":
+            return self.hooks[address](word)
+        if not self._allows(feature, address, word):
+            return INVALID_PARAMETER
+        if self.acquiring and feature.address in FIXED_WHILE_ACQUIRING:
+            return BUSY
+        self._words[address] = self._by_firmware(feature, word)
+        pixels = BY_CODE[self.word(g.PIXEL_FORMAT)].size(self.word(g.WIDTH) * self.word(g.HEIGHT))
+        behind = sum(8 + chunk.length for chunk in self.chunks)
+        self._words[g.PAYLOAD_SIZE] = pixels + (8 + behind if self.word(g.CHUNK_MODE) else 0)
+        if address in self.hooks:
+            return self.hooks[address](word)
+        return SUCCESS
+
+    def _allows(self, feature: g.Feature, address: int, word: int) -> bool:
+        if feature.address == g.LINE_MODE:
+            return word in g.LINE_DIRECTIONS[(address - g.LINE_MODE) // 4]
+        if feature.kind == "enumeration":
+            return word in feature.choices.values()
+        if feature.kind == "boolean":
+            return word in (0, 1)
+        value = _float(word) if feature.kind == "float" else word
+        return feature.low <= value <= feature.high
+
+    def _by_firmware(self, feature: g.Feature, word: int) -> int:
+        """What this firmware makes of a word that is allowed."""
+        if feature.address == g.TRIGGER_SOURCE:
+            if Quirk.MODE_BEFORE_SOURCE in self._quirks and not self.word(g.TRIGGER_MODE):
+                return self.word(g.TRIGGER_SOURCE)
+            if Quirk.SOURCE_CLEARS_MODE in self._quirks:
+                self._words[g.TRIGGER_MODE] = 0
+        if feature.address == g.EXPOSURE_TIME and Quirk.CLAMPED_EXPOSURE in self._quirks:
+            return int.from_bytes(struct.pack(">f", min(_float(word), CLAMPED_EXPOSURE_US)), "big")
+        return word
+
+
+def _count(feature: g.Feature, table: tuple[g.Feature, ...]) -> int:
+    """Registers that a node shows, one for each choice of its selector."""
+    return next((len(other.choices) for other in table if other.name == feature.selector), 1)
+
+
+def _float(word: int) -> float:
+    return float(struct.unpack(">f", word.to_bytes(4, "big"))[0])

@@ -1,0 +1,115 @@
+"""The stream channel of a virtual camera: blocks to packets to a socket, with everything that goes wrong."""
+
+from __future__ import annotations
+
+import logging
+import random
+import socket
+import time
+from collections import OrderedDict
+
+from edged.sim.faults import Faults
+from edged.sim.gvsp import Block, packet
+
+log = logging.getLogger(__name__)
+
+KEPT_BLOCKS = 4  # frames whose packets can be asked for again
+BURST_BYTES = 96 * 1024
+"""Half of Linux's default receive buffer of 208 KiB: a receiver without privileges keeps up."""
+BURST_PAUSE_S = 0.0003
+SEND_BUFFER_BYTES = 4 * 1024 * 1024
+
+
+class Pacing:
+    """Keeps a sender from overrunning receivers: pauses after bursts, and the packet delay it was told."""
+
+    def __init__(self, burst_bytes: int = BURST_BYTES, pause_s: float = BURST_PAUSE_S) -> None:
+        self._burst_bytes, self._pause_s = burst_bytes, pause_s
+        self._sent = 0
+
+    def begin(self) -> None:
+        """A new block."""
+        self._sent = 0
+
+    def wait(self, sent_bytes: int, delay_s: float) -> None:
+        """After a packet of so many bytes."""
+        if delay_s > 0:
+            time.sleep(delay_s)
+        self._sent += sent_bytes
+        if self._sent >= self._burst_bytes:
+            self._sent = 0
+            time.sleep(self._pause_s)
+
+
+class StreamChannel:
+    """Sends blocks; keeps the last few for requests to send packets again."""
+
+    def __init__(self, address: str, faults: Faults, pacing: Pacing, chance: random.Random) -> None:
+        self._address, self._faults, self._pacing, self._chance = address, faults, pacing, chance
+        self._socket: socket.socket | None = None
+        self._destination: tuple[str, int] | None = None
+        self._blocks: OrderedDict[int, Block] = OrderedDict()
+
+    def open(self) -> int:
+        """The port that packets come from. Raises `OSError`."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((self._address, 0))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        return int(self._socket.getsockname()[1])
+
+    def close(self) -> None:
+        """Safe to call twice."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+    def forget(self) -> None:
+        """Nothing can be asked for again."""
+        self._blocks.clear()
+
+    def send(self, block: Block, destination: tuple[str, int], delay_s: float) -> None:
+        """Send every packet of a block, `delay_s` apart."""
+        self._blocks[block.block_id] = block
+        while len(self._blocks) > KEPT_BLOCKS:
+            self._blocks.popitem(last=False)
+        self._destination = destination
+        self._pacing.begin()
+        for number in self._order(block.packets + 2):
+            if number not in self._faults.lost_packets:
+                self._send(packet(block, number))
+            self._pacing.wait(block.packet_bytes, delay_s)
+
+    def resend(self, block_id: int, first: int, last: int) -> None:
+        """Send these packets again, if the block is still kept."""
+        block = self._blocks.get(block_id)
+        if block is None or self._faults.no_resend:
+            return
+        for number in range(first, min(last, block.packets + 1) + 1):
+            self._send(packet(block, number))
+
+    def send_test(self, size: int, destination: tuple[str, int]) -> None:
+        """One packet of so many bytes, to find out whether it arrives."""
+        self._destination = destination
+        self._send((b"\0" * size,))
+
+    def _order(self, count: int) -> list[int]:
+        """Packet numbers as they are sent: some twice, some after the one that follows them."""
+        faults, chance = self._faults, self._chance
+        order = list(range(count))
+        if faults.reordering > 0:
+            for place in range(count - 1):
+                if chance.random() < faults.reordering:
+                    order[place], order[place + 1] = order[place + 1], order[place]
+        if faults.duplication > 0:
+            order = [n for number in order for n in [number] * (1 + (chance.random() < faults.duplication))]
+        return order
+
+    def _send(self, parts: tuple[bytes, ...]) -> None:
+        if self._socket is None or self._destination is None or self._destination[1] == 0:
+            return
+        if self._faults.unplugged or self._chance.random() < self._faults.packet_loss:
+            return
+        try:
+            self._socket.sendmsg(parts, [], 0, self._destination)
+        except OSError as error:  # nobody listens any more, or the datagram is larger than the path allows
+            log.debug("virtual camera %s: packet not sent: %s", self._address, error)
