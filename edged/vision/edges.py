@@ -32,6 +32,9 @@ FINE_STEP_PX = 0.5
 """Sampling of the profile for narrow operators."""
 _HILL_SHARE = 0.25
 """Of the extremum that both neighbours of a blurred step exceed at either sampling; below it, texture."""
+_MAX_PEAK = 1.2
+"""The peak of a hill is less than this times its highest sample: exp(log(1 / _HILL_SHARE) / 8)."""
+_TOGETHER = 64  # profiles that are worked on side by side
 _CLIP_REACH_PX = 2.5  # the plateaus on both sides of an edge begin here, for a blur of up to 1 px
 
 
@@ -125,16 +128,19 @@ def _pixels(image: Image) -> Image:
     return np.require(image, np.uint8, ("C", "W"))
 
 
-@kernel("f8(f8, f8, f8, f8, f8)")
-def _cubic(before: float, left: float, right: float, after: float, f: float) -> float:
-    """Catmull-Rom between left and right (R. Keys, 1981, a = -0.5)."""
-    bend = 3.0 * (left - right) + after - before
-    return left + 0.5 * f * (
-        right - before + f * (2.0 * before - 5.0 * left + 4.0 * right - after + f * bend)
+@kernel("UniTuple(f8, 4)(f8)", any_order=True)
+def _cubic(f: float) -> tuple[float, float, float, float]:
+    """Catmull-Rom weights of the four values around a place f past the second (R. Keys, 1981, a = -0.5)."""
+    half, square = 0.5 * f, 0.5 * f * f
+    return (
+        half * (f * (2.0 - f) - 1.0),
+        1.0 + square * (3.0 * f - 5.0),
+        half * (1.0 + f * (4.0 - 3.0 * f)),
+        square * (f - 1.0),
     )
 
 
-@kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1])")
+@kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1])", any_order=True)
 def _sample_profile(
     image: Image, x: float, y: float, sx: float, sy: float, half: int, profile: FloatArray
 ) -> bool:
@@ -149,17 +155,17 @@ def _sample_profile(
         py = y + (s - half) * sy
         # inside the image, see above: as unsigned numbers they need no check for negative indices
         ix, iy = np.uint64(px), np.uint64(py)
-        fx, fy = px - ix, py - iy
+        wa, wb, wc, wd = _cubic(px - ix)
+        above, here, below, last = _cubic(py - iy)
         a, b, c, d = ix - np.uint64(1), ix, ix + np.uint64(1), ix + np.uint64(2)
-        above, here = image[iy - np.uint64(1)], image[iy]
-        below, last = image[iy + np.uint64(1)], image[iy + np.uint64(2)]
-        profile[s] = _cubic(
-            _cubic(above[a], above[b], above[c], above[d], fx),
-            _cubic(here[a], here[b], here[c], here[d], fx),
-            _cubic(below[a], below[b], below[c], below[d], fx),
-            _cubic(last[a], last[b], last[c], last[d], fx),
-            fy,
-        )
+        row = image[iy - np.uint64(1)]
+        value = above * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
+        row = image[iy]
+        value += here * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
+        row = image[iy + np.uint64(1)]
+        value += below * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
+        row = image[iy + np.uint64(2)]
+        profile[s] = value + last * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
     return True
 
 
@@ -175,49 +181,60 @@ def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, 
     return found
 
 
-@kernel("void(f8[::1], f8[::1], i8, i8, i8, f8, i8, f8, f8[::1], f8[::1])")
-def _best_extremum(
-    profile: FloatArray,
-    derivative: FloatArray,
-    radius: int,
-    half: int,
-    inner: int,
-    reach: float,
-    polarity: int,
-    step: float,
-    slopes: FloatArray,
-    best: FloatArray,
+@kernel("void(f8[:, ::1], f8[::1], i8, i8, i8, f8[:, ::1])", any_order=True)
+def _slopes(
+    profiles: FloatArray, derivative: FloatArray, radius: int, half: int, inner: int, slopes: FloatArray
 ) -> None:
-    """best = (offset px, slope) of the strongest extremum of profile * derivative; NaN if there is none."""
-    # the operator is odd; places in the inner loop, so that they are summed side by side
-    first, many = half - inner, 2 * inner + 1
-    slopes[:] = 0.0
-    for i in range(1, radius + 1):
-        gain = derivative[radius + i]
-        ahead, behind = profile[first + i : first + i + many], profile[first - i : first - i + many]
-        for s in range(many):
-            slopes[s] += gain * (ahead[s] - behind[s])
-    best_weight = 0.0
-    best[0] = best[1] = np.nan
+    """Profiles (S, B), one in each column, times the derivative of a Gaussian, at the inner places."""
+    side_by_side = profiles.shape[1]
+    for s in range(2 * inner + 1):
+        middle, total = half - inner + s, slopes[s]
+        total[:] = 0.0
+        for i in range(1, radius + 1):  # the operator is odd
+            gain, ahead, behind = derivative[radius + i], profiles[middle + i], profiles[middle - i]
+            for n in range(side_by_side):
+                total[n] += gain * (ahead[n] - behind[n])
+
+
+@kernel("UniTuple(f8, 2)(f8[:, ::1], i8, f8, i8, f8)")
+def _best_extremum(
+    slopes: FloatArray, n: int, reach: float, polarity: int, step: float
+) -> tuple[float, float]:
+    """(offset px, slope) of the strongest extremum in column n of the slopes; NaN if there is none."""
+    inner = len(slopes) // 2
+    best_weight, best_offset, best_slope = 0.0, np.nan, np.nan
     for s in range(1, 2 * inner):
-        before, here, after = slopes[s - 1], slopes[s], slopes[s + 1]
+        before, here, after = slopes[s - 1, n], slopes[s, n], slopes[s + 1, n]
         if polarity < 0 or (polarity == 0 and here < 0):
             before, here, after = -before, -here, -after
         if here <= 0 or here < before or here <= after:
             continue
-        hill = min(before, after) > _HILL_SHARE * here
-        if hill:
-            before, here, after = np.log(before), np.log(here), np.log(after)
-        fraction = 0.5 * (before - after) / (before - 2.0 * here + after)
-        peak = here - 0.25 * (before - after) * fraction
-        if hill:
-            peak = np.exp(peak)
+        if min(before, after) > _HILL_SHARE * here:
+            if _MAX_PEAK * here < best_weight:
+                continue
+            lead = np.log(before / after)
+            fraction = 0.5 * lead / np.log(before * after / (here * here))
+            peak = here * np.exp(-0.25 * lead * fraction)
+        else:
+            fraction = 0.5 * (before - after) / (before - 2.0 * here + after)
+            peak = here - 0.25 * (before - after) * fraction
         offset = (s - inner + fraction) * step
         weight = peak * np.exp(-0.5 * (offset / reach) ** 2)
         if abs(offset) <= reach and weight > best_weight:
-            best_weight = weight
-            best[0] = offset
-            best[1] = peak if slopes[s] > 0 else -peak
+            best_weight, best_offset = weight, offset
+            best_slope = peak if slopes[s, n] > 0 else -peak
+    return best_offset, best_slope
+
+
+@kernel("b1(f8[:, ::1], i8, f8, f8)")
+def _clips(profiles: FloatArray, n: int, offset: float, step: float) -> bool:
+    """Whether the sensor is saturated, or black, beside an edge of the profile in column n."""
+    half = len(profiles) // 2
+    middle, span = half + offset / step, _CLIP_REACH_PX / step
+    for s in range(max(0, int(middle - span)), min(2 * half, int(np.ceil(middle + span))) + 1):
+        if profiles[s, n] >= 254.5 or profiles[s, n] <= 0.5:
+            return True
+    return False
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], f8, f8[::1], i8[::1], f8)")
@@ -246,28 +263,22 @@ def _edge_offsets(
             derivatives[w, i + radii[w]] = value
             gain += i * step * value
         derivatives[w] /= gain
-    profile, slopes = np.empty(2 * half + 1), np.empty(2 * inner + 1)
-    best = np.empty(2)
-    for n in range(count):
-        x, y = points[n, 0], points[n, 1]
-        if not (np.isfinite(x) and np.isfinite(y)):
-            continue
-        sx, sy = normals[n, 0] * step, normals[n, 1] * step
-        if not _sample_profile(image, x, y, sx, sy, half, profile):
-            continue
-        found[2 * many, n] = 0.0
+    profile, profiles = np.empty(2 * half + 1), np.zeros((2 * half + 1, _TOGETHER))
+    slopes = np.empty((2 * inner + 1, _TOGETHER))
+    for first in range(0, count, _TOGETHER):
+        for n in range(first, min(first + _TOGETHER, count)):
+            x, y = points[n, 0], points[n, 1]
+            sx, sy = normals[n, 0] * step, normals[n, 1] * step
+            if np.isfinite(x + y) and _sample_profile(image, x, y, sx, sy, half, profile):
+                profiles[:, n - first] = profile
+                found[2 * many, n] = 0.0
         for w in range(many):
-            _best_extremum(
-                profile, derivatives[w], radii[w], half, inner, reach, polarity[n], step, slopes, best
-            )
-            found[w, n] = best[0]
-            found[many + w, n] = best[1]
-            if np.isfinite(best[0]) and found[2 * many, n] == 0.0:
-                middle = half + best[0] / step
-                span = _CLIP_REACH_PX / step
-                low, high = max(0, int(middle - span)), min(2 * half, int(np.ceil(middle + span)))
-                for s in range(low, high + 1):
-                    if profile[s] >= 254.5 or profile[s] <= 0.5:
-                        found[2 * many, n] = 1.0
-                        break
+            _slopes(profiles, derivatives[w], radii[w], half, inner, slopes)
+            for n in range(first, min(first + _TOGETHER, count)):
+                if np.isnan(found[2 * many, n]):
+                    continue
+                offset, slope = _best_extremum(slopes, n - first, reach, polarity[n], step)
+                found[w, n], found[many + w, n] = offset, slope
+                if found[2 * many, n] == 0.0 and np.isfinite(offset):
+                    found[2 * many, n] = 1.0 if _clips(profiles, n - first, offset, step) else 0.0
     return found
