@@ -206,6 +206,19 @@ def test_the_unit_is_hardened(unit_file, tmp_path):
     assert 0 == result.returncode, result.stdout[-300:]
 
 
+def test_the_template_is_the_unit_with_names() -> None:
+    """What one of them may do or says, the other does: they differ in the cell's name only."""
+    single, template = (UNIT.with_name(name).read_text() for name in ("edged.service", "edged@.service"))
+    for named, plain in (
+        ("edged-%i", "edged"),
+        ("edged@%i", "edged"),
+        ("/%i.toml", "/cell.toml"),
+        (", cell %i", ""),
+    ):
+        template = template.replace(named, plain)
+    assert single[single.index("[Unit]") :] == template[template.index("[Unit]") :]
+
+
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):
     """Type=notify, a watchdog, a reload by SIGHUP: the words that this protocol stands on."""
     lines = unit_file.read_text().splitlines()
