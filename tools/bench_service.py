@@ -186,10 +186,8 @@ def killing(folder: Path, kills: int, seed: int) -> None:
         ("kills, a fourth of them during the start", found.kills),
         ("recordings read back, corrupt", f"{found.recordings}, {len(found.corrupt)}"),
         ("of those kept: measured again with the same bits, different", _replayed(replayed)),
-        (
-            "torn files left by kills, left after the next start",
-            f"{found.torn}, {0 if found.swept else 'some'}",
-        ),
+        ("torn files that kills left", found.torn),
+        ("all of them gone after the next start", "yes" if found.swept else "no"),
         ("files of the configuration that changed", len(found.changed)),
         ("starts with a complaint in the log", len(found.complaints)),
         ("the PLC: connections, polls", f"{witness.report.connections}, {len(witness.report.sights)}"),
@@ -233,9 +231,7 @@ def breaking(folder: Path, each_s: float) -> None:
             f"| {phase.name} | {saw.polls} | {saw.ready:.0%} | {saw.valid:.0%} | {saw.results_hz:.1f} | "
             f"{saw.without_s:.2f} | {saw.slowest_s * 1e3:.0f} | {saw.errors or '0'} |"
         )
-    print(
-        f"\nOver all of it the PLC saw wrong: {_wrong(witness.report)}. The log, {len(daemon.log)} lines:\n"
-    )
+    print(f"\nWrong in all that the PLC saw: {_wrong(witness.report)}. The log, {len(daemon.log)} lines:\n")
     for line in daemon.log:
         print(f"    {line}")
 

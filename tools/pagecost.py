@@ -5,20 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import multiprocessing as mp
 import re
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import numpy as np
 from benchcell import BenchCell, free_port
+from pageviewer import fetch_pictures
 
 ROUNDS = 3
 """Times without and with a viewer, in turn, so that a busy machine is busy for both."""
@@ -77,50 +77,26 @@ async def _measure(cell: BenchCell, port: int, seconds: float) -> None:
         )
 
 
-# --- a viewer -------------------------------------------------------------------------------------
+# --- what it brings -------------------------------------------------------------------------------
 
 
 @contextlib.asynccontextmanager
 async def _viewer(port: int) -> AsyncIterator[None]:
-    """A process that does what the page does: hears each event, fetches both pictures of each cycle."""
-    context = mp.get_context("spawn")
-    stop, looks = context.Event(), context.Event()
-    process = context.Process(target=_look, args=(port, stop, looks), daemon=True)
-    process.start()
-    if not await asyncio.to_thread(looks.wait, 30):
-        raise RuntimeError("the viewer has not seen the page within 30 s")
+    """A viewer in a process of its own."""
+    script = Path(__file__).with_name("pageviewer.py")
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, str(script), str(port), stdout=asyncio.subprocess.PIPE
+    )
     try:
+        assert process.stdout is not None
+        async with asyncio.timeout(60):
+            if await process.stdout.readline() != b"looking\n":
+                raise RuntimeError("the viewer sees no pictures")
         yield
     finally:
-        stop.set()
-        await asyncio.to_thread(process.join)
-
-
-def _look(port: int, stop: Event, looks: Event) -> None:
-    async def look() -> None:
-        async with (
-            aiohttp.ClientSession(f"http://127.0.0.1:{port}") as session,
-            session.get("/events") as events,
-        ):
-            async for line in events.content:
-                if stop.is_set():
-                    return
-                if line.startswith(b"data: "):
-                    await _fetch_pictures(session, json.loads(line[6:]))
-                    looks.set()
-
-    asyncio.run(look())
-
-
-async def _fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
-    """Size of both; the cycle may be out of memory again."""
-    if not status["picture"]:
-        return 0
-    size = 0
-    for side in ("left", "right"):
-        async with session.get(f"/picture/{status['picture']['cycle']}/{side}") as answer:
-            size += len(await answer.read()) if answer.status == 200 else 0
-    return size
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.communicate()
 
 
 async def _weight(port: int) -> dict[str, int]:
@@ -135,7 +111,7 @@ async def _weight(port: int) -> dict[str, int]:
             async for line in events.content:
                 if line.startswith(b"data: "):
                     sizes.append(len(line))
-                    pictures = pictures or await _fetch_pictures(session, json.loads(line[6:]))
+                    pictures = pictures or await fetch_pictures(session, json.loads(line[6:]))
                 if len(sizes) == 2:
                     break
     return {

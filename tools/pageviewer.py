@@ -1,0 +1,41 @@
+"""A viewer of a status page: hears each event, fetches both pictures of each cycle, as the page does.
+
+python tools/pageviewer.py PORT; says "looking" after the first pictures, and looks until it is ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from typing import Any
+
+import aiohttp
+
+
+async def look(port: int) -> None:
+    """Look for ever."""
+    url = f"http://127.0.0.1:{port}"
+    said = False
+    async with aiohttp.ClientSession(url) as session, session.get("/events") as events:
+        async for line in events.content:
+            if line.startswith(b"data: "):
+                await fetch_pictures(session, json.loads(line[6:]))
+                if not said:
+                    print("looking", flush=True)
+                said = True
+
+
+async def fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
+    """Size of both; the cycle may be out of memory again."""
+    if not status["picture"]:
+        return 0
+    size = 0
+    for side in ("left", "right"):
+        async with session.get(f"/picture/{status['picture']['cycle']}/{side}") as answer:
+            size += len(await answer.read()) if answer.status == 200 else 0
+    return size
+
+
+if __name__ == "__main__":
+    asyncio.run(look(int(sys.argv[1])))
