@@ -31,7 +31,7 @@ from edged.sim.clock import DeviceClock
 from edged.sim.exposure import ExposureRequest
 from edged.sim.faults import Faults, Quirk
 from edged.sim.gvcp import POLL_S, ControlChannel
-from edged.sim.gvsp import EXTENDED_CHUNK, IMAGE, Block, with_chunks
+from edged.sim.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, Block, with_chunks
 from edged.sim.pixels import encode
 from edged.sim.registers import (
     ACTION_LATE,
@@ -419,8 +419,9 @@ class GigeCamera:
         registers = self.registers
         ticks = self.clock.ticks(request.device_ns)
         pixel_format = registers.word(g.PIXEL_FORMAT)
-        data, chunked = encode(image, BY_CODE[pixel_format]), bool(registers.word(g.CHUNK_MODE))
-        if chunked:
+        data, payload_type = encode(image, BY_CODE[pixel_format]), IMAGE
+        if registers.word(g.CHUNK_MODE):
+            payload_type = EXTENDED_CHUNK if Quirk.OLD_CHUNKS in self._quirks else IMAGE_WITH_CHUNKS
             content = {
                 "FrameID": request.frame_id.to_bytes(8, "big"),
                 "Timestamp": ticks.to_bytes(8, "big"),
@@ -437,7 +438,7 @@ class GigeCamera:
             offset=(registers.word(g.OFFSET_X), registers.word(g.OFFSET_Y)),
             data=data,
             packet_bytes=(registers.word(g.PACKET_SIZE) & g.PACKET_SIZE_MASK) - HEADERS_BYTES,
-            payload_type=EXTENDED_CHUNK if chunked else IMAGE,
+            payload_type=payload_type,
         )
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
-IMAGE, EXTENDED_CHUNK = 0x0001, 0x0005
+IMAGE, IMAGE_WITH_CHUNKS, EXTENDED_CHUNK = 0x0001, 0x4001, 0x0005
+"""Chunk data come behind an image as 2.0 says (bit 14 of the type), or in 1.2's type of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class Block:
     """One image on its way.
 
     ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, and chunk data behind them.
-    packet_bytes : bytes of data in each packet. payload_type : `IMAGE` or `EXTENDED_CHUNK`.
+    packet_bytes : bytes of data in each packet. payload_type : `IMAGE`, or one with chunk data.
     """
 
     block_id: int
@@ -66,6 +67,7 @@ def _leader(block: Block) -> bytes:
 
 
 def _trailer(block: Block) -> bytes:
-    """That was all: the number of lines; of chunk data, its size too."""
+    """That was all: the number of lines; of chunk data their size and layout, too."""
     lines = struct.pack(">HHI", 0, block.payload_type, block.height)
-    return _header(block, TRAILER, block.packets + 1) + lines
+    chunks = b"" if block.payload_type == IMAGE else struct.pack(">II", len(block.data), 0)
+    return _header(block, TRAILER, block.packets + 1) + lines + chunks
