@@ -224,7 +224,7 @@ def test_the_description_has_the_nodes_of_that_firmware(
     while len(text) < size:
         wanted = min(512, size - len(text))
         text += quirky.ask(0x84, struct.pack(">IHH", address + len(text), 0, wanted))[1][4:]
-    names = set(re.findall(r'<\w+ Name="(\w+)"', text.decode()))
+    names = set(re.findall(r'<(?:Float|Boolean) Name="(\w+)"', text.decode()))
     few = "PtpEnable" not in names
     assert few == (quirky.read(g.PTP_ENABLE)[0] == INVALID_ADDRESS)
     assert {"ExposureTime", "ExposureTimeAbs"} & names == {"ExposureTime" if few else "ExposureTimeAbs"}
