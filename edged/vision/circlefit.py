@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain import Circle3D, FloatArray
 from edged.vision.camera import StereoRig
@@ -110,23 +111,30 @@ class ProjectedCircle:
 
 
 def project_circle(
-    rig: StereoRig,
-    side: str,
-    centre: FloatArray,
-    normal: FloatArray,
-    radius: float | FloatArray,
-    phase: FloatArray,
+    rig: StereoRig, side: str, centre: FloatArray, normal: FloatArray, radius: float, phase: FloatArray
 ) -> ProjectedCircle:
     """Project the points at angles `phase` (N,) of a circle of the rig frame into a raw image.
 
-    centre (3,) or (N, 3), radius a number or (N,): one circle, or one for each point, in one plane.
+    centre, normal (3,).
     """
     frame = np.vstack([circle_axes(normal), normal])
-    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), phase.shape)
-    centres = np.broadcast_to(np.asarray(centre, dtype=np.float64), (len(phase), 3))
+    which = np.zeros(len(phase), np.int64)
+    return project_circles(rig, side, frame, np.asarray(centre)[None], np.array([radius]), which, phase)
+
+
+def project_circles(
+    rig: StereoRig,
+    side: str,
+    frame: FloatArray,
+    centres: FloatArray,
+    radii: FloatArray,
+    index: npt.NDArray[np.int64],
+    phase: FloatArray,
+) -> ProjectedCircle:
+    """`project_circle` for circles of one plane; the arguments are those of `project_samples`."""
     camera = rig.left if side == "left" else rig.right
     pose = np.eye(4) if side == "left" else rig.right_from_left
-    found = project_samples(camera, pose, frame, centres, radii, phase)
+    found = project_samples(camera, pose, frame, centres, radii, index, phase)
     return ProjectedCircle(
         np.ascontiguousarray(found[:, :2]), np.ascontiguousarray(found[:, 2:4]), found[:, 4:]
     )

@@ -26,12 +26,14 @@ def project_samples(
     frame: FloatArray,
     centres: FloatArray,
     radii: FloatArray,
+    index: npt.NDArray[np.int64],
     phase: FloatArray,
 ) -> FloatArray:
     """(N, OUTPUTS) of the points at angles `phase` (N,) of circles in one plane.
 
-    frame (3, 3) : rows u, v, normal of the plane, rig frame.  centres (N, 3), radii (N,) : of each point's
-    circle.  camera_from_rig (4, 4).  Rows are NaN or infinite where the lens cannot show a point.
+    frame (3, 3) : rows u, v, normal of the plane, rig frame.  centres (K, 3), radii (K,) : of the circles;
+    index (N,) : which of them a point lies on.  camera_from_rig (4, 4).
+    Rows are NaN or infinite where the lens cannot show a point.
     """
     lens = np.zeros(5)
     lens[: len(camera.distortion)] = camera.distortion
@@ -43,6 +45,7 @@ def project_samples(
         np.require(frame, np.float64, ("C", "W")),
         np.require(centres, np.float64, ("C", "W")),
         np.require(radii, np.float64, ("C", "W")),
+        np.require(index, np.int64, ("C", "W")),
         np.require(phase, np.float64, ("C", "W")),
     )
 
@@ -71,9 +74,17 @@ def _distort(u: float, v: float, lens: F64, model: int) -> tuple[float, float, f
     )
 
 
-@kernel("f8[:, ::1](f8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1])")
+@kernel("f8[:, ::1](f8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8[::1], f8[::1])")
 def _project_samples(
-    pinhole: F64, lens: F64, model: int, pose: F64, frame: F64, centres: F64, radii: F64, phase: F64
+    pinhole: F64,
+    lens: F64,
+    model: int,
+    pose: F64,
+    frame: F64,
+    centres: F64,
+    radii: F64,
+    index: npt.NDArray[np.int64],
+    phase: F64,
 ) -> F64:
     count = len(phase)
     found = np.empty((count, OUTPUTS))
@@ -81,13 +92,14 @@ def _project_samples(
     rows = np.empty((2, 3))  # d pixel / d point, rig frame
     for n in range(count):
         cosine, sine = np.cos(phase[n]), np.sin(phase[n])
+        centre, radius = centres[index[n]], radii[index[n]]
         for i in range(3):
             radial[i] = cosine * frame[0, i] + sine * frame[1, i]
             across[i] = cosine * frame[1, i] - sine * frame[0, i]
         for i in range(3):
             point[i] = pose[i, 3]
             for j in range(3):
-                point[i] += pose[i, j] * (centres[n, j] + radii[n] * radial[j])
+                point[i] += pose[i, j] * (centre[j] + radius * radial[j])
         u, v, depth = point[0] / point[2], point[1] / point[2], point[2]
         x, y, xu, xv, yu, yv = _distort(u, v, lens, model)
         for j in range(3):
@@ -109,6 +121,6 @@ def _project_samples(
         found[n, 0], found[n, 1] = x * pinhole[0] + pinhole[2], y * pinhole[1] + pinhole[3]
         found[n, 2], found[n, 3] = nx, ny
         found[n, 4:7] = along
-        found[n, 7], found[n, 8] = up * radii[n] * sine, up * radii[n] * cosine
+        found[n, 7], found[n, 8] = up * radius * sine, up * radius * cosine
         found[n, 9] = out
     return found

@@ -48,9 +48,14 @@ def slow_waves(normals: FloatArray) -> FloatArray:
     What a wrong circle looks like, and a displacement: light and view have one direction in the image. Each
     has a mean square of 1 around a closed curve.
     """
-    angle = np.arctan2(normals[:, 1], normals[:, 0])
-    rest = [math.sqrt(2.0) * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
-    return np.column_stack([np.ones(len(angle)), *rest])
+    cosine, sine = normals.T
+    root2 = math.sqrt(2.0)
+    waves = np.empty((len(normals), 5))
+    waves[:, 0] = 1.0
+    waves[:, 1:3] = root2 * normals
+    waves[:, 3] = root2 * (cosine * cosine - sine * sine)
+    waves[:, 4] = 2.0 * root2 * cosine * sine
+    return waves
 
 
 def displacements(normals: FloatArray, slant: FloatArray) -> FloatArray:

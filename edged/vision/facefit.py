@@ -15,6 +15,7 @@ independent witnesses, nor are two cameras (see `displacements`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -32,7 +33,7 @@ from edged.vision.circlefit import (
     FaceFit,
     ProjectedCircle,
     circle_axes,
-    project_circle,
+    project_circles,
 )
 from edged.vision.displacements import displacements, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
@@ -49,6 +50,7 @@ STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the 
 DEFAULT_PARAMS = CircleFitParams()
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 _FIRST = 6  # unknowns of the first circle: centre (3), tilt about u, tilt about v, radius
+_CENTRE_AND_RADIUS = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
 
 def fit_circle(
@@ -152,7 +154,8 @@ class _Step:
 class _Face:
     """State of the joint problem, and where along the curves it is sampled.
 
-    origin (3,) centre of the first circle; places (K, 3): centres along u, v and the normal from there.
+    origin (3,) : centre of the first circle; frame (3, 3) : rows u, v, normal of the plane; places (K, 3) :
+    centres along those, from the origin.  radii (K,).
     index, phase (N,) : circle and angle of each sample; starts (K + 1,): where each circle's begin.
     polarity (K,).  fixed_normal, fixed_radius : what is not to be changed.
     """
@@ -160,7 +163,7 @@ class _Face:
     rig: StereoRig
     names: tuple[str, ...]
     origin: FloatArray
-    normal: FloatArray
+    frame: FloatArray
     places: FloatArray
     radii: FloatArray
     polarity: npt.NDArray[np.int64]
@@ -179,15 +182,15 @@ class _Face:
         fixed_radius: bool,
     ) -> _Face | None:
         """The guessed state, not yet sampled; None where the left camera cannot see such circles."""
-        normal = np.array(normal, np.float64)
+        frame = np.vstack([circle_axes(normal), normal])
         centres = np.array([guess.centre_mm for guess in guesses], dtype=np.float64)
         nothing = np.zeros(0, np.int64)
         face = _Face(
             rig,
             tuple(guess.name for guess in guesses),
             centres[0],
-            normal,
-            (centres - centres[0]) @ np.vstack([circle_axes(normal), normal]).T,
+            frame,
+            (centres - centres[0]) @ frame.T,
             np.array([guess.radius_mm for guess in guesses], dtype=np.float64),
             np.array([guess.polarity for guess in guesses], dtype=np.int64),
             nothing,
@@ -202,9 +205,9 @@ class _Face:
 
     def sizes_px(self) -> FloatArray:
         """(K,) radii in the left image, along u."""
-        centres = self.origin + self.places @ self.frame()
+        centres = self.centres
         with np.errstate(invalid="ignore", divide="ignore"):
-            rims = self.rig.left.project(centres + self.radii[:, None] * self.frame()[0])
+            rims = self.rig.left.project(centres + self.radii[:, None] * self.frame[0])
             return np.asarray(np.linalg.norm(rims - self.rig.left.project(centres), axis=1))
 
     def sampled(self, spacing_px: float) -> _Face:
@@ -221,28 +224,37 @@ class _Face:
     def unknowns(self) -> int:
         return _FIRST + 3 * (len(self.names) - 1)
 
-    def frame(self) -> FloatArray:
-        """Rows u, v, normal."""
-        return np.vstack([circle_axes(self.normal), self.normal])
+    @property
+    def centres(self) -> FloatArray:
+        """(K, 3) in the rig frame."""
+        return np.asarray(self.origin + self.places @ self.frame)
 
     def project(self, side: str) -> ProjectedCircle:
-        centres = self.origin + self.places @ self.frame()
-        return project_circle(
-            self.rig, side, centres[self.index], self.normal, self.radii[self.index], self.phase
-        )
+        return project_circles(self.rig, side, self.frame, self.centres, self.radii, self.index, self.phase)
 
-    def design(self, curve: ProjectedCircle) -> FloatArray:
-        """(N, 8): derivative of each curve along its normal by the unknowns it depends on.
+    def lifts(self) -> FloatArray:
+        """(K, 6, 8): centre, tilts about u and v and radius of each circle by the unknowns it depends on.
 
         Those are the origin (3), the tilts about u and v, the circle's place along u and v, its radius.
         """
-        u, v, n = self.frame()
-        x, y, z = self.places[self.index].T
-        by_centre = curve.jacobian[:, :3]
-        by_u, by_v, by_n = by_centre @ u, by_centre @ v, by_centre @ n
-        tilt_u = curve.jacobian[:, 3] + by_n * y - by_v * z
-        tilt_v = curve.jacobian[:, 4] + by_n * x - by_u * z
-        return np.column_stack([by_centre, tilt_u, tilt_v, by_u, by_v, curve.jacobian[:, 5]])
+        u, v, n = self.frame
+        x, y, z = self.places.T[..., None]
+        lifts = np.zeros((len(self.names), _FIRST, 8))
+        lifts[:, :3, :3] = np.eye(3)
+        lifts[:, :3, 3], lifts[:, :3, 4] = y * n - z * v, x * n - z * u
+        lifts[:, 3, 3] = lifts[:, 4, 4] = lifts[:, 5, 7] = 1.0
+        lifts[:, :3, 5], lifts[:, :3, 6] = u, v
+        return lifts
+
+    def design(self, curves: tuple[ProjectedCircle, ...]) -> FloatArray:
+        """(2 N, 8): derivative of each curve along its normal by the unknowns it depends on."""
+        count, lifts = len(self.index), self.lifts()
+        design = np.empty((2 * count, 8))
+        for side, curve in enumerate(curves):
+            for k, lift in enumerate(lifts):
+                a, b = self.starts[k : k + 2]
+                np.matmul(curve.jacobian[a:b], lift, out=design[side * count + a : side * count + b])
+        return design
 
     def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """(K, 8): which unknown each column of `design` is, -1 for those that are held.
@@ -284,8 +296,7 @@ class _Face:
 
         final : each curve chooses its width, and slow displacements are reckoned with.
         """
-        curves = tuple(self.project(side) for side in SIDES)
-        measured = self._measure(images, curves, reach, params, final)
+        curves, measured = self._measure(images, reach, params, final)
         columns = np.tile(self.columns(measured.seen), (2, 1))
         groups, priors = self._groups(curves, measured, columns, final)
         if not measured.seen[0]:
@@ -326,32 +337,32 @@ class _Face:
     def _measure(
         self,
         images: tuple[Image, Image],
-        curves: tuple[ProjectedCircle, ...],
         reach: float,
         params: CircleFitParams,
         final: bool,
-    ) -> _Edges:
-        """The edges across the present curves of both images."""
+    ) -> tuple[tuple[ProjectedCircle, ...], _Edges]:
+        """The present curves in both images, and the edges across them."""
         widths = WIDTHS_PX if final else START_WIDTHS_PX
-        signs = self.polarity[self.index]
+        signs, nothing = self.polarity[self.index], np.zeros((len(self.index), 0))
 
-        def side(number: int) -> ChosenEdges:
-            image, curve = images[number], curves[number]
+        def side(number: int) -> tuple[ProjectedCircle, ChosenEdges]:
+            image, curve = images[number], self.project(SIDES[number])
             seen = edges_at_widths(
                 image, curve.pixels, curve.normals, reach, signs, widths, FINE_STEP_PX if final else 1.0
             )
-            chosen = choose_widths(seen, self.starts, slow_waves(curve.normals), params.min_slope)
+            slow = slow_waves(curve.normals) if final else nothing
+            chosen = choose_widths(seen, self.starts, slow, params.min_slope)
             if final:
                 blur2 = np.repeat(chosen.blur2_px2, np.diff(self.starts))
                 chosen.offset_px[:] += 0.5 * blur2 * self._curvature(curve)
-            return chosen
+            return curve, chosen
 
-        # coarsely sampled, a second thread would cost more than it does
-        sides = for_both(side) if final else (side(0), side(1))
+        both = for_both(side)
+        curves, sides = tuple(curve for curve, _ in both), [chosen for _, chosen in both]
         base = np.stack([chosen.base for chosen in sides])
         counts = np.add.reduceat(base > 0, self.starts[:-1], axis=1)
         enough: npt.NDArray[np.bool_] = np.all(counts >= MIN_SAMPLES, axis=0)
-        return _Edges(
+        return curves, _Edges(
             np.stack([chosen.offset_px for chosen in sides]),
             base,
             np.stack([chosen.bias_px for chosen in sides]),
@@ -388,7 +399,7 @@ class _Face:
         waves = self._displacements(curves) if final else np.zeros((2 * len(self.index), 0))
         many = waves.shape[1]
         bias = edges.bias_px.ravel() * np.sqrt(0.5)
-        design = np.concatenate([self.design(curve) for curve in curves])
+        design = self.design(curves)
         seen = np.tile(edges.seen, 2)
         kinds = np.tile((self.polarity > 0).astype(np.int64), 2)
         common = np.unique(kinds[seen]) if final else kinds[:0]
@@ -405,26 +416,25 @@ class _Face:
         points, radial = self._points(), self._radial()
         return np.concatenate(
             [
-                displacements(curve.normals, slants(points, radial, self.normal, pose))
+                displacements(curve.normals, slants(points, radial, self.frame[2], pose))
                 for curve, pose in zip(curves, (np.eye(4), self.rig.right_from_left), strict=True)
             ]
         )
 
     def _radial(self) -> FloatArray:
         """(N, 3): direction of each sample from its circle's centre."""
-        u, v, _ = self.frame()
+        u, v, _ = self.frame
         return np.asarray(np.cos(self.phase)[:, None] * u + np.sin(self.phase)[:, None] * v)
 
     def _points(self) -> FloatArray:
         """(N, 3): the samples in space."""
-        centres = self.origin + self.places @ self.frame()
-        return np.asarray(centres[self.index] + self.radii[self.index, None] * self._radial())
+        return np.asarray(self.centres[self.index] + self.radii[self.index, None] * self._radial())
 
     def moved(self, delta: FloatArray) -> _Face | None:
         """The state after a step; None when it has run away."""
         if not np.isfinite(delta).all() or np.abs(delta[:3]).max() > 0.2 * self.origin[2]:
             return None
-        u, v, n = self.frame()
+        u, v, n = self.frame
         turned = np.cross(u + delta[4] * n, v + delta[3] * n)
         turned = turned / np.linalg.norm(turned) * np.sign(turned @ n)
         places, radii = self.places.copy(), self.radii.copy()
@@ -442,56 +452,45 @@ class _Face:
         tilted = np.stack([u + delta[4] * n, v + delta[3] * n])
         tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
         places[:, :2] = places[:, :2] @ tilted @ fresh.T
-        return replace(self, origin=origin, normal=turned, places=places, radii=radii)
+        return replace(self, origin=origin, frame=np.vstack([fresh, turned]), places=places, radii=radii)
 
     def result(self, step: _Step) -> FaceFit | None:
-        fits = tuple(self._circle(k, step) for k in range(len(self.names)))
-        return None if fits[0] is None else FaceFit(fits[0], fits[1:], step.covariance)
+        columns, lifts = self.columns(np.ones(len(self.names), bool)), self.lifts()
+        fits = []
+        for k, (own, lift) in enumerate(zip(columns, lifts, strict=True)):
+            known = own >= 0
+            inner = step.covariance[np.ix_(own[known], own[known])]
+            fits.append(self._circle(k, step, lift[:, known] @ inner @ lift[:, known].T))
+        return None if fits[0] is None else FaceFit(fits[0], tuple(fits[1:]), step.covariance)
 
-    def _circle(self, k: int, step: _Step) -> CircleFit | None:
+    def _circle(self, k: int, step: _Step, covariance: FloatArray) -> CircleFit | None:
         rows = slice(*self.starts[k : k + 2])
         weights, residuals = step.weights[:, rows], step.residuals[:, rows]
         total = float(weights.sum())
         if total < MIN_SAMPLES:
             return None
-        agree = (weights > 0) & (np.abs(residuals) < AGREE_PX)
-        covariance = self._to_circle(k) @ step.covariance @ self._to_circle(k).T
-        u, v, n = self.frame()
+        support = np.mean((weights > 0) & (np.abs(residuals) < AGREE_PX), axis=1)
+        normal = self.frame[2]
         circle = Circle3D(
             self.names[k],
-            self.origin + self.places[k] @ self.frame(),
-            n if n[2] < 0 else -n,
+            self.centres[k],
+            normal if normal[2] < 0 else -normal,
             float(self.radii[k]),
-            covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])],
+            covariance[_CENTRE_AND_RADIUS],
         )
         return CircleFit(
             circle,
             covariance,
-            np.stack([u, v]),
-            float(agree[0].mean()),
-            float(agree[1].mean()),
-            float(np.sqrt(np.sum(weights * residuals**2) / total)),
+            self.frame[:2],
+            float(support[0]),
+            float(support[1]),
+            math.sqrt(float(np.sum(weights * residuals**2)) / total),
             step.points[0, rows],
             step.points[1, rows],
             weights[0],
             weights[1],
             int(self.polarity[k]),
         )
-
-    def _to_circle(self, k: int) -> FloatArray:
-        """(6, P): centre, tilts and radius of one circle by the joint unknowns."""
-        u, v, n = self.frame()
-        x, y, z = self.places[k]
-        to_circle = np.zeros((_FIRST, self.unknowns))
-        to_circle[:3, :3] = np.eye(3)
-        to_circle[:3, 3], to_circle[:3, 4] = y * n - z * v, x * n - z * u
-        to_circle[3, 3] = to_circle[4, 4] = 1.0
-        if k == 0:
-            to_circle[5, 5] = 1.0
-        else:
-            column = _FIRST + 3 * (k - 1)
-            to_circle[:3, column], to_circle[:3, column + 1], to_circle[5, column + 2] = u, v, 1.0
-        return to_circle
 
 
 def _calibration_causes(

@@ -16,7 +16,7 @@ from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, rotation_matrix, transform
 from edged.vision.job import CircleFeature, Job
 from edged.vision.planefit import CurveFit
-from edged.vision.rectification import Rectification, row_difference_px
+from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import Plane, find_plane
 
@@ -461,8 +461,8 @@ def _epipolar_rms(rectification: Rectification, fit: CircleFit) -> float:
     both = (fit.weights_left > 0.1) & (fit.weights_right > 0.1)
     if both.sum() < 8:
         return float("nan")
-    rows = row_difference_px(rectification.rig, fit.points_left[both], fit.points_right[both])
     right = rectification.rectify_points("right", fit.points_right)
+    rows = rectification.rectify_points("left", fit.points_left[both])[:, 1] - right[both, 1]
     tangent = (np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0))[both]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
