@@ -153,6 +153,7 @@ class StereoHead:
     max_skew_s, max_arrival_skew_s : see `Pairing`.
     follower : the camera that exposes when the other one does, and so must be armed before that is triggered.
     free_running : both expose all the time: a frame without a partner is followed by another.
+    by_others : somebody else triggers them: when nothing comes from either, nothing is wrong with them.
     open_timeout_s : for one attempt to open both cameras.
     min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
         camera; doubles with each one until a pair has been captured.
@@ -171,6 +172,7 @@ class StereoHead:
         max_arrival_skew_s: float = 0.05,
         follower: str = "",
         free_running: bool = False,
+        by_others: bool = False,
         open_timeout_s: float = 15.0,
         min_backoff_s: float = 0.5,
         max_backoff_s: float = 5.0,
@@ -182,6 +184,7 @@ class StereoHead:
         self._pairing = Pairing(max_skew_s, max_arrival_skew_s)
         self._follower = follower
         self._free_running = free_running
+        self._by_others = by_others
         self._open_timeout_s = open_timeout_s
         self._min_backoff_s = min_backoff_s
         self._max_backoff_s = max_backoff_s
@@ -336,6 +339,8 @@ class StereoHead:
             if not waiting:
                 raise FrameUnpaired("both", f"no two frames fit within {self._timeout_s:g} s") from None
             name = waiting[0] if len(waiting) == 1 else "both"
+            if self._by_others and name == "both":
+                raise FrameTimeout(name, f"nobody triggered them within {self._timeout_s:g} s") from None
             raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
 
     async def _nearest(self, pair: FramePair) -> FramePair:
@@ -421,6 +426,8 @@ class StereoHead:
     def _note(self, error: CaptureError) -> CaptureError:
         """Close cameras that an error says are gone, or that failed too often; what is to be said of it."""
         at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
+        if self._by_others and isinstance(error, FrameTimeout) and len(at_fault) == 2:
+            return error
         for side in at_fault:
             side.faults += 1
             side.suspect = isinstance(error, FrameTimeout)

@@ -85,6 +85,7 @@ def head_of(
         max_arrival_skew_s=cameras.max_arrival_skew_ms * 1e-3,
         follower=triggering.follower,
         free_running=isinstance(triggering.triggers[0], FreeRun),
+        by_others=all(isinstance(trigger, Line) for trigger in triggering.triggers),
         detect_frozen=cameras.source != "replay",
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edged.capture import StereoHead
+from edged.capture import REOPEN_AFTER, StereoHead
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 
@@ -21,9 +21,10 @@ class Streaming:
         self.name = name
         self.frames: asyncio.Queue[Frame | CaptureError] = asyncio.Queue()
         self.number = 0
+        self.opened = 0
 
     async def open(self) -> None:
-        pass
+        self.opened += 1
 
     async def trigger(self) -> None:
         pass
@@ -198,3 +199,18 @@ def test_a_command_while_listening_takes_over_the_cameras() -> None:
         assert (1, 1) == numbers(await commanded)
 
     streaming(script, timeout_s=5.0)
+
+
+def test_no_trigger_is_no_fault_of_the_cameras() -> None:
+    """Commanded, and the pulse never comes: a time-out each time, and nobody is opened again for it."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        for _ in range(2 * REOPEN_AFTER):
+            with pytest.raises(
+                FrameTimeout, match=r"camera both: nobody triggered them within 0\.02 s"
+            ) as caught:
+                await head.capture()
+            assert FrameTimeout is type(caught.value)
+        assert (1, 1) == (left.opened, right.opened)
+
+    streaming(script, by_others=True, timeout_s=0.02)
