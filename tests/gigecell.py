@@ -42,18 +42,18 @@ class Sensor:
 
 
 def gige_camera(
-    address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT
+    address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT, **options: Any
 ) -> GigeCamera:
     """A simulated GigE Vision camera, to be entered."""
-    return GigeCamera(address, serial, sensor, width=width, height=height)
+    return GigeCamera(address, serial, sensor, width=width, height=height, **options)
 
 
 class Cell:
-    """Two simulated cameras, and what an adapter needs to reach them."""
+    """Two simulated cameras, and what an adapter needs to reach them. options : of the left one."""
 
-    def __init__(self) -> None:
+    def __init__(self, **options: Any) -> None:
         self.left_sensor, self.right_sensor = Sensor(1), Sensor(2)
-        self.left = gige_camera(LEFT, "EDGED-T1", self.left_sensor)
+        self.left = gige_camera(LEFT, "EDGED-T1", self.left_sensor, **options)
         self.right = gige_camera(RIGHT, "EDGED-T2", self.right_sensor)
 
 

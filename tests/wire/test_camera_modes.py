@@ -1,0 +1,379 @@
+"""Every way to trigger two cameras, with the real Aravis over real UDP, as a configuration says it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
+
+from edged.adapters.aravis import AravisCamera, Output, aravis_missing
+from edged.capture import StereoHead
+from edged.config import CamerasSection
+from edged.domain import Frame, FramePair, TimeBase
+from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired
+from edged.head import head_of
+from edged.pairing import Pairing
+from edged.sim import genicam as g
+from edged.sim.clock import DeviceClock
+from edged.sim.faults import Quirk
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    """A running cell whose clocks run differently and from different times on."""
+    with running(Cell()) as cell:
+        cell.left.clock.drift_ppm, cell.right.clock.drift_ppm = 80.0, -60.0
+        cell.left.clock.jump(1000.0)
+        yield cell
+
+
+def head(trigger: dict[str, Any], *, external: bool = False, **cameras: Any) -> StereoHead:
+    """The head that a configuration makes of this trigger section."""
+    section = CamerasSection.model_validate(
+        {
+            "left": {"device": LEFT},
+            "right": {"device": RIGHT},
+            "timeout_s": 3.0,
+            "max_skew_ms": 10.0,
+            "trigger": trigger,
+            **cameras,
+        }
+    )
+    return head_of(section, external=external)
+
+
+def is_one_exposure(cell: Cell, pair: FramePair) -> bool:
+    """Whether both pictures are those that both sensors saw with the same number."""
+    return cell.left_sensor.saw(pair.left.image) == cell.right_sensor.saw(pair.right.image)
+
+
+async def armed(cell: Cell) -> None:
+    """Both cameras take exposures."""
+    deadline_s = time.monotonic() + 10
+    while not all(camera.controlled and camera._acquiring.is_set() for camera in (cell.left, cell.right)):
+        assert time.monotonic() < deadline_s
+        await asyncio.sleep(0.005)
+
+
+def pulse(cell: Cell) -> None:
+    """A sensor that is wired to Line1 of both cameras."""
+    at_ns = time.monotonic_ns()
+    for camera in (cell.left, cell.right):
+        camera.line("Line1").pulse(at_ns=at_ns)
+
+
+def pairs_of(cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], None] | None = None) -> Any:
+    """So many captures; `expose` is what somebody else does shortly after each command."""
+
+    async def script(head: StereoHead) -> list[FramePair]:
+        pairs = []
+        await head.open()
+        for _ in range(count):
+            capturing = asyncio.create_task(head.capture())
+            if expose is not None:
+                await asyncio.sleep(0.05)
+                expose(cell)
+            pairs.append(await capturing)
+        return pairs
+
+    return run(script, head)
+
+
+# --- lines ------------------------------------------------------------------------------------------------
+
+
+def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
+    """Exactly one picture a pulse, of the same instant, and timed by the cameras' own clocks."""
+    pairs = pairs_of(cell, head({"mode": "line", "line": "Line1"}), 4, pulse)
+
+    assert (4, 4) == (cell.left.exposures, cell.right.exposures)
+    assert g.LINE1 == cell.left.registers.word(g.TRIGGER_SOURCE)
+    for pair in pairs:
+        assert is_one_exposure(cell, pair)
+        assert {TimeBase.CAMERA} == {pair.left.time_base, pair.right.time_base}
+
+
+def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
+    """The registers hold what the configuration says, under the line that it names."""
+    trigger = {"mode": "line", "line": "Line3", "edge": "falling", "delay_us": 150, "debounce_us": 40}
+    run(lambda head: head.open(), head(trigger))
+
+    assert (g.LINE3, g.FALLING) == (
+        cell.left.registers.word(g.TRIGGER_SOURCE),
+        cell.left.registers.word(g.TRIGGER_ACTIVATION),
+    )
+    assert 150.0 == cell.left.registers.number(g.TRIGGER_DELAY)
+    assert 40.0 == cell.left.registers.number(g.LINE_DEBOUNCER + 4 * g.LINES["Line3"])
+    assert 0 == cell.left.registers.word(g.LINE_MODE + 4 * g.LINES["Line3"])
+
+
+def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
+    """What was exposed before somebody asked shows the part where it was before."""
+
+    async def script(head: StereoHead) -> FramePair:
+        await head.open()
+        await armed(cell)
+        pulse(cell)
+        await asyncio.sleep(0.1)
+        capturing = asyncio.create_task(head.capture())
+        await asyncio.sleep(0.05)
+        pulse(cell)
+        return await capturing
+
+    pair = run(script, head({"mode": "line"}))
+
+    assert 2 == cell.left_sensor.saw(pair.left.image) == cell.right_sensor.saw(pair.right.image)
+
+
+def test_no_pulse_is_a_time_out(cell: Cell) -> None:
+    """Both cameras waited in vain."""
+
+    async def script(head: StereoHead) -> None:
+        with pytest.raises(FrameTimeout, match=r"camera both: nobody triggered them within 0\.3 s"):
+            await head.capture()
+
+    run(script, head({"mode": "line"}, timeout_s=0.3))
+
+
+def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
+    """Nobody asks; five pulses 60 ms apart are five pairs."""
+
+    async def script(head: StereoHead) -> list[FramePair]:
+        await head.open()
+        await armed(cell)
+        loop = asyncio.get_running_loop()
+        for number_ in range(5):
+            loop.call_later(0.06 * number_, pulse, cell)
+        return [await head.listen() for _ in range(5)]
+
+    pairs = run(script, head({"mode": "line"}, external=True))
+
+    assert [1, 2, 3, 4, 5] == [cell.left_sensor.saw(pair.left.image) for pair in pairs]
+    assert all(is_one_exposure(cell, pair) for pair in pairs)
+    assert 0 == sum(pair.missed for pair in pairs)
+
+
+def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
+    """A loose contact: no result for that pulse, and no pair of two different ones afterwards."""
+
+    async def script(head: StereoHead) -> FramePair:
+        await head.open()
+        await armed(cell)
+        cell.left.line("Line1").pulse()
+        with pytest.raises(FrameUnpaired, match="camera right: no partner for frame 1 of left"):
+            await head.listen()
+        pulse(cell)
+        return await head.listen()
+
+    pair = run(script, head({"mode": "line"}, external=True, timeout_s=0.3))
+
+    assert (2, 1) == (cell.left_sensor.saw(pair.left.image), cell.right_sensor.saw(pair.right.image))
+
+
+# --- chain ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
+    """The first's exposure-active output feeds the other's input: one instant, one software command."""
+    leader, follower = (cell.left, cell.right) if first == "left" else (cell.right, cell.left)
+    leader.line("Line2").feeds(follower.line("Line1"))
+
+    pairs = pairs_of(cell, head({"mode": "chain", "first": first}), 4)
+
+    assert all(is_one_exposure(cell, pair) for pair in pairs)
+    assert (4, 4) == (cell.left.exposures, cell.right.exposures)
+    assert g.EXPOSURE_ACTIVE == leader.registers.word(g.LINE_SOURCE + 4 * g.LINES["Line2"])
+    assert (g.SOFTWARE, g.LINE1) == (
+        leader.registers.word(g.TRIGGER_SOURCE),
+        follower.registers.word(g.TRIGGER_SOURCE),
+    )
+
+
+def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell) -> None:
+    """The first exposed, the other did not."""
+
+    async def script(head: StereoHead) -> None:
+        with pytest.raises(FrameTimeout, match=r"camera right: no image within 0\.5 s"):
+            await head.capture()
+
+    run(script, head({"mode": "chain"}, timeout_s=0.5))
+
+
+# --- action commands --------------------------------------------------------------------------------------
+
+
+KEYS = {"mode": "action", "device_key": 0xCAFE, "group_key": 2, "group_mask": 4}
+
+
+@pytest.mark.parametrize("broadcast", ["", "255.255.255.255"], ids=["unicast", "broadcast"])
+def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
+    """To each camera with its acknowledgement, or one datagram for all."""
+    trigger = {**KEYS, "broadcast": broadcast} if broadcast else KEYS
+    pairs = pairs_of(cell, head(trigger, max_skew_ms=200.0), 4)
+
+    assert all(is_one_exposure(cell, pair) for pair in pairs)
+    assert (4, 4) == (cell.left.exposures, cell.right.exposures)
+    assert 0xCAFE == cell.left.registers.word(g.ACTION_DEVICE_KEY)
+
+
+def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
+    """50 ms ahead: both stamps are the same to the nanosecond of the clocks' own error."""
+    trigger = {**KEYS, "lead_ms": 50}
+    head_ = head(trigger, ptp=True, max_skew_ms=0.2)
+    pairs = pairs_of(cell, head_, 3)
+
+    for pair in pairs:
+        assert is_one_exposure(cell, pair)
+        assert {TimeBase.PTP} == {pair.left.time_base, pair.right.time_base}
+        skew = Pairing(0.0002, 0.05).skew(pair.left, pair.right)
+        assert ("exposures by PTP", True) == (skew.what, abs(skew.ns) < 100_000)
+
+
+def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
+    """Clocks that are not locked have no common time."""
+
+    async def script(head: StereoHead) -> None:
+        with pytest.raises(FrameTimeout, match="a scheduled action needs PTP, and its clock is not locked"):
+            await head.capture()
+
+    run(script, head({**KEYS, "lead_ms": 50}))
+
+
+def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
+    """A tenth of a microsecond ahead has passed when the command arrives."""
+
+    async def script(head: StereoHead) -> None:
+        with pytest.raises(FrameTimeout, match="too late: its lead is too short"):
+            await head.capture()
+
+    run(script, head({**KEYS, "lead_ms": 0.0001}, ptp=True))
+
+
+# --- strobe, formats, quirks, time ------------------------------------------------------------------------
+
+
+def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
+    """High while exposed, and only then."""
+    edges: list[tuple[bool, int]] = []
+    cell.left.line("Line2").listen(lambda level, at_ns: edges.append((level, at_ns)))
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    run(script, left_camera(exposure_us=3000.0, outputs=(Output("Line2"),)))
+
+    (up, up_ns), (down, down_ns) = edges
+    assert (True, False) == (up, down)
+    assert 3 * MS == down_ns - up_ns
+
+
+@pytest.mark.parametrize("name", g.PIXEL_FORMATS)
+def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
+    """Packed, transferred, unpacked: the same grey values; a mosaic as bright as the picture."""
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    frame = run(script, left_camera(features=({"PixelFormat": name},)))
+
+    (shown,) = cell.left_sensor.shown.values()
+    if name.startswith("Bayer"):
+        assert abs(float(frame.image.mean()) - float(shown.mean())) < 1.0
+    else:
+        np.testing.assert_array_equal(shown, frame.image)
+
+
+@pytest.mark.parametrize(
+    "quirk", [Quirk.MODE_BEFORE_SOURCE, Quirk.SOURCE_CLEARS_MODE, Quirk.EXPOSURE_TIME_ABS]
+)
+def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
+    """Settings are written in an order that each of them stands."""
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    with running(Cell(quirks=(quirk,))) as cell:
+        run(script, left_camera(exposure_us=1500.0))
+        assert [1500.0] == [request.exposure_us for request in cell.left_sensor.requests]
+
+
+def test_a_clamped_exposure_is_named() -> None:
+    """20 ms became 10 ms without a word: both are in the error."""
+
+    async def script(camera: AravisCamera) -> None:
+        with pytest.raises(CameraSetupError, match=r"ExposureTime: the camera made 10000\.0 of 20000\.0"):
+            await camera.open()
+
+    with running(Cell(quirks=(Quirk.CLAMPED_EXPOSURE,))):
+        run(script, left_camera(exposure_us=20_000.0))
+
+
+def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
+    """No lines, no chunks, no PTP, no temperature: nothing of it is missed."""
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await shoot(camera)
+
+    with running(Cell(quirks=(Quirk.FEW_NODES,))) as cell:
+        frame = run(script, left_camera(exposure_us=1500.0, gain_db=1.0))
+        assert 1 == cell.left_sensor.saw(frame.image)
+
+
+def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
+    """With chunk data each image says how long it was exposed: another time is no result."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        await shoot(camera)
+        cell.left.registers.put(g.EXPOSURE_TIME, 900.0)
+        with pytest.raises(FrameIncomplete, match="exposed for 900 us, not 2000 us"):
+            await shoot(camera)
+
+    run(script, left_camera(exposure_us=2000.0, chunks=True))
+
+
+@pytest.mark.parametrize("tick_hz", [125_000_000, 1_000])
+def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
+    """Ticks of 8 ns, and of a millisecond: the bound says so, the truth is within it."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        return [await shoot(camera) for _ in range(6)]
+
+    with running(Cell(clock=DeviceClock(offset_s=5000.0, drift_ppm=90.0, tick_hz=tick_hz))) as cell:
+        frames = run(script, left_camera())
+        for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
+            assert frame.exposed_bound_ns is not None
+            assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5 * MS
+            assert frame.exposed_bound_ns >= 10**9 / tick_hz / 2
+
+
+def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
+    """Set back by an hour between two images: the next one is timed as well as the one before."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        frames = [await shoot(camera)]
+        cell.left.clock.jump(-500.0)
+        frames += [await shoot(camera) for _ in range(3)]
+        return frames
+
+    frames = run(script, left_camera())
+
+    for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
+        assert abs(frame.exposed_ns - request.exposed_ns) < 50 * MS
+    assert TimeBase.CAMERA is frames[-1].time_base
