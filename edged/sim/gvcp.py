@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import random
+import select
 import socket
 import struct
 import threading
@@ -129,9 +130,9 @@ class ControlChannel:
     def _serve(self) -> None:
         while self._running.is_set():
             self._watch_heartbeat()
-            for heard in (*self._broadcasts, self._socket):
-                if heard is None:
-                    continue
+            opened = [one for one in (*self._broadcasts, self._socket) if one is not None]
+            ready, _, _ = select.select(opened, (), (), POLL_S)
+            for heard in ready:
                 try:
                     data, sender = heard.recvfrom(2048)
                 except (TimeoutError, BlockingIOError):
