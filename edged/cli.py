@@ -474,6 +474,61 @@ def watch(
 
 
 @app.command()
+def sim(
+    config: Annotated[
+        Path | None, typer.Argument(help="take addresses, serial numbers and rig from this configuration")
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="show these pairs NAME_left.png, NAME_right.png, again and again")
+    ] = None,
+    pattern: Annotated[str, typer.Option(help="show a moving ramp of so many pixels, 640x480")] = "",
+    left: Annotated[str, typer.Option(help="address of the left camera, or none; 127.0.0.2")] = "",
+    right: Annotated[str, typer.Option(help="address of the right camera, or none; 127.0.0.3")] = "",
+    fault: Annotated[
+        list[str] | None, typer.Option(help="packet_loss=0.01, right.frozen=on, ...; more by `help` on stdin")
+    ] = None,
+    quirk: Annotated[
+        list[str] | None, typer.Option(help="habit of the firmware: mode-before-source, few-nodes, ...")
+    ] = None,
+    pulse_hz: Annotated[float, typer.Option("--pulse", min=0, max=1000, help="Hz: pulses on Line1")] = 0.0,
+    drift_ppm: Annotated[
+        float, typer.Option("--drift", min=-100_000, max=100_000, help="ppm: the right camera's clock")
+    ] = 0.0,
+) -> None:
+    """Simulate GigE Vision cameras over UDP, with faults at will, to test any client of such cameras.
+
+    A virtual cell on 127.0.0.2 and 127.0.0.3:  edged sim
+
+    Pictures of a folder, 1 % of the packets lost:  edged sim --images DIR --fault packet_loss=0.01
+
+    One camera with a test pattern:  edged sim --pattern 640x480 --left 192.168.7.10 --right none
+
+    While it runs, lines on standard input change what goes wrong: `set left unplugged on`, `reboot both`,
+    `pulse both Line1`, `steal right`; `help` lists them.
+    """
+    from rich.console import Console
+
+    from edged.commands.sim import SimOptions
+    from edged.commands.sim import sim as command
+
+    raise typer.Exit(
+        command(
+            SimOptions(
+                config,
+                images,
+                pattern,
+                (left, right),
+                tuple(fault or ()),
+                tuple(quirk or ()),
+                pulse_hz,
+                drift_ppm,
+            ),
+            Console(),
+        )
+    )
+
+
+@app.command()
 def warm(
     if_needed: Annotated[
         bool, typer.Option("--if-needed", help="do nothing when the kernels are cached")

@@ -64,6 +64,8 @@ class GigeCamera:
     faults : what goes wrong; its fields may be changed at any time.
     quirks : what its firmware does otherwise than others. seed : of what the faults leave to chance.
     clock : its clock; offset, drift and PTP may be changed at any time.
+    lines : the wires at its pins: "Line1" (input), "Line2" (output), "Line3" (either). Pulse them, or let one
+    feed another camera's.
     registers : its memory. exposures : how many there were since it was made.
     """
 
@@ -94,9 +96,9 @@ class GigeCamera:
         self._chance = random.Random(seed)
         self._acquiring = threading.Event()
         self._triggers = TriggerQueue()
-        self._lines = {name: Wire() for name in g.LINES}
+        self.lines = {name: Wire() for name in g.LINES}
         self._inputs = {name: Debouncer(partial(self._accept, name)) for name in g.LINES}
-        for name, wire in self._lines.items():
+        for name, wire in self.lines.items():
             wire.listen(partial(self._hear_edge, name))
         self._temperature_c = 41.5
         self._frame_id, self._next_ns = 0, 0
@@ -181,10 +183,8 @@ class GigeCamera:
         self.stop()
 
     def line(self, name: str) -> Wire:
-        """The wire at "Line1" (input), "Line2" (output) or "Line3" (either): pulse it, or let it feed another
-        camera's.
-        """
-        return self._lines[name]
+        """The wire at a pin."""
+        return self.lines[name]
 
     @property
     def controlled(self) -> bool:
@@ -222,9 +222,20 @@ class GigeCamera:
         self._control.end_session()
 
     def move_to(self, address: str) -> None:
-        """Get another IP address, as from another DHCP lease. Raises `ListenError`."""
+        """Get another IP address, as from another DHCP lease.
+
+        Raises `ListenError` for one that is taken or not this machine's; then the camera stays where it is.
+        """
+        before = self.address
         self.stop()
         self._control.end_session()
+        try:
+            self._start_at(address)
+        except ListenError:
+            self._start_at(before)
+            raise
+
+    def _start_at(self, address: str) -> None:
         self.address = address
         self._build()
         self.start()
@@ -321,12 +332,12 @@ class GigeCamera:
         """An output rests at the level that its inverter gives it."""
         index = 4 * g.LINES[line]
         if self.registers.word(g.LINE_MODE + index) == OUTPUT:
-            self._lines[line].drive(bool(self.registers.word(g.LINE_INVERTER + index)))
+            self.lines[line].drive(bool(self.registers.word(g.LINE_INVERTER + index)))
         return SUCCESS
 
     def _level(self, line: str) -> bool:
         inverted = bool(self.registers.word(g.LINE_INVERTER + 4 * g.LINES[line]))
-        return self._lines[line].level(time.monotonic_ns()) ^ inverted
+        return self.lines[line].level(time.monotonic_ns()) ^ inverted
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
         """An action command: done when both keys fit and the masks have a bit in common.
@@ -401,8 +412,8 @@ class GigeCamera:
             mode, source = (self.registers.word(bank + index) for bank in (g.LINE_MODE, g.LINE_SOURCE))
             if mode == OUTPUT and source == g.EXPOSURE_ACTIVE:
                 rest = bool(self.registers.word(g.LINE_INVERTER + index))
-                self._lines[name].drive(not rest, at_ns)
-                self._lines[name].drive(rest, at_ns + round(exposure_us * 1e3))
+                self.lines[name].drive(not rest, at_ns)
+                self.lines[name].drive(rest, at_ns + round(exposure_us * 1e3))
 
     def _picture(self, request: ExposureRequest) -> Image:
         if self.faults.frozen and self._last_image is not None:

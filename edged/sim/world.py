@@ -12,6 +12,12 @@ ADDRESSES = ("127.0.0.1", "127.0.0.2")
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
 
 
+def cross_wire(left: GigeCamera, right: GigeCamera) -> None:
+    """Line2 (output) of each to Line1 (input) of the other: either can trigger the other."""
+    left.line("Line2").feeds(right.line("Line1"))
+    right.line("Line2").feeds(left.line("Line1"))
+
+
 class VirtualWorld:
     """Two virtual cameras on one virtual cell; a context manager.
 
@@ -30,6 +36,8 @@ class VirtualWorld:
                 device = GigeCamera(address, serial, self.cell.exposure(side))
                 device.start()
                 self._devices.append(device)
+            if self._devices:
+                cross_wire(*self._devices)
         except BaseException:
             self.close()
             raise

@@ -1,0 +1,234 @@
+"""`edged sim`: GigE Vision cameras that are not there, for whoever tests a client of real ones."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from edged.adapters.replay import find_pairs
+from edged.config import CameraSection, load
+from edged.domain import Image
+from edged.errors import UserError
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.clock import DeviceClock
+from edged.sim.console import SimConsole, number, set_fault
+from edged.sim.exposure import ExposureRequest
+from edged.sim.faults import Faults, Quirk
+from edged.sim.gige import GigeCamera, moving_ramp
+from edged.sim.world import SERIALS, cross_wire
+from edged.store import load_image, load_rig
+
+SIDES = ("left", "right")
+ADDRESSES = ("127.0.0.2", "127.0.0.3")
+NO_CAMERA = "none"
+POLL_S = 0.1
+Exposure = Callable[[ExposureRequest], Image]
+
+
+@dataclass(frozen=True, slots=True)
+class SimOptions:
+    """Options of the command line."""
+
+    config: Path | None = None
+    images: Path | None = None
+    pattern: str = ""
+    addresses: tuple[str, str] = ("", "")
+    faults: tuple[str, ...] = ()
+    quirks: tuple[str, ...] = ()
+    pulse_hz: float = 0.0
+    drift_ppm: float = 0.0
+
+
+def sim(options: SimOptions, console: Console) -> int:
+    """Serve until `quit`, ctrl-C or SIGTERM."""
+    cameras = build(options)
+    talk = SimConsole(cameras)
+    with ExitStack() as running, _stop_signals() as stopped:
+        for camera in cameras.values():
+            running.enter_context(camera)
+        for name, camera in cameras.items():
+            console.print(
+                f"{name}: GigE Vision camera {camera.serial} on {camera.address}",
+                highlight=False,
+                soft_wrap=True,
+            )
+        console.print("`help` for what can be changed while they run; `quit` or ctrl-C ends it")
+        if options.pulse_hz > 0:
+            running.enter_context(_pulses(cameras, options.pulse_hz))
+        for line in _lines(stopped):
+            try:
+                answer = talk.execute(line)
+            except UserError as error:
+                answer = f"error: {error}"
+            if answer:
+                print(answer, flush=True)
+            if talk.ended:
+                break
+    return 0
+
+
+def build(options: SimOptions) -> dict[str, GigeCamera]:
+    """The cameras, not yet started. Raises `UserError`."""
+    where = _places(options)
+    (width, height), exposures = _pictures(options)
+    quirks = frozenset(_quirk(name) for name in options.quirks)
+    cameras = {
+        side: GigeCamera(
+            address,
+            serial,
+            exposures[side],
+            width=width,
+            height=height,
+            faults=Faults(),
+            clock=DeviceClock(drift_ppm=options.drift_ppm if side == "right" else 0.0),
+            quirks=quirks,
+        )
+        for side, (address, serial) in where.items()
+    }
+    for text in options.faults:
+        _set_fault(cameras, text)
+    if len(cameras) == len(SIDES):
+        cross_wire(cameras["left"], cameras["right"])
+    return cameras
+
+
+def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
+    """Address and serial number by side."""
+    places = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
+    if options.config is not None:
+        section = load(options.config).cameras
+        for side, camera in (("left", section.left), ("right", section.right)):
+            places[side] = _configured(camera, *places[side])
+    for side, wanted in zip(SIDES, options.addresses, strict=True):
+        if wanted == NO_CAMERA:
+            del places[side]
+        elif wanted:
+            places[side] = wanted, places[side][1]
+    addresses = [address for address, _ in places.values()]
+    for address in addresses:
+        if not _is_address(address):
+            raise UserError(f"{address!r} is no IPv4 address; expected one of this machine, or {NO_CAMERA}")
+    if not addresses or len(set(addresses)) < len(addresses):
+        raise UserError("expected a camera at all, and an address of its own for each")
+    return places
+
+
+def _configured(camera: CameraSection, address: str, serial: str) -> tuple[str, str]:
+    """What the configuration expects: by address, or by serial number at the usual address."""
+    if _is_address(camera.device):
+        return camera.device, camera.serial or serial
+    return address, camera.device or serial
+
+
+def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]]:
+    """(width, height) and what each side sees: a pattern, pictures of a folder, or the virtual cell."""
+    if options.pattern:
+        width, _, height = options.pattern.partition("x")
+        size = round(number("--pattern", width, 16, 8192)), round(number("--pattern", height, 16, 8192))
+        return size, dict.fromkeys(SIDES, moving_ramp)
+    if options.images is not None:
+        pairs = find_pairs(options.images)
+        shown = {side: [load_image(getattr(pair, side)) for pair in pairs] for side in SIDES}
+        shapes = {image.shape for images in shown.values() for image in images}
+        if len(shapes) > 1:
+            raise UserError(f"{options.images}: pictures of {len(shapes)} sizes; a sensor has one")
+        height_px, width_px = shapes.pop()
+        return (width_px, height_px), {side: _reel(images) for side, images in shown.items()}
+    rig = demo_rig() if options.config is None else load_rig(load(options.config).cell.rig)
+    try:
+        cell = VirtualCell(rig, demo_part())
+    except ValueError as error:
+        raise UserError(f"the demo's part cannot be shown to this rig ({error}); use --images") from error
+    size = rig.left.width, rig.left.height
+    return size, {side: cell.exposure(side) for side in SIDES}
+
+
+def _reel(images: list[Image]) -> Exposure:
+    def expose(request: ExposureRequest) -> Image:
+        image = images[(request.frame_id - 1) % len(images)]
+        return image[: request.height, : request.width]
+
+    return expose
+
+
+def _quirk(name: str) -> Quirk:
+    try:
+        return Quirk(name)
+    except ValueError:
+        raise UserError(f"--quirk {name!r}; expected one of {', '.join(Quirk)}") from None
+
+
+def _set_fault(cameras: dict[str, GigeCamera], text: str) -> None:
+    """[SIDE.]NAME=VALUE"""
+    name, separator, value = text.partition("=")
+    side, dot, fault = name.rpartition(".")
+    chosen = [camera for key, camera in cameras.items() if not dot or key == side]
+    if not separator or not chosen:
+        raise UserError(f"--fault {text!r}; expected NAME=VALUE or left.NAME=VALUE")
+    for camera in chosen:
+        set_fault(camera.faults, fault, value)
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.IPv4Address(text)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def _stop_signals() -> Iterator[threading.Event]:
+    """Set by SIGINT and SIGTERM, which do nothing else meanwhile."""
+    stopped = threading.Event()
+    before = {one: signal.signal(one, lambda *_: stopped.set()) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stopped
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+@contextmanager
+def _pulses(cameras: dict[str, GigeCamera], rate_hz: float) -> Iterator[None]:
+    """A sensor that gives both cameras' Line1 the same pulse, again and again."""
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(1.0 / rate_hz):
+            at_ns = time.monotonic_ns()
+            for camera in cameras.values():
+                camera.line("Line1").pulse(at_ns=at_ns)
+
+    thread = threading.Thread(target=work, name="sim-pulses", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _lines(stopped: threading.Event) -> Iterator[str]:
+    """Lines of standard input as they come; when it ends, only a signal does."""
+    rest, descriptor, is_open = b"", sys.stdin.fileno(), True
+    while not stopped.is_set():
+        if not is_open:
+            stopped.wait()
+            return
+        if select.select([descriptor], [], [], POLL_S)[0]:
+            heard = os.read(descriptor, 4096)
+            *lines, rest = (rest + heard).split(b"\n")
+            is_open = bool(heard)
+            yield from (line.decode(errors="replace") for line in lines)
