@@ -37,13 +37,17 @@ def cell() -> Iterator[Cell]:
 
 
 def head(trigger: dict[str, Any], *, external: bool = False, **cameras: Any) -> StereoHead:
-    """The head that a configuration makes of this trigger section."""
+    """The head that a configuration makes of this trigger section.
+
+    The limit of the skew is wide: a busy machine takes turns between two simulated cameras. Whether two
+    pictures are of one exposure is seen in them.
+    """
     section = CamerasSection.model_validate(
         {
             "left": {"device": LEFT},
             "right": {"device": RIGHT},
             "timeout_s": 3.0,
-            "max_skew_ms": 10.0,
+            "max_skew_ms": 400.0,
             "trigger": trigger,
             **cameras,
         }
@@ -145,14 +149,14 @@ def test_no_pulse_is_a_time_out(cell: Cell) -> None:
 
 
 def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
-    """Nobody asks; five pulses 60 ms apart are five pairs."""
+    """Nobody asks; five pulses 100 ms apart are five pairs."""
 
     async def script(head: StereoHead) -> list[FramePair]:
         await head.open()
         await armed(cell)
         loop = asyncio.get_running_loop()
         for number_ in range(5):
-            loop.call_later(0.06 * number_, pulse, cell)
+            loop.call_later(0.1 * number_, pulse, cell)
         return [await head.listen() for _ in range(5)]
 
     pairs = run(script, head({"mode": "line"}, external=True))
@@ -174,7 +178,7 @@ def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell
         pulse(cell)
         return await head.listen()
 
-    pair = run(script, head({"mode": "line"}, external=True, timeout_s=0.3))
+    pair = run(script, head({"mode": "line"}, external=True, timeout_s=1.0))
 
     assert (2, 1) == (cell.left_sensor.saw(pair.left.image), cell.right_sensor.saw(pair.right.image))
 
@@ -203,10 +207,10 @@ def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell
     """The first exposed, the other did not."""
 
     async def script(head: StereoHead) -> None:
-        with pytest.raises(FrameTimeout, match=r"camera right: no image within 0\.5 s"):
+        with pytest.raises(FrameTimeout, match=r"camera right: no image within 1 s"):
             await head.capture()
 
-    run(script, head({"mode": "chain"}, timeout_s=0.5))
+    run(script, head({"mode": "chain"}, timeout_s=1.0))
 
 
 # --- action commands --------------------------------------------------------------------------------------
@@ -250,7 +254,7 @@ def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
 
 
 def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
-    """A tenth of a microsecond ahead has passed when the command arrives."""
+    """A tenth of a microsecond ahead has passed before the command arrives."""
 
     async def script(head: StereoHead) -> None:
         with pytest.raises(FrameTimeout, match="too late: its lead is too short"):
