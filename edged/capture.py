@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from edged.errors import (
 )
 from edged.pairing import Pairing
 from edged.ports import Camera
+from edged.tasks import both, cancel_and_await
 
 REOPEN_AFTER = 3
 """Exposures in a row that one camera failed to deliver, before it is closed and opened again.
@@ -42,48 +43,6 @@ old connection for ever and never sends an image.
 
 LISTEN_AGAIN_S = 0.1
 """Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
-
-Result = TypeVar("Result")
-
-
-async def both(
-    left: Coroutine[Any, Any, Result], right: Coroutine[Any, Any, Result], timeout_s: float
-) -> tuple[Result, Result]:
-    """Run two coroutines as one: both results, or one error and neither still running.
-
-    The first error wins, and the other task is cancelled and awaited before it is raised; so it is
-    when the caller is cancelled. Raises `TimeoutError` when either is not done within timeout_s.
-    `asyncio.gather` leaves the other task running, and a `TaskGroup` inside `asyncio.timeout` can
-    surface a CancelledError on Python 3.11: hence this.
-    """
-    tasks = (asyncio.ensure_future(left), asyncio.ensure_future(right))
-    try:
-        await asyncio.wait(tasks, timeout=timeout_s, return_when=asyncio.FIRST_EXCEPTION)
-        for task in tasks:
-            if task.done():
-                task.result()
-        if not all(task.done() for task in tasks):
-            raise TimeoutError
-        return tasks[0].result(), tasks[1].result()
-    finally:
-        await cancel_and_await(*tasks)
-
-
-async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
-    """End tasks and see them end, even while being cancelled oneself; their results are dropped."""
-    cancelled: asyncio.CancelledError | None = None
-    for task in tasks:
-        task.cancel()
-    while not all(task.done() for task in tasks):
-        try:
-            await asyncio.wait(tasks)
-        except asyncio.CancelledError as error:
-            cancelled = error
-    for task in tasks:
-        if not task.cancelled():
-            task.exception()  # seen: or asyncio complains that it was never retrieved
-    if cancelled is not None:
-        raise cancelled
 
 
 class _Side:

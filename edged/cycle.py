@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from edged.capture import cancel_and_await
 from edged.domain import (
     Calibrated,
     CellState,
@@ -41,6 +40,7 @@ from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, Captur
 from edged.logs import FaultLog, cycle_number, fields
 from edged.payload import moved_frame
 from edged.ports import Publisher
+from edged.tasks import cancel_and_await
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from edged import errors
-from edged.capture import REOPEN_AFTER, StereoHead, both
+from edged.capture import REOPEN_AFTER, StereoHead
 from edged.domain import Frame, FramePair, Image
 from edged.errors import (
     CameraBusy,
@@ -28,6 +28,7 @@ from edged.errors import (
 )
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera, InProcessFaults
+from edged.tasks import both
 
 TIMEOUT_S = 0.1
 

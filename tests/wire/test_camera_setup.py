@@ -13,8 +13,10 @@ from gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run,
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
 from edged.capture import StereoHead
+from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, WrongCamera
+from edged.head import camera_facts, camera_figures, head_of
 from edged.sim import genicam as g
 from edged.vision.pixelformats import FORMATS
 
@@ -162,6 +164,23 @@ def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
         assert 0 < health.clock_bound_ns < 10_000_000
 
     run(script, left_camera())
+
+
+def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
+    """Nothing while they are closed; then temperature, clock, images and packets of both."""
+    section = CamerasSection.model_validate({"left": {"device": LEFT}, "right": {"device": RIGHT}})
+
+    async def script(head: StereoHead) -> None:
+        assert ({}, {}) == (camera_facts(head), camera_figures(head))
+        await head.open()
+        facts, figures = camera_facts(head), camera_figures(head)
+        assert {"left", "right"} == set(facts)
+        assert "41.5 °C; clock: its own; known to" in facts["left"]
+        assert 41.5 == figures["camera_right_temperature_celsius"][1]
+        assert 0.0 < figures["camera_left_clock_bound_seconds"][1] < 0.1
+        assert 0 == figures["camera_left_images"][1]
+
+    run(script, head_of(section))
 
 
 # --- time ---------------------------------------------------------------------------------------------
