@@ -592,12 +592,15 @@ def _learned_bias(
         firsts = [(unknowns + g * many, g) for g in members]
         firsts += [(int(first), min(g for g in members if shared[g] == first))
                    for first in {shared[g] for g in members} if first >= 0]  # fmt: skip
-        square = known = 0.0
+        square = known = chance = 0.0
         for first, g in firsts:
             rows = slice(first, first + many)
-            square += float(np.sum(delta[rows] ** 2)) * (bias[g] / expected[g]) ** 2
-            known += float(np.sum(1 - variance[rows]))
-        learned[members] = expected[members] * math.sqrt((1 + square) / (1 + known))
+            share, ratio = 1 - variance[rows], (bias[g] / expected[g]) ** 2
+            square += float(np.sum(delta[rows] ** 2)) * ratio
+            known += float(np.sum(share**2))
+            chance += float(np.sum(share * (1 - share))) * ratio
+        excess = max(square - chance, 0.0)
+        learned[members] = expected[members] * math.sqrt((1 + excess) / (1 + known))
     return learned
 
 
@@ -638,7 +641,7 @@ def choose_width(
         squares.append(slow - chance if slow > 1.6 * chance else 0.0)
         merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))
     best = int(np.argmin(merits))
-    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.002)
+    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.0005)
     both = (bases[0] > 0) & (bases[2] > 0)
     if not both.any():
         return best, bases[best], bias, 0.0

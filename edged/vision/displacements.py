@@ -11,8 +11,9 @@ several circles share one plane, so that most displacements contradict each othe
 they show, in proportion to how much of each the samples tell, with one wave's worth of what was expected
 beforehand; what no sample tells (both cameras see a hole too small) is then taken to be as large as what
 they do tell.
-Source: D. J. C. MacKay, "Bayesian Interpolation", Neural Computation 4, 1992, eq. 4.7 (the number of
-well-determined parameters).
+Sources: C. R. Rao, "Estimation of Variance and Covariance Components in Linear Models", JASA 67, 1972
+(squares against their expectations); D. J. C. MacKay, "Bayesian Interpolation", Neural Computation 4, 1992
+(how much of a parameter is determined).
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ DOUBT_PX = 0.03
 """What the search for the variance starts from: from above it settles within the rounds of the solver."""
 EXPECTED_WAVES = 1.0
 """Weight of what was expected, in waves: as weak as leaves an answer where no sample tells any."""
+ALIKE = 0.2
+"""No curve is displaced by less than this share of what its kind is: one curve's expectation is vague."""
 
 
 def slow_waves(normals: FloatArray) -> FloatArray:
@@ -70,6 +73,12 @@ def displacements(normals: FloatArray, slant: FloatArray) -> FloatArray:
     return np.hstack([waves, WALL_SIGMA * seen * np.exp(1.0 - seen)])
 
 
+def evened(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
+    """(G,) expected sigmas, of which none is far below the rms of its kind (G,)."""
+    square = np.bincount(kinds, expected_px**2) / np.maximum(np.bincount(kinds), 1)
+    return np.sqrt(expected_px**2 + ALIKE**2 * square[kinds])
+
+
 def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose: FloatArray) -> FloatArray:
     """(N,) as `displacements` wants them.
 
@@ -81,14 +90,16 @@ def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose
     return np.asarray(np.sum(rays * outwards, axis=1) / across)
 
 
-@kernel("UniTuple(f8, 2)(i8[::1], i8, f8, f8[:, ::1], f8[::1], f8[::1], f8[:, ::1])")
+@kernel("UniTuple(f8, 3)(i8[::1], i8, f8, f8[:, ::1], f8[::1], f8[::1], f8[:, ::1])")
 def displacement_of(
     columns: I64, shared: int, bias: float, moments: F64, own_right: F64, delta: F64, covariance: F64
-) -> tuple[float, float]:
-    """What a group's own displacement came out as: its square in px², and how many of its waves are known.
+) -> tuple[float, float, float]:
+    """What a group's own displacement came out as: its square in px², how much of it is known, and chance.
 
-    A wave is known by as much as the samples narrow its variance. The arguments are those of one group in
-    `robust`: moments and own_right of its design (C) and waves (M), the solution and its covariance.
+    A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
+    samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the
+    mean; returned are the sums of the squares, of g², and of g (1 - g) bias². The arguments are those of one
+    group in `robust`: moments and own_right of its design (C) and waves (M), the solution and its covariance.
     """
     wide, size = len(columns), len(own_right)
     many = size - wide
@@ -98,7 +109,7 @@ def displacement_of(
             inner[m, k] = moments[wide + m, wide + k]
         inner[m, m] += 1.0 / (bias * bias)
     if not invert_spd(inner, inverse):
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     # displacement = inverse (own_right - moments x solution), so that both their errors are in its variance
     place, factor = np.full(size, -1), np.ones(size)
     for i in range(wide):
@@ -106,7 +117,7 @@ def displacement_of(
     for m in range(many if shared >= 0 else 0):
         place[wide + m], factor[wide + m] = shared + m, bias
     gain, spread = np.zeros((many, size)), np.empty(size)
-    square, known = 0.0, 0.0
+    square, known, chance = 0.0, 0.0, 0.0
     for m in range(many):
         value, variance = 0.0, inverse[m, m]
         for k in range(many):
@@ -123,9 +134,11 @@ def displacement_of(
                     if place[j] >= 0:
                         spread[i] += covariance[place[i], place[j]] * gain[m, j]
                 variance += gain[m, i] * spread[i]
+        share = max(1.0 - variance / (bias * bias), 0.0)
         square += value * value
-        known += max(1.0 - variance / (bias * bias), 0.0)
-    return square, known
+        known += share * share
+        chance += share * (1.0 - share) * bias * bias
+    return square, known, chance
 
 
 @kernel(
@@ -142,27 +155,33 @@ def learn_sizes(
     covariance: F64,
     bias: F64,
 ) -> None:
-    """Set the sigma of each group's displacements, bias (G,), to what all of its kind show.
+    """Set the sigma of each group's displacements, bias (G,), to what all of its kind show beyond noise.
 
     expected (G,) : the sigma expected beforehand; within a kind the proportions stay.
     """
     groups, many = len(bias), moments.shape[1] - columns.shape[1]
-    square, known = np.zeros(groups), np.zeros(groups)
+    square, known, chance = np.zeros(groups), np.zeros(groups), np.zeros(groups)
     for g in range(groups):
         if bias[g] <= 0.0:
             continue
         kind, first = kinds[g], shared[g]
-        own, share = displacement_of(columns[g], first, bias[g], moments[g], own_right[g], delta, covariance)
+        own, share, noise = displacement_of(
+            columns[g], first, bias[g], moments[g], own_right[g], delta, covariance
+        )
         square[kind] += own / expected[g] ** 2
         known[kind] += share
+        chance[kind] += noise / expected[g] ** 2
         for other in range(g):
             if shared[other] == first:
                 first = -1  # counted with the other
         if first >= 0:
             for m in range(many):
-                square[kind] += (bias[g] / expected[g] * delta[first + m]) ** 2
-                known[kind] += max(1.0 - covariance[first + m, first + m], 0.0)
+                share, ratio = max(1.0 - covariance[first + m, first + m], 0.0), (bias[g] / expected[g]) ** 2
+                square[kind] += ratio * delta[first + m] ** 2
+                known[kind] += share * share
+                chance[kind] += ratio * share * (1.0 - share)
     for g in range(groups):
         if bias[g] > 0.0:
             kind = kinds[g]
-            bias[g] = expected[g] * np.sqrt((EXPECTED_WAVES + square[kind]) / (EXPECTED_WAVES + known[kind]))
+            excess = max(square[kind] - chance[kind], 0.0)
+            bias[g] = expected[g] * np.sqrt((EXPECTED_WAVES + excess) / (EXPECTED_WAVES + known[kind]))

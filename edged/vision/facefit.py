@@ -35,7 +35,7 @@ from edged.vision.circlefit import (
     circle_axes,
     project_circles,
 )
-from edged.vision.displacements import displacements, slants, slow_waves
+from edged.vision.displacements import displacements, evened, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import project_with_jacobians
 from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups
@@ -398,10 +398,10 @@ class _Face:
         starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
         waves = self._displacements(curves) if final else np.zeros((2 * len(self.index), 0))
         many = waves.shape[1]
-        bias = edges.bias_px.ravel() * np.sqrt(0.5)
         design = self.design(curves)
         seen = np.tile(edges.seen, 2)
         kinds = np.tile((self.polarity > 0).astype(np.int64), 2)
+        bias = evened(edges.bias_px.ravel(), kinds) * np.sqrt(0.5)
         common = np.unique(kinds[seen]) if final else kinds[:0]
         shared = np.where(
             seen & np.isin(kinds, common), self.unknowns + many * np.searchsorted(common, kinds), -1

@@ -20,7 +20,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
-from edged.vision.displacements import displacements, slow_waves
+from edged.vision.displacements import displacements, evened, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import shifts_by_calibration
 from edged.vision.robust import MIN_SAMPLES, Groups, Solution, propagate, solve_groups
@@ -273,7 +273,7 @@ class _State:
             np.nan_to_num(offsets.ravel()),
             base.ravel(),
             waves[:, :many],
-            bias.ravel() * math.sqrt(0.5),
+            evened(bias.ravel(), kinds) * math.sqrt(0.5),
         )
         solution = solve_groups(groups, self.unknowns + priors, priors)
         if solution is None:
