@@ -163,6 +163,18 @@ def test_hidden_odd_hole_is_ambiguous() -> None:
     assert match.ambiguous
 
 
+@pytest.mark.parametrize(("grey", "doubt"), [(115, False), (200, True)])
+def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> None:
+    """One hole hidden, the place of the missing one seen: as many edges speak for a turn by 120°, but a
+    hole is denied there. A cover as bright as the part could itself be that surface: in doubt."""
+    image = draw(flange(odd=True), (200, 160, 0.4, 1, 1)).astype(np.float64)
+    hidden = 0.4 + 2 * math.pi / 3
+    cv2.circle(image, (round(200 + 44 * math.cos(hidden)), round(160 + 44 * math.sin(hidden))), 14, grey, -1)
+    match = _one(find_shapes(image.astype(np.uint8), _teach(flange(odd=True)), RIGID))
+    assert match.ambiguous == doubt
+    assert doubt or _turn(match.angle_rad, 0.4) < 0.01
+
+
 def test_symmetric_part_has_one_canonical_angle() -> None:
     """Six equal holes: any of the six rotations is right; the reported one is within 30° of the taught."""
     model = _teach(flange(odd=False))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges import edge_profiles, edges_along_normals
 from edged.vision.jit import kernel
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
@@ -25,6 +26,12 @@ SHOWN, SHOWN_MORE = 0.5, 0.4
 STRONG_SHARE = 0.3
 """Of the median slope of the part's edges: texture and shadows are weaker."""
 REACH_PX = 1.5
+BESIDE_PX = 3.0
+"""Where the grey values beside an edge are taken: out of its blur, still before the next edge."""
+SURFACE_SHARE = 0.35
+"""Of the contrast between the part and what is beside it: so much may its surface vary."""
+DENIED = 0.1
+"""Share of a rotation's own points at which a bare surface is an accident."""
 
 Array = npt.NDArray[Any]
 
@@ -34,11 +41,15 @@ class Sight:
     """What the image shows where a pose expects edges.
 
     placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : magnitude at the edge there, grey
-    values per px, 0 without one.  gap_px : between neighbouring points.
+    values per px, 0 without one.  beside (N, 3) : grey values before, at and behind the place of the
+    edge, NaN outside the image.  inward (N,) : on the rim of the part 1 or -1, whichever way along the
+    normal is into the part, 0 elsewhere.  gap_px : between neighbouring points.
     """
 
     placed: FloatArray
     slope: FloatArray
+    beside: FloatArray
+    inward: npt.NDArray[np.int64]
     gap_px: float
 
 
@@ -50,21 +61,53 @@ def look(image: Image, model: ShapeModel, pose: FloatArray, sign: int) -> Sight:
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], REACH_PX, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
     scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
-    return Sight(placed, np.where(there, np.abs(slopes), 0.0), scale * _gap_px(model))
+    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
+    return Sight(placed, np.where(there, np.abs(slopes), 0.0), beside, _inward(model), scale * _gap_px(model))
 
 
-def is_told_apart(best: Sight, rival: Sight, min_contrast: float) -> bool:
-    """Whether the image shows what only the better of two rotations predicts, and lacks the other's own.
+def evidence(one: Sight, other: Sight, min_contrast: float) -> tuple[bool, bool]:
+    """What in the image speaks for one of two rotations against the other.
 
-    A hidden detail speaks for neither: then the scores differ by what the occluder happens to show.
+    First, it shows what only this one predicts, and lacks the other's own (or the two hardly differ):
+    good where the scores agree, as a hidden detail speaks for neither. Second, it shows the bare surface
+    of the part where the other has an edge of its own, and not so for this one: that decides, because no
+    score counts an edge that is not there against a pose.
     """
-    only_best, only_rival = ~_lies_on(best, rival), ~_lies_on(rival, best)
-    if min(only_best.sum(), only_rival.sum()) < MIN_APART:
-        return True
-    seen = best.slope[best.slope > 0]
+    only_one, only_other = ~_lies_on(one, other), ~_lies_on(other, one)
+    if min(only_one.sum(), only_other.sum()) < MIN_APART:
+        return True, False
+    seen = one.slope[one.slope > 0]
     strong = max(STRONG_SHARE * float(np.median(seen)) if len(seen) else 0.0, min_contrast)
-    shown = float((best.slope[only_best] >= strong).mean())
-    return shown >= SHOWN and shown - float((rival.slope[only_rival] >= strong).mean()) >= SHOWN_MORE
+    shown, others_shown = (
+        float((sight.slope[own] >= strong).mean()) for sight, own in ((one, only_one), (other, only_other))
+    )
+    surface = _surface(one, strong)
+    bare = False
+    if surface is not None:
+        denied, other_denied = (
+            float(_is_bare(sight, surface, strong)[own].mean())
+            for sight, own in ((one, only_one), (other, only_other))
+        )
+        bare = other_denied >= SHOWN and denied <= DENIED
+    return shown >= SHOWN and shown - others_shown >= SHOWN_MORE, bare
+
+
+def _surface(sight: Sight, strong: float) -> tuple[float, float] | None:
+    """Grey value of the part, from inside its rim, and how much it may vary; None where that is unclear."""
+    rim = (sight.inward != 0) & (sight.slope >= strong) & np.isfinite(sight.beside).all(axis=1)
+    if rim.sum() < MIN_APART:
+        return None
+    before, behind = sight.beside[rim, 0], sight.beside[rim, 2]
+    inside = np.where(sight.inward[rim] > 0, behind, before)
+    level = float(np.median(inside))
+    vary = SURFACE_SHARE * abs(level - float(np.median(np.where(sight.inward[rim] > 0, before, behind))))
+    return (level, vary) if 2 * float(np.median(np.abs(inside - level))) < vary else None
+
+
+def _is_bare(sight: Sight, surface: tuple[float, float], strong: float) -> npt.NDArray[np.bool_]:
+    """Where (N,) the image shows the part's surface without the edge that the pose expects."""
+    level, vary = surface
+    return (sight.slope < strong) & (np.abs(sight.beside - level) < vary).all(axis=1)
 
 
 def _lies_on(one: Sight, other: Sight) -> npt.NDArray[np.bool_]:
@@ -73,6 +116,18 @@ def _lies_on(one: Sight, other: Sight) -> npt.NDArray[np.bool_]:
     outline = other.placed[np.argsort(other.placed[:, 0], kind="stable")]
     lie_on(one.placed, outline, APART_PX, 3.0 * max(one.gap_px, 1.0), ALIKE, found)
     return found
+
+
+@lru_cache(maxsize=16)
+def _inward(model: ShapeModel) -> npt.NDArray[np.int64]:
+    """1 or -1 for the points (N,) on the convex hull: along or against the normal is into the part."""
+    points, normals = model.levels[0].points, model.levels[0].normals
+    hull = points[cv2.convexHull(points.astype(np.float32), returnPoints=False)[:, 0]]
+    along = np.roll(hull, -1, axis=0) - hull
+    across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    distance = np.abs(np.einsum("nmk,mk->nm", points[:, None] - hull[None], across)).min(axis=1)
+    faces = np.sign(np.einsum("nk,nk->n", normals, hull.mean(axis=0) - points))
+    return np.where(distance < APART_PX, faces, 0).astype(np.int64)
 
 
 @lru_cache(maxsize=16)

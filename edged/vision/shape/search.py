@@ -289,7 +289,6 @@ class _Search:
 
     def _match(self, hypothesis: Hypothesis, index: int, climbed: bool) -> ShapeMatch | None:
         """The best of a hypothesis and its symmetric variants, with what is to be said about the choice."""
-        best = hypothesis
         equal = [g for g in self.model.symmetries if g[3] >= self.model.same_score]
         turned: list[tuple[Hypothesis, float]] = []
         for dx, dy, angle, similarity in self.model.symmetries:
@@ -298,30 +297,38 @@ class _Search:
             cosine, sine = np.cos(angle), np.sin(angle)
             variant = np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]])
             rival = self._variant(hypothesis, variant, climbed)
-            if rival is not None:
+            if rival is not None and _turn(rival.angle, hypothesis.angle) > 0.1:
                 turned.append((rival, 1 - similarity))
-        for rival, _ in turned:
-            if rival.score > best.score:
-                best = rival
-        others = [(other, gap) for other, gap in turned if _turn(other.angle, best.angle) > 0.1]
-        if best is not hypothesis:
-            others.append((hypothesis, min(gap for _, gap in turned)))
-        ambiguous = any(best.score - other.score < DECIDED_SHARE * gap * best.score for other, gap in others)
-        if not ambiguous and others:
-            ambiguous = self._is_in_doubt(best, [other for other, _ in others])
+        best, ambiguous = self._decide(hypothesis, turned)
         if equal or self.model.round:
             best = self._canonical(best, equal)
         return self._to_match(best, index, ambiguous, bool(len(equal)) or self.model.round)
 
-    def _is_in_doubt(self, best: Hypothesis, others: list[Hypothesis]) -> bool:
-        """Whether the image hides what one of the other rotations differs in."""
-        close = [other for other in others if best.score - other.score <= RIVAL_MARGIN[1]]
-        if not close:
-            return False
-        own, *seen = (
-            rivals.look(self.work.images[0], self.model, h.pose, self._sign(h)) for h in (best, *close)
-        )
-        return not all(rivals.is_told_apart(own, sight, self.params.min_contrast) for sight in seen)
+    def _decide(
+        self, hypothesis: Hypothesis, turned: list[tuple[Hypothesis, float]]
+    ) -> tuple[Hypothesis, bool]:
+        """The right one of nearly symmetric rotations, with their expected losses; is it in doubt?"""
+        if not turned:
+            return hypothesis, False
+        all_of_them = [(hypothesis, min(loss for _, loss in turned)), *turned]
+        sights: dict[int, rivals.Sight] = {}
+
+        def sight(h: Hypothesis) -> rivals.Sight:
+            if id(h) not in sights:
+                sights[id(h)] = rivals.look(self.work.images[0], self.model, h.pose, self._sign(h))
+            return sights[id(h)]
+
+        def beats(one: Hypothesis, other: Hypothesis, loss: float) -> bool:
+            if abs(one.score - other.score) > RIVAL_MARGIN[1]:
+                return one.score > other.score
+            shows, bare = rivals.evidence(sight(one), sight(other), self.params.min_contrast)
+            return bare or (shows and one.score - other.score >= DECIDED_SHARE * loss * one.score)
+
+        best = max((h for h, _ in all_of_them), key=lambda h: h.score)
+        for other, loss in all_of_them:
+            if other is not best and not beats(best, other, loss) and beats(other, best, loss):
+                best = other
+        return best, not all(other is best or beats(best, other, loss) for other, loss in all_of_them)
 
     def _variant(self, hypothesis: Hypothesis, variant: FloatArray, climbed: bool) -> Hypothesis | None:
         moved = hypothesis.at(_compose(hypothesis.pose, variant))
