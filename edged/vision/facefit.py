@@ -38,7 +38,7 @@ from edged.vision.circlefit import (
 from edged.vision.displacements import displacements, evened, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import project_with_jacobians
-from edged.vision.robust import MIN_SAMPLES, Groups, propagate, solve_groups
+from edged.vision.robust import MIN_SAMPLES, ROUGHLY, SETTLED, Groups, propagate, solve_groups
 from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
 AGREE_PX = 0.5
@@ -309,7 +309,7 @@ class _Face:
             columns=np.where(columns < 0, -1, np.searchsorted(used, columns)),
             shared=np.where(groups.shared < 0, -1, groups.shared - self.unknowns + free),
         )
-        solution = solve_groups(dense, free + priors, priors)
+        solution = solve_groups(dense, free + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
         delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))

@@ -23,7 +23,7 @@ from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, se
 from edged.vision.displacements import displacements, evened, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.projection import shifts_by_calibration
-from edged.vision.robust import MIN_SAMPLES, Groups, Solution, propagate, solve_groups
+from edged.vision.robust import MIN_SAMPLES, ROUGHLY, SETTLED, Groups, Solution, propagate, solve_groups
 from edged.vision.widths import START_WIDTH, choose_widths
 
 AGREE_PX = 0.5
@@ -275,7 +275,7 @@ class _State:
             waves[:, :many],
             evened(bias.ravel(), kinds) * math.sqrt(0.5),
         )
-        solution = solve_groups(groups, self.unknowns + priors, priors)
+        solution = solve_groups(groups, self.unknowns + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
         delta = solution.delta[: self.unknowns]

@@ -36,8 +36,10 @@ SPREAD_ROUNDS = (4, 6)  # then it stays: an estimate that changes in every round
 MAX_ROUNDS = 20
 MAX_LAG = 24
 MIN_SAMPLES = 12.0
+_AT_ONCE = 192  # samples whose terms stay in the fastest memory
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
-_SETTLED = 0.001  # of each unknown's own sigma: what is still to come changes nothing that can be known
+SETTLED = 0.001  # of each unknown's own sigma: what is still to come changes nothing that can be known
+ROUGHLY = 0.05  # ... where the edges are measured anew at what comes out
 
 
 @kernel("f8(f8[::1], f8[::1])")
@@ -102,26 +104,40 @@ def correlation_length(residuals: F64, weights: F64) -> float:
     return total
 
 
-@kernel("void(f8[:, ::1], f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
+@kernel("void(f8[:, ::1], b1[::1], f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
 def weighted_moments(
-    terms: F64, values: F64, weights: F64, precision: float, moments: F64, right_side: F64
+    terms: F64,
+    used: npt.NDArray[np.bool_],
+    values: F64,
+    weights: F64,
+    precision: float,
+    moments: F64,
+    right_side: F64,
 ) -> None:
-    """Fill the weighted products of terms (T, N) with themselves and with the values."""
+    """Fill the weighted products of terms (T, N) with themselves and with the values; 0 where not used."""
     size, count = terms.shape
-    weighted = np.empty(count)
+    weighted = np.empty(_AT_ONCE)
+    moments[:], right_side[:] = 0.0, 0.0
+    for first in range(0, count, _AT_ONCE):
+        part = min(_AT_ONCE, count - first)
+        wanted, weight = values[first : first + part], weights[first : first + part]
+        for i in range(size):
+            if not used[i]:
+                continue
+            term, total = terms[i, first : first + part], 0.0
+            for n in range(part):
+                weighted[n] = weight[n] * precision * term[n]
+            for n in range(part):
+                total += weighted[n] * wanted[n]
+            right_side[i] += total
+            for j in range(i + 1):
+                other, total = terms[j, first : first + part], 0.0
+                for n in range(part):
+                    total += weighted[n] * other[n]
+                moments[i, j] += total
     for i in range(size):
-        term = terms[i]
-        for n in range(count):
-            weighted[n] = weights[n] * precision * term[n]
-        total = 0.0
-        for n in range(count):
-            total += weighted[n] * values[n]
-        right_side[i] = total
-        for j in range(i + 1):
-            other, total = terms[j], 0.0
-            for n in range(count):
-                total += weighted[n] * other[n]
-            moments[i, j] = moments[j, i] = total
+        for j in range(i):
+            moments[j, i] = moments[i, j]
 
 
 @kernel("UniTuple(f8, 2)(f8[::1], f8[::1], f8[:, ::1])")
@@ -140,9 +156,9 @@ def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
     weights = base.copy()
     residuals = np.empty(count)
     matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
-    total = 0.0
+    total, all_used = 0.0, np.ones(many, np.bool_)
     for _ in range(4):
-        weighted_moments(waves, values, weights, 1.0, matrix, right_side)
+        weighted_moments(waves, all_used, values, weights, 1.0, matrix, right_side)
         if not invert_spd(matrix, inverse):
             return np.inf, 0.0
         residuals[:] = values
@@ -193,25 +209,23 @@ def _add_group(
             inner[m, m] += 1.0 / (bias * bias)
         if not invert_spd(inner, inverse):
             return False
-    gain = np.empty(many)
+    row = np.empty(size)
     for i in range(size):
         if place[i] < 0:
             continue
-        right = own_right[i]
+        row[:], right = moments[i], own_right[i]
         if bias > 0:
             for m in range(many):
-                gain[m] = 0.0
+                gain = 0.0
                 for k in range(many):
-                    gain[m] += moments[i, wide + k] * inverse[k, m]
-                right -= gain[m] * own_right[wide + m]
+                    gain += moments[i, wide + k] * inverse[k, m]
+                right -= gain * own_right[wide + m]
+                for j in range(size):
+                    row[j] -= gain * moments[wide + m, j]
         right_side[place[i]] += factor[i] * right
         for j in range(size):
             if place[j] >= 0:
-                value = moments[i, j]
-                if bias > 0:
-                    for m in range(many):
-                        value -= gain[m] * moments[wide + m, j]
-                matrix[place[i], place[j]] += factor[i] * factor[j] * value
+                matrix[place[i], place[j]] += factor[i] * factor[j] * row[j]
     return True
 
 
@@ -269,7 +283,7 @@ def _residuals(
 
 @kernel(
     "i8(f8[:, ::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[::1], i8,"
-    " f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1])"
+    " f8, f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def _solve(
     design: F64,
@@ -282,6 +296,7 @@ def _solve(
     waves: F64,
     expected: F64,
     priors: int,
+    settled: float,
     delta: F64,
     covariance: F64,
     weights: F64,
@@ -297,7 +312,7 @@ def _solve(
     scale, spread = np.ones(groups), np.ones(groups)
     matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
     moments, own_right = np.empty((groups, each, each)), np.empty((groups, each))
-    memory = np.empty(each * len(values))
+    memory, used = np.empty(each * len(values)), np.ones(each, np.bool_)
     for g in range(groups):  # sample by sample as one row: sums run along them
         a, b = starts[g], starts[g + 1]
         terms = memory[each * a : each * b].reshape((each, b - a))
@@ -313,7 +328,9 @@ def _solve(
             a, b = starts[g], starts[g + 1]
             precision[g] = 1.0 / (scale[g] ** 2 * spread[g])
             terms = memory[each * a : each * b].reshape((each, b - a))
-            weighted_moments(terms, values[a:b], weights[a:b], precision[g], moments[g], own_right[g])
+            for i in range(len(columns[g])):
+                used[i] = columns[g, i] >= 0
+            weighted_moments(terms, used, values[a:b], weights[a:b], precision[g], moments[g], own_right[g])
             if not _add_group(moments[g], own_right[g], columns[g], shared[g], bias[g], matrix, right_side):
                 return 0
         if not invert_spd(matrix, covariance):
@@ -356,7 +373,7 @@ def _solve(
                 spread[g] = correlation_length(residuals[a:b], weights[a:b])
         if MEDIAN_ROUNDS <= round_ <= SPREAD_ROUNDS[1]:
             learn_sizes(columns, shared, kinds, expected, moments, own_right, delta, covariance, bias)
-        if round_ > SPREAD_ROUNDS[1] and moved < _SETTLED:
+        if round_ > SPREAD_ROUNDS[1] and moved < settled:
             break
     return rounds
 
@@ -401,10 +418,11 @@ class Groups:
     bias: FloatArray
 
 
-def solve_groups(groups: Groups, unknowns: int, priors: int) -> Solution | None:
+def solve_groups(groups: Groups, unknowns: int, priors: int, settled: float = SETTLED) -> Solution | None:
     """Solve for the step that the samples of all groups want; None where they do not determine it.
 
-    The last `priors` of the unknowns are expected to be 0 with sigma 1.
+    The last `priors` of the unknowns are expected to be 0 with sigma 1.  settled : the rounds end when none
+    moves by more, in its own sigma.
     """
     delta, covariance = np.zeros(unknowns), np.empty((unknowns, unknowns))
     weights, residuals = np.empty(len(groups.values)), np.empty(len(groups.values))
@@ -420,6 +438,7 @@ def solve_groups(groups: Groups, unknowns: int, priors: int) -> Solution | None:
         np.ascontiguousarray(groups.waves),
         groups.bias,
         int(priors),
+        float(settled),
         delta,
         covariance,
         weights,
