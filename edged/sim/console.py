@@ -8,8 +8,8 @@ from dataclasses import fields
 
 from edged.errors import ListenError, UserError
 from edged.sim.faults import Faults
+from edged.sim.genicam import LINES
 from edged.sim.gige import GigeCamera
-from edged.sim.wiring import Wire
 
 HELP = """\
 WHO is left, right or both.
@@ -133,10 +133,9 @@ def _clear(camera: GigeCamera, _words: list[str]) -> None:
 
 def _pulse(camera: GigeCamera, words: list[str]) -> None:
     line = words[0] if words else "Line1"
-    wire: Wire | None = camera.lines.get(line)
-    if wire is None:
-        raise UserError(f"pulse: no line {line!r}; expected one of {', '.join(camera.lines)}")
-    wire.pulse(_optional("pulse", words, 1, 1.0, 10_000) * 1e-3)
+    if line not in LINES:
+        raise UserError(f"pulse: no line {line!r}; expected one of {', '.join(LINES)}")
+    camera.line(line).pulse(_optional("pulse", words, 1, 1.0, 10_000) * 1e-3)
 
 
 def _heat(camera: GigeCamera, words: list[str]) -> None:

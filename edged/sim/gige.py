@@ -19,6 +19,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 from types import TracebackType
 
@@ -33,16 +34,10 @@ from edged.sim.faults import Faults, Quirk
 from edged.sim.gvcp import POLL_S, ControlChannel
 from edged.sim.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, Block, with_chunks
 from edged.sim.pixels import encode
-from edged.sim.registers import (
-    ACTION_LATE,
-    INVALID_PARAMETER,
-    NO_REFERENCE_TIME,
-    SUCCESS,
-    Identity,
-    Registers,
-)
+from edged.sim.registers import INVALID_PARAMETER, SUCCESS, Identity, Registers
 from edged.sim.stream import Pacing, StreamChannel
-from edged.sim.wiring import Debouncer, Due, TriggerQueue, Wire
+from edged.sim.triggers import Triggers
+from edged.sim.wiring import Wire
 from edged.vision.pixelformats import BY_CODE
 
 __all__ = ["Faults", "GigeCamera", "Pacing", "Quirk", "moving_ramp"]
@@ -52,8 +47,6 @@ log = logging.getLogger(__name__)
 SHORTEST_HEARTBEAT_MS = 500
 HEADERS_BYTES = 36  # IP 20, UDP 8, GVSP 8
 FASTEST_HZ = 100.0
-LINE_SOURCES = {"Line1": g.LINE1, "Line3": g.LINE3}
-OUTPUT = 1  # LineMode
 RESET, LATCH = 0x01, 0x02  # of the time stamp control register
 
 
@@ -64,8 +57,6 @@ class GigeCamera:
     faults : what goes wrong; its fields may be changed at any time.
     quirks : what its firmware does otherwise than others. seed : of what the faults leave to chance.
     clock : its clock; offset, drift and PTP may be changed at any time.
-    lines : the wires at its pins: "Line1" (input), "Line2" (output), "Line3" (either). Pulse them, or let one
-    feed another camera's.
     registers : its memory. exposures : how many there were since it was made.
     """
 
@@ -90,36 +81,25 @@ class GigeCamera:
         self.faults = faults or Faults()
         self.clock = clock or DeviceClock()
         self.exposures = 0
-        self._model, self._sensor, self._quirks = model, (width, height), frozenset(quirks)
+        self._old_chunks = Quirk.OLD_CHUNKS in quirks
         self._pacing = pacing or Pacing()
         self._exposure = exposure
         self._chance = random.Random(seed)
-        self._acquiring = threading.Event()
-        self._triggers = TriggerQueue()
-        self.lines = {name: Wire() for name in g.LINES}
-        self._inputs = {name: Debouncer(partial(self._accept, name)) for name in g.LINES}
-        for name, wire in self.lines.items():
-            wire.listen(partial(self._hear_edge, name))
+        self.registers = Registers(Identity(address, serial, model), width, height, frozenset(quirks))
+        self._triggers = Triggers(self.registers, self.clock)
+        self._set_hooks(self.registers.hooks)
         self._temperature_c = 41.5
         self._frame_id, self._next_ns = 0, 0
         self._last_image: Image | None = None
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
-        self._build()
+        self._connect()
 
-    def _build(self) -> None:
-        """Memory and channels of a camera at this address, as after power-on."""
-        identity = Identity(self.address, self.serial, self._model)
-        self.registers = Registers(identity, *self._sensor, self._quirks)
+    def _connect(self) -> None:
+        """Channels of a camera at this address, and memory as after power-on."""
         self._control = ControlChannel(self.address, self.registers, self, self.faults, self._chance)
         self._stream = StreamChannel(self.address, self.faults, self._pacing, self._chance)
         self._power_on()
-        self._set_hooks(self.registers.hooks)
-        live = self.registers.live
-        live[g.PTP_STATUS] = lambda: self.clock.ptp_state
-        live[g.LINE_STATUS_ALL] = lambda: sum(self._level(name) << n for name, n in g.LINES.items())
-        for name, index in g.LINES.items():
-            live[g.LINE_STATUS + 4 * index] = partial(self._level, name)
 
     def _set_hooks(self, hooks: dict[int, Callable[[int], int]]) -> None:
         hooks[g.PACKET_SIZE] = self._set_packet_size
@@ -129,15 +109,12 @@ class GigeCamera:
             hooks[address] = partial(self._keep, address)
         hooks[g.ACQUISITION_START] = lambda _: self._start_acquisition()
         hooks[g.ACQUISITION_STOP] = lambda _: self._stop_acquisition()
-        hooks[g.TRIGGER_SOFTWARE] = self._trigger_by_software
         hooks[g.DEVICE_RESET] = self._reset_device
         hooks[g.LATCH] = lambda _: self._latch(g.LATCH_VALUE, self.clock.at(time.monotonic_ns()))
         hooks[g.PTP_LATCH] = lambda _: self._latch(g.PTP_OFFSET, self.clock.offset_from_master_ns)
         hooks[g.CLOCK_RESET] = lambda _: self._control_clock(RESET)
         hooks[g.PTP_ENABLE] = self._enable_ptp
-        for name, index in g.LINES.items():
-            for bank in (g.LINE_MODE, g.LINE_INVERTER):
-                hooks[bank + 4 * index] = partial(self._rest, name)
+        self.registers.live[g.PTP_STATUS] = lambda: self.clock.ptp_state
 
     def _power_on(self) -> None:
         self.registers.power_on()
@@ -183,8 +160,8 @@ class GigeCamera:
         self.stop()
 
     def line(self, name: str) -> Wire:
-        """The wire at a pin."""
-        return self.lines[name]
+        """The wire at Line1 (input), Line2 (output) or Line3 (either): pulse it, or let it feed another's."""
+        return self._triggers.lines[name]
 
     @property
     def controlled(self) -> bool:
@@ -237,7 +214,8 @@ class GigeCamera:
 
     def _start_at(self, address: str) -> None:
         self.address = address
-        self._build()
+        self.registers.identity = replace(self.registers.identity, address=address)
+        self._connect()
         self.start()
 
     # --- registers with a meaning --------------------------------------------------------------------
@@ -274,24 +252,18 @@ class GigeCamera:
         self.reboot()
         return SUCCESS
 
-    def _trigger_by_software(self, _word: int) -> int:
-        self._expose_if(g.SOFTWARE)
-        return SUCCESS
-
     def _destination(self) -> tuple[str, int]:
         host = socket.inet_ntoa(self.registers.word(g.STREAM_DESTINATION).to_bytes(4, "big"))
         return host, self.registers.word(g.STREAM_PORT) & 0xFFFF
 
     def _start_acquisition(self) -> int:
-        self._triggers.clear()
+        self._triggers.queue.clear()
         self._frame_id = 0
         self._next_ns = time.monotonic_ns()
         self.registers.acquiring = True
-        self._acquiring.set()
         return SUCCESS
 
     def _stop_acquisition(self) -> int:
-        self._acquiring.clear()
         self.registers.acquiring = False
         return SUCCESS
 
@@ -303,70 +275,17 @@ class GigeCamera:
         """Send packets again."""
         self._stream.resend(block_id, first, last)
 
-    # --- triggers ------------------------------------------------------------------------------------
-
-    def _expose_if(self, source: int, at_ns: int | None = None) -> Due | None:
-        """An exposure at a monotonic time, now by default, if that is what triggers the camera."""
-        registers = self.registers
-        waits = registers.word(g.TRIGGER_MODE) == 1 and registers.word(g.TRIGGER_SOURCE) == source
-        if not (waits and self._acquiring.is_set()):
-            return None
-        at_ns = time.monotonic_ns() if at_ns is None else at_ns
-        return self._triggers.put(at_ns + round(registers.number(g.TRIGGER_DELAY) * 1e3))
-
-    def _hear_edge(self, line: str, level: bool, at_ns: int) -> None:
-        index = 4 * g.LINES[line]
-        if self.registers.word(g.LINE_MODE + index) == OUTPUT:
-            return
-        level ^= bool(self.registers.word(g.LINE_INVERTER + index))
-        debounce_s = self.registers.number(g.LINE_DEBOUNCER + index) * 1e-6
-        self._inputs[line].edge(level, at_ns, debounce_s)
-
-    def _accept(self, line: str, level: bool, at_ns: int) -> Due | None:
-        ignored = g.FALLING if level else g.RISING
-        if line not in LINE_SOURCES or self.registers.word(g.TRIGGER_ACTIVATION) == ignored:
-            return None
-        return self._expose_if(LINE_SOURCES[line], at_ns)
-
-    def _rest(self, line: str, _word: int) -> int:
-        """An output rests at the level that its inverter gives it."""
-        index = 4 * g.LINES[line]
-        if self.registers.word(g.LINE_MODE + index) == OUTPUT:
-            self.lines[line].drive(bool(self.registers.word(g.LINE_INVERTER + index)))
-        return SUCCESS
-
-    def _level(self, line: str) -> bool:
-        inverted = bool(self.registers.word(g.LINE_INVERTER + 4 * g.LINES[line]))
-        return self.lines[line].level(time.monotonic_ns()) ^ inverted
-
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
-        """An action command: done when both keys fit and the masks have a bit in common.
-
-        Its status, None when it is for other devices. Source: GigE Vision 2.0, 14.3.
-
-        A scheduled one that comes too late is done at once, and said to be late.
-        """
-        registers = self.registers
-        device_key, group_key, mask = keys
-        mine = registers.word(g.ACTION_DEVICE_KEY), registers.word(g.ACTION_GROUP_KEY)
-        if (device_key, group_key) != mine or not mask & registers.word(g.ACTION_GROUP_MASK):
-            return None
-        if at_ticks is None:
-            self._expose_if(g.ACTION1)
-            return SUCCESS
-        if not self.clock.locked:
-            return NO_REFERENCE_TIME
-        at_ns, now_ns = self.clock.monotonic_at(at_ticks), time.monotonic_ns()
-        self._expose_if(g.ACTION1, max(at_ns, now_ns))
-        return SUCCESS if at_ns >= now_ns else ACTION_LATE
+        """Do what an action command says, if it is for this camera."""
+        return self._triggers.act(keys, at_ticks)
 
     # --- images --------------------------------------------------------------------------------------
 
     def _serve_exposures(self) -> None:
         while self._running.is_set():
-            free_run = self._acquiring.is_set() and self.registers.word(g.TRIGGER_MODE) == 0
+            free_run = self.registers.acquiring and self.registers.word(g.TRIGGER_MODE) == 0
             wait_s = max(self._next_ns - time.monotonic_ns(), 0) * 1e-9 if free_run else POLL_S
-            at_ns = self._triggers.get(min(wait_s, POLL_S))
+            at_ns = self._triggers.queue.get(min(wait_s, POLL_S))
             if at_ns is not None:
                 self._expose(at_ns)
             elif free_run and (now_ns := time.monotonic_ns()) >= self._next_ns:
@@ -394,26 +313,17 @@ class GigeCamera:
             width=width,
             height=height,
         )
-        self._drive_outputs(at_ns, request.exposure_us)
+        self._triggers.drive_outputs(at_ns, request.exposure_us)
         image = self._picture(request)
         if self.faults.delay_s > 0:
             time.sleep(self.faults.delay_s)
         if self.faults.drop_next > 0:
             self.faults.drop_next -= 1
             return
-        if not (self.faults.stalled or self.faults.unplugged) and self._acquiring.is_set():
+        if not (self.faults.stalled or self.faults.unplugged) and self.registers.acquiring:
             self._stream.send(
                 self._block(request, image), self._destination(), registers.word(g.PACKET_DELAY) * 1e-9
             )
-
-    def _drive_outputs(self, at_ns: int, exposure_us: float) -> None:
-        for name, number in g.LINES.items():
-            index = 4 * number
-            mode, source = (self.registers.word(bank + index) for bank in (g.LINE_MODE, g.LINE_SOURCE))
-            if mode == OUTPUT and source == g.EXPOSURE_ACTIVE:
-                rest = bool(self.registers.word(g.LINE_INVERTER + index))
-                self.lines[name].drive(not rest, at_ns)
-                self.lines[name].drive(rest, at_ns + round(exposure_us * 1e3))
 
     def _picture(self, request: ExposureRequest) -> Image:
         if self.faults.frozen and self._last_image is not None:
@@ -432,7 +342,7 @@ class GigeCamera:
         pixel_format = registers.word(g.PIXEL_FORMAT)
         data, payload_type = encode(image, BY_CODE[pixel_format]), IMAGE
         if registers.word(g.CHUNK_MODE):
-            payload_type = EXTENDED_CHUNK if Quirk.OLD_CHUNKS in self._quirks else IMAGE_WITH_CHUNKS
+            payload_type = EXTENDED_CHUNK if self._old_chunks else IMAGE_WITH_CHUNKS
             content = {
                 "FrameID": request.frame_id.to_bytes(8, "big"),
                 "Timestamp": ticks.to_bytes(8, "big"),

@@ -34,13 +34,14 @@ class Identity:
 class Registers:
     """32-bit words by address.
 
+    identity : who it is from the next power-on on.
     hooks : what happens when a register is written, instead of keeping the word; each returns a status.
     live : registers whose content is computed when it is read.
     acquiring : whether geometry must stay as it is.
     """
 
     def __init__(self, identity: Identity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
-        self._identity, self._quirks = identity, quirks
+        self.identity, self._quirks = identity, quirks
         table = g.features(width, height, quirks)
         self._features = {
             feature.address + 4 * index: feature
@@ -75,16 +76,16 @@ class Registers:
             for offset in range(0, size, 4):
                 words[address + offset] = int.from_bytes(padded[offset : offset + 4], "big")
 
-        number = int.from_bytes(socket.inet_aton(self._identity.address), "big")
+        number = int.from_bytes(socket.inet_aton(self.identity.address), "big")
         words[g.VERSION], words[g.DEVICE_MODE] = 0x0002_0000, 0x8000_0001  # 2.0; big endian, UTF-8
         words[g.MAC_HIGH], words[g.MAC_LOW] = 0x0200, number  # locally administered, unique per address
         words[g.IP_OPTIONS] = words[g.IP_CONFIGURATION] = 0x0000_0006
         words[g.CURRENT_IP], words[g.SUBNET_MASK] = number, 0xFF00_0000
         text(g.MANUFACTURER, "edged", 32)
-        text(g.MODEL, self._identity.model, 32)
+        text(g.MODEL, self.identity.model, 32)
         text(g.DEVICE_VERSION, "1", 32)
         text(g.INFO, "virtual camera", 48)
-        text(g.SERIAL, self._identity.serial, 16)
+        text(g.SERIAL, self.identity.serial, 16)
         text(g.FIRST_URL, f"Local:{g.XML_NAME};{g.XML_ADDRESS:x};{len(self._xml):x}", 512)
         words[g.INTERFACES] = words[g.STREAM_CHANNELS] = 1
         # serial number register; PTP, scheduled actions; actions; PACKETRESEND, WRITEMEM, concatenation

@@ -63,7 +63,7 @@ def is_one_exposure(cell: Cell, pair: FramePair) -> bool:
 async def armed(cell: Cell) -> None:
     """Both cameras take exposures."""
     deadline_s = time.monotonic() + 10
-    while not all(camera.controlled and camera._acquiring.is_set() for camera in (cell.left, cell.right)):
+    while not all(camera.controlled and camera.registers.acquiring for camera in (cell.left, cell.right)):
         assert time.monotonic() < deadline_s
         await asyncio.sleep(0.005)
 
