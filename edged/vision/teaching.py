@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from edged.errors import ImageError, TeachError
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
 from edged.vision.curves import Curve
 from edged.vision.ellipses import ImageEllipse, find_ellipses
+from edged.vision.faceedges import without_background
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.featureteaching import (
     FoundFeatures,
@@ -84,6 +86,7 @@ def teach(
             raise
         return _job(view, params, name, number, *edges)
     rig_from_part = _part_frame(circles[0])
+    view = replace(view, mask=without_background(view, rig_from_part, view.mask))
     features = tuple(
         CircleFeature(
             fit.circle.name,
@@ -167,7 +170,8 @@ def _job(
         origin = rectification.rectify_points("left", place)[0]
         shape = create_model(view.rectified_left, view.mask, origin, params)
     else:  # its origin amid the part: from a corner, overlapping matches would look far apart
-        shape = create_model(view.rectified_left, outline_mask(view), params=params)
+        mask = without_background(view, rig_from_part, outline_mask(view))
+        shape = create_model(view.rectified_left, mask, params=params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=name,

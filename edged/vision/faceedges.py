@@ -1,0 +1,93 @@
+"""Which edges of a region lie in the part's face: those that both cameras see where the face would put them.
+
+The table's texture lies deeper: the other camera sees it elsewhere, by many pixels, whatever its contrast.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.vision.contours import Contour, find_contours
+from edged.vision.edges import edges_along_normals
+from edged.vision.featureteaching import TeachingView
+from edged.vision.startplane import Plane
+
+MAX_MISMATCH_PX = 1.0
+"""Along the normal, left against right: shading moves an edge of the face by less, chance by more."""
+MAX_SLOPE_RATIO = 2.0
+WINDOW_PX = 25
+"""Length of edge that is judged together."""
+MIN_AGREEING = 0.6
+"""Of a window of the face; of another depth about one in five agrees by chance."""
+CLEAN_SHARE = 0.7
+"""With so much of the region's edges in the face, the rest is the part's own: chamfers, grounds of holes."""
+MIN_KEPT = 100
+"""Edge pixels; fewer are no shape, and the region speaks for itself."""
+BAND_PX = 3
+"""To both sides of an edge that is kept."""
+
+
+def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
+    """A mask (h, w) uint8 reduced to the edges in the face, if most of what it shows is of another depth.
+
+    rig_from_part (4, 4) : pose of the face.  mask : of the rectified left image.
+    """
+    normal = rig_from_part[:3, 2]
+    face = Plane(normal, float(normal @ rig_from_part[:3, 3]))
+    contours = find_contours(view.rectified_left, mask)
+    agreeing = [_agreeing(view, face, contour) for contour in contours]
+    total = sum(len(one) for one in agreeing)
+    if not total or sum(np.count_nonzero(one) for one in agreeing) >= CLEAN_SHARE * total:
+        return mask
+    kept = np.zeros_like(mask)
+    for contour, agrees in zip(contours, agreeing, strict=True):
+        chosen = _share(agrees, contour.closed) >= MIN_AGREEING
+        pixels = np.rint(contour.points[chosen]).astype(np.intp)
+        kept[np.clip(pixels[:, 1], 0, len(kept) - 1), np.clip(pixels[:, 0], 0, kept.shape[1] - 1)] = 255
+    if np.count_nonzero(kept) < MIN_KEPT:
+        return mask
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND_PX + 1, 2 * BAND_PX + 1))
+    return np.minimum(np.asarray(cv2.dilate(kept, around), np.uint8), mask)
+
+
+def _agreeing(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
+    """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
+    along = np.column_stack([-contour.normals[:, 1], contour.normals[:, 0]])
+    there, beside = (_in_right(view, face, contour.points + shift) for shift in (-0.5 * along, 0.5 * along))
+    along_right = beside - there
+    lengths = np.linalg.norm(along_right, axis=1, keepdims=True)
+    along_right = along_right / np.maximum(lengths, 1e-9)
+    normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
+    offsets, slopes = edges_along_normals(view.rectified_right, 0.5 * (there + beside), normals, 2.0, 1)
+    ratio = slopes / np.maximum(contour.slopes, 1e-9)
+    with np.errstate(invalid="ignore"):
+        alike = (ratio < MAX_SLOPE_RATIO) & (ratio > 1 / MAX_SLOPE_RATIO)
+        return np.asarray((np.abs(offsets) <= MAX_MISMATCH_PX) & alike)
+
+
+def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
+    """(N, 2) of the rectified right image: where points of the left one are, if they lie in the face."""
+    rectification = view.rectification
+    raw = rectification.raw_points("left", rectified_px)
+    space = face.meet(np.column_stack([rectification.rig.left.normalise(raw), np.ones(len(raw))]))
+    seen = rectification.rig.right.project(_to_right(view, space))
+    return np.asarray(rectification.rectify_points("right", seen), np.float64)
+
+
+def _to_right(view: TeachingView, space: FloatArray) -> FloatArray:
+    right_from_left = view.rectification.rig.right_from_left
+    return np.asarray(space @ right_from_left[:3, :3].T + right_from_left[:3, 3])
+
+
+def _share(agrees: npt.NDArray[np.bool_], closed: bool) -> FloatArray:
+    """(N,) share of the neighbours along a contour that agree; a shorter contour is one neighbourhood."""
+    if len(agrees) <= WINDOW_PX:
+        return np.full(len(agrees), float(np.mean(agrees)) if len(agrees) else 0.0)
+    border = cv2.BORDER_WRAP if closed else cv2.BORDER_REFLECT_101
+    half = WINDOW_PX // 2
+    column = agrees.astype(np.float64)[:, None]
+    padded = cv2.copyMakeBorder(column, half, half, 0, 0, border)
+    return np.asarray(np.convolve(padded[:, 0], np.full(WINDOW_PX, 1 / WINDOW_PX), "valid"), np.float64)

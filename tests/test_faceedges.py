@@ -1,0 +1,80 @@
+"""A table as textured as it may be: what is learnt is the part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
+
+from edged.domain import FloatArray
+from edged.sim.scene import Surface
+from edged.vision.faceedges import without_background
+from edged.vision.featureteaching import TeachingView
+from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.shape.search import find_shapes
+from edged.vision.teaching import teach
+
+TABLE = Surface(albedo=0.3, contrast=0.9, feature_mm=0.8, seed=2)
+"""Blotches as bright and as dark as the part, 12 px wide."""
+
+
+@pytest.fixture(scope="module")
+def flat() -> Flange:
+    """The flange, square to the left camera."""
+    return flange()
+
+
+@pytest.fixture(scope="module")
+def rectification(flat: Flange) -> Rectification:
+    """Its rig, prepared."""
+    return make_rectification(flat.rig)
+
+
+def outline_px(flat: Flange, rectification: Rectification, where: FloatArray) -> FloatArray:
+    """(N, 2) of the rectified left image: points on all circles of the flange at a pose."""
+    turns = np.linspace(0, 2 * math.pi, 720, endpoint=False)
+    rings = [
+        np.column_stack(
+            [one.x_mm + one.radius_mm * np.cos(turns), one.y_mm + one.radius_mm * np.sin(turns), 0 * turns]
+        )
+        for _, one in flat.part.circles
+    ]
+    rig = np.concatenate(rings) @ where[:3, :3].T + where[:3, 3]
+    return rectification.rectify_points("left", flat.rig.left.project(rig))
+
+
+def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectification) -> None:
+    """In a region with much of the table nine of ten model points lie on the part, and it is found on another
+    such table, turned and nearer, to 0.5 px."""
+    left, right = pictures(flat.rig, scene((flat.part, pose()), table=TABLE))
+    region = region_around(flat.rig, pose()[:3, 3], 16.0)
+    job = teach(left, right, rectification, region, "flange")
+
+    points = job.shape.levels[0].points + job.shape.origin_px
+    outline = outline_px(flat, rectification, pose())
+    apart = np.array([np.linalg.norm(outline - point, axis=1).min() for point in points])
+    assert np.mean(apart < 2.0) > 0.9
+
+    x, y, z = PLACE_MM
+    there = pose((x - 2.0, y + 1.5, z - 3.0), turn_deg=100.0)
+    left, _ = pictures(flat.rig, scene((flat.part, there), table=replace(TABLE, seed=9)), seed=1)
+    (match,) = find_shapes(rectification.left_image(left), job.shape, job.search, rectification.valid_left)
+    truth = rectification.rectify_points("left", flat.rig.left.project(there[None, :3, 3]))[0]
+    assert match.score > 0.8
+    assert math.dist((match.x_px, match.y_px), truth) < 0.5
+
+
+def test_on_a_quiet_table_the_region_stays_as_it_is(flat: Flange, rectification: Rectification) -> None:
+    """Nothing is cut where most edges are the part's; at a wrong depth no edge agrees, and nothing is cut
+    either: then the region speaks for itself."""
+    left, right = rectification.left_image(flat.left), rectification.right_image(flat.right)
+    mask = np.zeros_like(left)
+    x, y = outline_px(flat, rectification, pose())[:720].mean(axis=0).round().astype(int)
+    mask[y - 130 : y + 130, x - 130 : x + 130] = 255
+    view = TeachingView(rectification, flat.left, flat.right, left, right, mask)
+    np.testing.assert_array_equal(without_background(view, pose(), mask), mask)
+
+    np.testing.assert_array_equal(without_background(view, pose((8.0, 0.0, 260.0)), mask), mask)
