@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 import io
 import json
+import math
 import os
 import tempfile
 import zipfile
@@ -293,6 +294,8 @@ def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[An
             unpacked = sum(member.file_size for member in archive.infolist())
             if unpacked > MAX_FILE_BYTES:
                 raise FileFormatError(f"{path}: unpacks to {unpacked} bytes, too many for a {kind}")
+            for member in archive.infolist():
+                _check_claim(archive, member)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         header = json.loads(str(arrays.pop("__header__")[()]))
@@ -308,6 +311,19 @@ def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[An
     if found[2] != _digest(arrays):
         raise FileFormatError(f"{path}: checksum does not match: the file is damaged")
     return arrays
+
+
+def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+    """numpy makes room for what an array's header claims before it reads: that must be what is there."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"{member.filename}: unknown version of the .npy format {version}")
+        read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+        # python integers: no claim is too large to be counted
+        if math.prod(shape, start=dtype.itemsize) != member.file_size - file.tell():
+            raise ValueError(f"{member.filename}: claims {shape} {dtype}, which is not what the file holds")
 
 
 def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:

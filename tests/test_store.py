@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -131,6 +133,33 @@ def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> No
         load_arrays(path, "recording", 1)
     with pytest.raises(FileFormatError, match="version 1, this edged reads 2"):
         load_arrays(path, "shape", 2)
+
+
+@pytest.mark.parametrize(
+    "claim",
+    ["(6000000000,)", "(300000, 300000)", "(0, 10)", "(601,)", "(599,)", "(" + "9" * 40 + ",)", "(-600,)"],
+)
+def test_an_array_that_claims_another_size_is_refused(tmp_path: Path, claim: str) -> None:
+    """A few hundred bytes cannot ask for gigabytes: the claim is refused before there is room made for it."""
+    path = tmp_path / "a.npz"
+    save_arrays(path, "shape", 1, {"points": np.arange(600.0)})
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {claim}, }}"
+    head = head.ljust(127 - 10) + "\n"
+    length = len(head).to_bytes(2, "little")
+    members["points.npy"] = b"\x93NUMPY\x01\x00" + length + head.encode() + np.arange(600.0).tobytes()
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+
+    tracemalloc.start()
+    try:
+        with pytest.raises(FileFormatError, match=r"a\.npz: not a shape file, or damaged: .*"):
+            load_arrays(path, "shape", 1)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:

@@ -96,6 +96,8 @@ class ShapeModel:
         levels = []
         for index in range(int(count)):
             points = _checked(arrays, f"points{index}", (-1, 2))
+            if len(points) > max(MAX_POINTS):
+                raise ValueError(f"points{index}: {len(points)} points, expected at most {max(MAX_POINTS)}")
             normals = _checked(arrays, f"normals{index}", (len(points), 2))
             if len(points) < MIN_POINTS or np.abs(points).max() > 1e5:
                 raise ValueError(f"points{index}: too few or too far points")
