@@ -145,6 +145,8 @@ class TriggerSection(_Section):
     def _belongs(self) -> TriggerSection:
         if odd := self.model_fields_set - MODE_KEYS[self.mode] - {"mode"}:
             raise ValueError(f"{', '.join(sorted(odd))}: does not belong to mode {self.mode!r}")
+        if self.broadcast and not _is_address(self.broadcast):
+            raise ValueError(f"broadcast: expected an IP address, got {self.broadcast!r}")
         return self
 
     @property

@@ -108,7 +108,12 @@ def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: 
         case "action":
             keys = (section.device_key, section.group_key, section.group_mask)
             to = (section.broadcast,) if section.broadcast else tuple(devices)
-            sending = Action(*keys, send_to=() if external else to, lead_s=section.lead_ms * 1e-3)
+            sending = Action(
+                *keys,
+                send_to=() if external else to,
+                lead_s=section.lead_ms * 1e-3,
+                broadcast=section.broadcast != "",
+            )
             return Triggering((sending, Action(*keys)), follower="" if external else "right")
         case _:
             return Triggering((Software(), Software()))

@@ -191,7 +191,9 @@ def test_an_action_command_needs_somewhere_to_go(tmp_path: Path) -> None:
     (problem,) = problems(tmp_path, text)
     assert "trigger.broadcast: missing" in problem
 
-    assert load(write(tmp_path, text + 'broadcast = "192.0.2.255"\n')).cameras.trigger.mode == "action"
+    assert load(write(tmp_path, text + 'broadcast = "192.0.2.127"\n')).cameras.trigger.mode == "action"
+    (problem,) = problems(tmp_path, text + 'broadcast = "everyone"\n')
+    assert "broadcast: expected an IP address, got 'everyone'" in problem
 
 
 def test_features_are_one_table_or_several(tmp_path: Path) -> None:

@@ -60,7 +60,10 @@ def test_one_action_command_is_sent_for_both() -> None:
     broadcast = of(mode="action", broadcast="192.0.2.255", lead_ms=20, **keys)
 
     assert Triggering((Action(5, 6, 7, DEVICES), waiting), follower="right") == unicast
-    assert Triggering((Action(5, 6, 7, ("192.0.2.255",), 0.02), waiting), follower="right") == broadcast
+    assert (
+        Triggering((Action(5, 6, 7, ("192.0.2.255",), 0.02, broadcast=True), waiting), follower="right")
+        == broadcast
+    )
 
 
 def test_somebody_elses_action_command_is_only_waited_for() -> None:

@@ -110,3 +110,12 @@ def test_answers_to_others_are_passed_over() -> None:
 
     with peer(answer):
         send_action("left", ACTION, None, 12)
+
+
+def test_a_broadcast_waits_for_no_acknowledgement() -> None:
+    """Its flag is not set, whatever the address looks like; who answers all the same does no harm."""
+    with peer(acknowledged) as heard:
+        send_action("left", Action(1, 1, 1, (PEER,), broadcast=True), None, 13)
+
+    (command,) = heard
+    assert 0 == command[1]

@@ -64,6 +64,7 @@ class Action:
 
     send_to : addresses that this camera's `trigger` sends it to; none where the other camera's does, or
     another host. lead_s : the exposure is scheduled so long ahead on the common PTP clock; 0: at once.
+    broadcast : they are broadcast addresses, from which no acknowledgement comes.
     """
 
     device_key: int = 1
@@ -71,6 +72,7 @@ class Action:
     group_mask: int = 1
     send_to: tuple[str, ...] = ()
     lead_s: float = 0.0
+    broadcast: bool = False
 
 
 Trigger = Software | FreeRun | Line | Action
@@ -206,7 +208,7 @@ def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int
         waiting = set()
         try:
             for address in trigger.send_to:
-                wanted = 0 if _is_broadcast(address) else ACK_WANTED
+                wanted = 0 if trigger.broadcast else ACK_WANTED
                 header = struct.pack(">BBHHH", 0x42, flags | wanted, ACTION_COMMAND, len(body), request)
                 udp.sendto(header + body, (address, GVCP_PORT))
                 if wanted:
@@ -232,11 +234,6 @@ def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str
         reason = REFUSALS.get(status, f"refused the action command: status 0x{status:04x}")
         raise FrameTimeout(camera, f"{address} {reason}")
     return address
-
-
-def _is_broadcast(address: str) -> bool:
-    """A network's own broadcast address ends in 255 in every network that cameras are put in."""
-    return address.endswith(".255")
 
 
 def trigger_names(values: Mapping[str, Any]) -> list[str]:
