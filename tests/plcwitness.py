@@ -111,10 +111,12 @@ def watch(
     port: int,
     period_s: float,
     validity_s: float,
+    up: Event,
     stop: Event,
     reports: Queue[Report],
 ) -> None:
     """The witness's process."""
+    up.set()
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a cell that is not there is no news here
     report = Report()
     judge = _Judge(validity_s, report)
@@ -164,16 +166,19 @@ class Witness:
 
     def __init__(self, port: int, *, period_s: float = 0.02, validity_s: float = 2.0) -> None:
         context = mp.get_context("spawn")
-        self._stop = context.Event()
+        self._up, self._stop = context.Event(), context.Event()
         self._reports: Queue[Report] = context.Queue()
         self._process = context.Process(
-            target=watch, args=(port, period_s, validity_s, self._stop, self._reports), daemon=True
+            target=watch,
+            args=(port, period_s, validity_s, self._up, self._stop, self._reports),
+            daemon=True,
         )
         self.report = Report()
 
     def __enter__(self) -> Witness:
         """Begin to poll; the cell need not be there yet."""
         self._process.start()
+        assert self._up.wait(60), "the witness's process did not start within 60 s"
         return self
 
     def __exit__(

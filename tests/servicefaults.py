@@ -74,7 +74,7 @@ def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float
     try:
         daemon.wait_ready()
         found.children = daemon.children()
-        found.swept = not _torn(cell.recordings) or _ends(lambda: not _torn(cell.recordings or Path()))
+        found.swept = not _torn(cell.recordings) or comes_true(lambda: not _torn(cell.recordings or Path()))
     finally:
         daemon.stop()
     found.complaints += _complaints(daemon)
@@ -88,7 +88,7 @@ def _complaints(daemon: DaemonProcess) -> list[str]:
     return [line for line in daemon.log if "Traceback" in line or "ERROR" in line]
 
 
-def _ends(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+def comes_true(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
     """Whether it comes true; a running recorder always has one file that is not finished yet."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():
@@ -169,7 +169,7 @@ def read_only(disk: Path) -> Iterator[None]:
         command = ["mount", "-o", f"remount,{option}", str(disk)]
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
-    assert _ends(lambda: remount("ro"), 20)
+    assert comes_true(lambda: remount("ro"), 20)
     try:
         yield
     finally:

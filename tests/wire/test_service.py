@@ -41,7 +41,7 @@ def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     assert [] == found.children
     assert found.recordings > 0
     assert {} == witness.report.wrong
-    assert witness.report.connections >= 2
+    assert witness.report.sights
 
 
 @pytest.mark.skipif(not may_mount(), reason="no disk can be mounted here")
@@ -64,9 +64,10 @@ def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path)
     assert {} == told["wrong"]
     assert told["always_ready"]
     assert told["results"] > 3
-    assert told["results_ahead"] > 0 or not FAKETIME.exists(), "the clock was not set"
+    assert told["clock_was_set"] or not FAKETIME.exists()
     assert told["recordings"] > 0
-    lines = [line.partition("adapters.recorder: ")[2] for line in told["log"] if "recorder" in line]
-    assert ["no recordings", "recording again"] * 2 == [line.partition(":")[0] for line in lines]
+    words = ("no recordings", "recording again")
+    lines = [line for line in told["log"] if any(word in line for word in words)]
+    assert [words[0], words[1]] * 2 == [next(word for word in words if word in line) for line in lines]
     assert "No space left" in lines[0] or "MiB are free" in lines[0]
     assert "Read-only file system" in lines[2]
