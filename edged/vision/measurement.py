@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, rotation_matrix, transform
 from edged.vision.job import CircleFeature, Job
 from edged.vision.planefit import CurveFit
+from edged.vision.quality import reject_reasons
 from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import Plane, find_plane
@@ -85,20 +86,17 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
     rig_from_part[:3, 3] = main.circle.centre_mm
     fits = (main, *(others[index] for index in used))
     origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
-    epipolar = _epipolar_rms(rectification, main)
-    covariance = _pose_covariance(main, sigma_turn)
     target = Target(
         job=job.name,
         match=Match(
             float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
         ),
         rig_from_part=rig_from_part,
-        covariance=covariance,
+        covariance=_pose_covariance(main, sigma_turn),
         circles=tuple(_in_order(job, fits)),
-        epipolar_rms_px=epipolar,
-        reject=_judge(job, ambiguous, main, rig_from_part, epipolar, covariance),
+        epipolar_rms_px=_epipolar_rms(rectification, main),
     )
-    return Measured(target, fits)
+    return Measured(replace(target, reject=_judge(job, target, main, ambiguous)), fits)
 
 
 def _reference(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> CircleFit | None:
@@ -475,27 +473,9 @@ def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
     return [by_name[circle.name] for circle in job.circles if circle.name in by_name]
 
 
-def _judge(
-    job: Job,
-    ambiguous: bool,
-    main: CircleFit,
-    rig_from_part: FloatArray,
-    epipolar_px: float,
-    covariance: FloatArray,
-) -> Reject:
-    limits = job.limits
-    reject = Reject.NONE
-    if min(main.support_left, main.support_right) < limits.min_support:
-        reject |= Reject.FEW_EDGES
-    if main.rms_px > limits.max_rms_px:
-        reject |= Reject.RESIDUAL
-    if float(np.sqrt(np.diag(covariance)[:3].max())) > limits.max_sigma_mm:
-        reject |= Reject.SIGMA_LIMIT
-    if epipolar_px > limits.max_epipolar_px:
-        reject |= Reject.LEFT_RIGHT_MISMATCH
-    if not limits.depth_mm[0] <= rig_from_part[2, 3] <= limits.depth_mm[1]:
-        reject |= Reject.OUT_OF_VOLUME
-    tolerance = limits.radius_tolerance_mm
+def _judge(job: Job, target: Target, main: CircleFit, ambiguous: bool) -> Reject:
+    reject = reject_reasons(job.limits, target, min(main.support_left, main.support_right), main.rms_px)
+    tolerance = job.limits.radius_tolerance_mm
     if tolerance is not None and abs(main.circle.radius_mm - job.reference_circle.radius_mm) > tolerance:
         reject |= Reject.TOLERANCE
     if ambiguous:
