@@ -4,7 +4,8 @@
     tools/table3.py DATASET [--true-rig] [--scenes] [--teach DATASET] [--overlays DIR] [--json]
 
 DATASET holds rig.json (truth), calib_chess/ (pairs), teach/ (pairs with truth) and table3/ (pairs with
-truth). Prints measured minus true for each part, beside the errors of the paper's Table 3.
+truth). Prints measured minus true for each part, beside the errors of plain OpenCV with the same cameras
+(`plainopencv`) and of the paper's Table 3.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from plainopencv import circle_by_opencv
 
-from edged.store import save_rig
+from edged.store import load_rig, save_rig
 from edged.vision.camera import CameraModel, StereoRig
 
 PAPER = {1: (1.020, 0.1968), 2: (0.621, 0.2106), 3: (1.009, 0.2636), 4: (0.422, 0.3877)}
@@ -159,7 +162,18 @@ def locate_scene(
                 file=sys.stderr,
             )
         rows += [compare(path.stem, design, target, parts, taught) for target in good if parts]
+    if len(rows) == 1:  # plain OpenCV cannot tell parts apart
+        rows[0]["opencv"] = opencv_errors(rig, (left, right), scene["parts"][0])
     return rows, problems
+
+
+def opencv_errors(rig: Path, pair: tuple[Path, Path], part: dict[str, Any]) -> list[float] | None:
+    """ΔX, ΔY, ΔZ, ΔR in mm of plain OpenCV; None where it finds no ellipse."""
+    left, right = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in pair)
+    found = None if left is None or right is None else circle_by_opencv(load_rig(rig), left, right)
+    if found is None:
+        return None
+    return [*(found[0] - part["t"]).tolist(), found[1] - part["circles"][0]["radius_mm"]]
 
 
 def compare(
@@ -194,17 +208,20 @@ def report(rows: list[dict[str, Any]]) -> None:
     """A Markdown table."""
     print(
         "| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof "
-        "| paper \\|ΔZ\\| | paper \\|ΔR\\| |"
+        "| OpenCV ΔX | ΔY | ΔZ | ΔR | paper \\|ΔZ\\| | paper \\|ΔR\\| |"
     )
-    print("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    print("|---|---|" + "---:|" * 13)
     for row in rows:
         name = row["scene"]
         paper = PAPER.get(int(name[-1])) if name.startswith("table3_") else None
         beside = f"{paper[0]:.3f} | {paper[1]:.3f}" if paper else " | "
+        plain = row.get("opencv")
+        theirs = " | ".join(f"{value:+.3f}" for value in plain) if plain else " | | |"
         x, y, z = row["error_mm"]
         print(
             f"| {name} | {row['part']} | {x:+.4f} | {y:+.4f} | {z:+.4f} | {row['radius_error_mm']:+.4f} "
-            f"| {row['normal_deg']:.3f} | {row['rotation_deg']:+.3f} | {row['chi2_per_dof']:.2f} | {beside} |"
+            f"| {row['normal_deg']:.3f} | {row['rotation_deg']:+.3f} | {row['chi2_per_dof']:.2f} | {theirs} "
+            f"| {beside} |"
         )
 
 
