@@ -7,9 +7,6 @@ is not a whole, new pair, and is healed without a restart when its cause has gon
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import socket
-import struct
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
@@ -26,6 +23,7 @@ from edged.errors import (
     CaptureError,
     FrameFrozen,
     FrameIncomplete,
+    FrameRepeated,
     FrameTimeout,
     StreamStalled,
     WrongCamera,
@@ -34,7 +32,7 @@ from edged.sim.gige import GigeCamera
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 
-TIMEOUT_S = 0.5
+TIMEOUT_S = 1.0
 ELSEWHERE = "127.0.40.7"
 LOADED_S = 15.0
 """On top of every stated time: the test machine may be busy with other things."""
@@ -50,7 +48,7 @@ class Line:
             AravisCamera("left", left),
             AravisCamera("right", AravisSettings(RIGHT)),
             timeout_s=TIMEOUT_S,
-            max_skew_s=0.4,
+            max_skew_s=0.8,
             max_backoff_s=0.2,
         )
         self.faults: list[CaptureError] = []
@@ -107,20 +105,6 @@ def cell() -> Iterator[Cell]:
         cell.left.stop()  # the one that a test has put there
 
 
-@contextlib.contextmanager
-def viewer(address: str) -> Iterator[None]:
-    """Another program that controls a camera, by plain GVCP."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.connect((address, 3956))
-        udp.settimeout(2)
-        # control access with a heartbeat time-out of a minute; and at the end no access
-        for number, (register, value) in enumerate(((0x0A00, 2), (0x0938, 60_000), (0x0A00, 0)), start=1):
-            if value == 0:
-                yield
-            udp.send(struct.pack(">BBHHHII", 0x42, 1, 0x82, 8, number, register, value))
-            assert b"\0\0" == udp.recv(64)[:2]  # success
-
-
 def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T1") -> GigeCamera:
     """The left camera after its power came back: it knows nobody."""
     cell.left_sensor = Sensor(3)
@@ -140,7 +124,8 @@ def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Ce
 
     line = play(script, cell, resend=False, packet_size=1500)
     assert {"left"} == {fault.camera for fault in line.faults}
-    assert {type(fault) for fault in line.faults} <= {FrameIncomplete, FrameTimeout}
+    # of a frame without its first packet nothing is known but that it did not come
+    assert {type(fault) for fault in line.faults} <= {FrameIncomplete, FrameTimeout, StreamStalled}
 
 
 def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
@@ -194,33 +179,56 @@ def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -
 
 
 def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
-    """It answers, and belongs to nobody: told, and opened again."""
+    """It answers, and belongs to nobody: 107, told from one that another host took; opened again."""
 
     async def script(line: Line) -> None:
         cell.left.stop()
         switched_on_again(cell).start()
+        await line.until(CameraRestarted, 1.2 + TIMEOUT_S)
 
     line = play(script, cell)
-    assert line.faults
-    assert {type(fault) for fault in line.faults} <= {
-        CameraRestarted, CameraUnreachable, CameraBusy, FrameTimeout
-    }  # fmt: skip
+    assert CameraBusy not in {type(fault) for fault in line.faults}
 
 
 def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
     """102 as soon as a command is refused, and while it lasts; good again by itself."""
 
     async def script(line: Line) -> None:
-        cell.left.stop()
-        switched_on_again(cell).start()
-        with viewer(LEFT):
-            await line.until(CameraBusy, 2 * TIMEOUT_S)
-            line.faults.clear()
-            for _ in range(5):
-                await line.shoot()
-            assert {CameraBusy} == {type(fault) for fault in line.faults}
+        cell.left.steal_control()
+        await line.until(CameraBusy, TIMEOUT_S)
+        line.faults.clear()
+        for _ in range(5):
+            await line.shoot()
+        assert {CameraBusy} == {type(fault) for fault in line.faults}
+        cell.left.release_control()
 
     play(script, cell)
+
+
+def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
+    """The picture is new, its number is not: 109 where it is delivered, 104 where the driver drops it."""
+
+    async def script(line: Line) -> None:
+        cell.right.faults.repeat_id = True
+        for _ in range(4):
+            assert await line.shoot() is not None
+        cell.right.faults.repeat_id = False
+
+    line = play(script, cell)
+    assert {"right"} == {fault.camera for fault in line.faults}
+    assert {type(fault) for fault in line.faults} <= {FrameRepeated, FrameTimeout, StreamStalled}
+
+
+def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) -> None:
+    """What a network with two ways does: every picture comes, whole."""
+
+    async def script(line: Line) -> None:
+        cell.left.faults.reordering = cell.right.faults.duplication = 0.1
+        for _ in range(6):
+            await line.shoot()
+        cell.left.faults.reordering = cell.right.faults.duplication = 0.0
+
+    assert [] == play(script, cell, packet_size=1500).faults
 
 
 def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:

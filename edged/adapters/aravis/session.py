@@ -57,6 +57,9 @@ COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_pa
 """Aravis' names of what a stream counts, in the order of `Health`."""
 
 
+RESTARTED = "it has been restarted, or gave up the connection"
+
+
 @dataclass(frozen=True, slots=True)
 class Health:
     """How an open camera is.
@@ -194,7 +197,7 @@ class Session:
             device.write_register(HEARTBEAT_REGISTER, self._heartbeat_ms)
             privilege = device.read_register(CONTROL_PRIVILEGE_REGISTER)
             if privilege & CONTROLLED == 0:
-                raise CameraRestarted(self.name, "it has been restarted, or gave up the connection")
+                raise CameraRestarted(self.name, RESTARTED)
         self._read_clock()
         self._look()
 
@@ -250,6 +253,18 @@ class Session:
         except CameraUnreachable:
             self.lost.set()
             raise
+        except CameraBusy:
+            if self._stream is not None and self._belongs_to_nobody():
+                raise CameraRestarted(self.name, RESTARTED) from None
+            raise
+
+    def _belongs_to_nobody(self) -> bool:
+        """Whether the camera that refused a command is controlled by no one: then it forgot us."""
+        try:
+            privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
+        except self._library.glib.Error:
+            return False
+        return bool(privilege & CONTROLLED == 0)
 
     # --- setting up --------------------------------------------------------------------------
 
