@@ -84,7 +84,8 @@ class GigeCamera:
         self._old_chunks = Quirk.OLD_CHUNKS in quirks
         self._pacing = pacing or Pacing()
         self._exposure = exposure
-        self._chance = random.Random(seed)
+        # two threads take chances: each its own, or no run is like another
+        self._chance, self._answer_chance = random.Random(seed), random.Random(seed)
         self.registers = Registers(Identity(address, serial, model), width, height, frozenset(quirks))
         self._triggers = Triggers(self.registers, self.clock)
         self._set_hooks(self.registers.hooks)
@@ -97,7 +98,7 @@ class GigeCamera:
 
     def _connect(self) -> None:
         """Channels of a camera at this address, and memory as after power-on."""
-        self._control = ControlChannel(self.address, self.registers, self, self.faults, self._chance)
+        self._control = ControlChannel(self.address, self.registers, self, self.faults, self._answer_chance)
         self._stream = StreamChannel(self.address, self.faults, self._pacing, self._chance)
         self._power_on()
 

@@ -175,7 +175,9 @@ class ControlChannel:
     def _say(self, message: bytes, to: Endpoint) -> None:
         if self._faults.answer_delay_s > 0:
             time.sleep(self._faults.answer_delay_s)
-        if self._socket is None or self._chance.random() < self._faults.answer_loss:
+        if self._socket is None:
+            return
+        if self._faults.answer_loss > 0 and self._chance.random() < self._faults.answer_loss:
             return
         try:
             self._socket.sendto(message, to)

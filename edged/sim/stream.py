@@ -107,7 +107,9 @@ class StreamChannel:
     def _send(self, parts: tuple[bytes, ...]) -> None:
         if self._socket is None or self._destination is None or self._destination[1] == 0:
             return
-        if self._faults.unplugged or self._chance.random() < self._faults.packet_loss:
+        if self._faults.unplugged:
+            return
+        if self._faults.packet_loss > 0 and self._chance.random() < self._faults.packet_loss:
             return
         try:
             self._socket.sendmsg(parts, [], 0, self._destination)
