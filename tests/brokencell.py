@@ -12,11 +12,16 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from plcwitness import Witness
-from servicefaults import FAKETIME, FakeClock, comes_true, full, live_through, read_only, tmpfs
+from servicefaults import FAKETIME, FakeClock, comes_true, full, read_only, tmpfs
 from smallcell import DaemonProcess, SmallCell
 
 from edged import recording
 from edged.registers import StatusBit
+
+
+def says(daemon: DaemonProcess, word: str, other: str) -> bool:
+    """Whether the last line of the log with one of both has the first."""
+    return next((word in line for line in reversed(daemon.log) if word in line or other in line), False)
 
 
 def newest(disk: Path) -> datetime:
@@ -35,7 +40,11 @@ def main(folder: Path) -> None:
             with Witness(cell.modbus_port) as witness:
                 daemon.wait_ready()
                 start_s = time.monotonic()
-                live_through([("full", full(disk)), ("read-only", read_only(disk))], each_s=2.0)
+                for fault in (full(disk), read_only(disk)):
+                    with fault:
+                        comes_true(lambda: says(daemon, "no recordings", "recording again"), 60)
+                        time.sleep(1.0)
+                    comes_true(lambda: says(daemon, "recording again", "no recordings"), 60)
                 was_set = False
                 if clock:
                     with clock.jumped(3600):
