@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -231,6 +232,28 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
         assert abs(pair.left.exposed_ns - pair.right.exposed_ns) <= 30_000_000
         cell.left_sensor.saw(pair.left.image)
         cell.right_sensor.saw(pair.right.image)
+
+
+def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell: Cell) -> None:
+    """With an exposure every 10 ms, none that began in the last millisecond before the request is taken."""
+
+    async def main() -> list[float]:
+        camera, since_ms = left_camera(trigger=FreeRun(100.0)), []
+        await camera.open()
+        try:
+            for number in range(40):
+                await asyncio.sleep(0.0203)  # another phase of the camera's period each time
+                asked_ns = time.time_ns()
+                await camera.trigger()
+                shown = cell.left_sensor.saw((await camera.frame()).image)
+                if number > 0:  # of the first connection's clock nothing is known
+                    exposed_ns = next(r.exposed_ns for r in cell.left_sensor.requests if r.frame_id == shown)
+                    since_ms.append((exposed_ns - asked_ns) * 1e-6)
+        finally:
+            await camera.close()
+        return since_ms
+
+    assert min(asyncio.run(main())) > 0
 
 
 def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:

@@ -26,6 +26,7 @@ from edged.adapters.aravis.clock import Mapped, to_utc
 from edged.adapters.aravis.session import Health, Session
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.stream import Arrival
+from edged.adapters.aravis.trigger import FreeRun
 from edged.domain import Frame, TimeBase
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 
@@ -261,11 +262,19 @@ class AravisCamera:
             await self._news.wait()
 
     def _is_stale(self, session: Session, arrival: Arrival) -> bool:
-        """Whether a buffer was exposed before the last trigger command was sent."""
+        """Whether a buffer was exposed before the last trigger command was sent.
+
+        A camera that runs freely stamps what no command began, and gives another one soon: with it, what may
+        be older is.
+        """
         if self._triggers == 0 or (session.fires and self._triggers == 1):
             return False  # never armed, or the first trigger of a connection: there was nothing before it
         mapped = session.clock.at(arrival.device_ns) if self._stamps_fit else None
-        return mapped is not None and mapped.at_ns + mapped.bound_ns + STAMP_NS < self._sent_ns
+        if mapped is None:
+            return False
+        free = isinstance(session.settings.trigger, FreeRun)
+        doubt_ns = -mapped.bound_ns if free else mapped.bound_ns + STAMP_NS
+        return mapped.at_ns + doubt_ns < self._sent_ns
 
     def _exposed(self, session: Session, arrival: Arrival) -> tuple[Mapped, TimeBase]:
         """Host time of the exposure, the bound of its error, and where it comes from."""
