@@ -5,7 +5,7 @@ A registry of its own, so that two cells in one process, or two tests, do not sh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from prometheus_client import (
     CollectorRegistry,
@@ -20,6 +20,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 
 from edged import __version__
 from edged.domain import CellState, CommandFailed, Event, Reject, Snapshot, Status
+from edged.errors import CaptureError
 from edged.payload import reject_names
 
 STAGE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
@@ -53,6 +54,8 @@ class MetricsPublisher:
             "edged_failed_commands", "commands that could not be carried out", registry=registry
         )
         self._faults = Counter("edged_faults", "faults of the cameras by code", ["code"], registry=registry)
+        for code in sorted(set(_codes(CaptureError))):  # a count that begins with 1 has not risen
+            self._faults.labels(str(code))
         self._stages = Histogram(
             "edged_stage_seconds",
             "duration of each stage of a cycle",
@@ -127,3 +130,9 @@ class _More:
     def collect(self) -> Iterable[Metric]:
         for name, (help_, value) in self._figures().items():
             yield GaugeMetricFamily(f"edged_{name}", help_, value=value)
+
+
+def _codes(kind: type[CaptureError]) -> Iterator[int]:
+    yield kind.code
+    for special in kind.__subclasses__():
+        yield from _codes(special)
