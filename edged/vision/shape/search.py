@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -311,13 +312,12 @@ class _Search:
         if not turned:
             return hypothesis, False
         all_of_them = [(hypothesis, min(loss for _, loss in turned)), *turned]
-        sights: dict[int, rivals.Sight] = {}
 
+        @cache
         def sight(h: Hypothesis) -> rivals.Sight:
-            if id(h) not in sights:
-                sights[id(h)] = rivals.look(self.work.images[0], self.model, h.pose, self._sign(h))
-            return sights[id(h)]
+            return rivals.look(self.work.images[0], self.model, h.pose, self._sign(h))
 
+        @cache  # the best is compared with each of the others while it is found, and once it is
         def beats(one: Hypothesis, other: Hypothesis, loss: float) -> bool:
             if abs(one.score - other.score) > RIVAL_MARGIN[1]:
                 return one.score > other.score
