@@ -8,7 +8,11 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from edged.vision.jitcache import QuickCache, load_quickly
+
 F = TypeVar("F", bound=Callable[..., Any])
+
+load_quickly()
 
 
 def kernel(*signatures: str, inline: bool = False, any_order: bool = False) -> Callable[[F], F]:
@@ -23,7 +27,6 @@ def kernel(*signatures: str, inline: bool = False, any_order: bool = False) -> C
     """
     options: dict[str, Any] = {
         "nogil": True,
-        "cache": _cache_is_usable(),
         "fastmath": {"reassoc", "contract"} if any_order else False,
         "error_model": "numpy",
     }
@@ -31,8 +34,13 @@ def kernel(*signatures: str, inline: bool = False, any_order: bool = False) -> C
         options["inline"] = "always"
 
     def compile_it(function: F) -> F:
-        decorator = numba.njit(list(signatures), **options) if signatures else numba.njit(**options)
-        return cast(F, decorator(function))
+        dispatcher = numba.njit(**options)(function)
+        if _cache_is_usable():
+            dispatcher._cache = QuickCache(function)
+        for signature in signatures:
+            dispatcher.compile(signature)
+        dispatcher.disable_compile(bool(signatures))
+        return cast(F, dispatcher)
 
     return compile_it
 

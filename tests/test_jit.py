@@ -1,0 +1,90 @@
+"""Kernels from the disk cache: the same machine code, loaded without what only a compilation needs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edged.vision.jit import kernel
+
+STORED = """
+import numpy as np
+from edged.vision.jit import kernel
+
+@kernel("f8[::1](f8[::1], f8)")
+def scaled(values, factor):
+    out = np.empty(values.size)
+    for i in range(values.size):
+        out[i] = values[i] * factor
+    return out
+"""
+RUN = """
+import json
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+parse, parsed = llvm.parse_bitcode, []
+
+def counted(bitcode, *rest):
+    parsed.append(len(bitcode))
+    return parse(bitcode, *rest)
+
+llvm.parse_bitcode = counted
+from stored import scaled
+
+values = np.array([1.0, 2.0, 4.5])
+found = {"scaled": scaled(values, 3.0).tolist(), "hits": sum(scaled.stats.cache_hits.values())}
+found["parsed"] = len(parsed)
+
+@numba.njit("f8(f8[::1], f8)")  # never stored
+def total(values, factor):
+    result = 0.0
+    for value in scaled(values, factor):
+        result += value
+    return result
+
+found["total"], found["parsed for another"] = total(values, 2.0), len(parsed)
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """What two processes found that run a kernel and then compile another that calls it."""
+    folder = tmp_path_factory.mktemp("kernels")
+    (folder / "stored.py").write_text(STORED)
+    (folder / "run.py").write_text(RUN)
+    outputs = [
+        subprocess.run([sys.executable, folder / "run.py"], capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    return [json.loads(output.stdout) for output in outputs]
+
+
+def test_a_stored_kernel_is_what_was_compiled(runs: list[dict[str, Any]]) -> None:
+    """The first process compiles, the second takes it from the cache, and both allocate and fill an array."""
+    assert [0, 1] == [found["hits"] for found in runs]
+    assert [[3.0, 6.0, 13.5]] * 2 == [found["scaled"] for found in runs]
+
+
+def test_bitcode_waits_until_another_kernel_needs_it(runs: list[dict[str, Any]]) -> None:
+    """A stored kernel runs unparsed; one compiled later is linked with it, once, and gives its sum."""
+    assert (0, 1) == (runs[1]["parsed"], runs[1]["parsed for another"])
+    assert [15.0, 15.0] == [found["total"] for found in runs]
+
+
+def test_a_kernel_takes_only_what_it_was_declared_for() -> None:
+    """Another type is an error and not a second kernel, which would be compiled in the middle of a cycle."""
+
+    @kernel("f8(f8[::1])")
+    def first(values: Any) -> Any:
+        return values[0]
+
+    with pytest.raises(TypeError, match="No matching definition"):
+        first(np.ones(2, np.float32))
