@@ -1,7 +1,7 @@
 """The composition root: the only module that names adapters.
 
-`load_cell` turns a configuration file into a measuring set-up (and finds every mistake in it);
-`Daemon` connects cameras, loop and publishers, and exchanges parts of them on reload.
+`load_cell` turns a configuration file into a measuring set-up; `Daemon` connects cameras, loop and
+publishers, and exchanges parts of them on reload.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address, ip_network
 from pathlib import Path
@@ -26,27 +26,24 @@ from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.capture import StereoHead
+from edged.cellfiles import CellFiles, read_cell
 from edged.config import (
     Config,
     ModbusSection,
     RecorderSection,
     WebSection,
     ZenohSection,
-    fingerprint,
-    load,
 )
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
-from edged.errors import ConfigError, EdgedError, UserError
+from edged.errors import EdgedError
 from edged.head import camera_facts, camera_figures
 from edged.head import head_of as head_of
-from edged.jobs import job_folders, load_job
 from edged.logs import fields
-from edged.pipeline import PreparedRig, locate, prepare
+from edged.pipeline import PreparedRig, locate
 from edged.ports import Publisher
 from edged.robots import Convention
-from edged.store import load_rig
 from edged.vision.job import Job
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
@@ -60,80 +57,32 @@ STOP_GRACE_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedCell:
-    """A configuration with the rig and the jobs it names.
+    """A cell's files and what they become: the rig with its maps, and what the loop measures by."""
 
-    files : content of every file that a result stands on, by its name in a recording.
-    """
-
-    config: Config
+    cell: CellFiles
     rig: PreparedRig
     setup: Setup
-    jobs: tuple[Job, ...]
-    files: Mapping[str, bytes]
 
 
-def load_cell(path: Path, *, elsewhere: bool = False) -> LoadedCell:
-    """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them.
-
-    elsewhere : on a machine that it need not run on; certificates and keys may be missing.
-    """
-    config = load(path)
-    problems = [] if elsewhere else config.missing_files()
-    rig: PreparedRig | None = None
-    try:
-        rig = prepare(load_rig(config.cell.rig))
-    except UserError as error:
-        problems.append(f"cell.rig: {error}")
-    jobs = _load_jobs(config, problems)
-    if rig is None or problems:
-        raise ConfigError(str(path), problems)
-    files = {"rig.json": config.cell.rig.read_bytes()}
-    for folder in job_folders(config.cell.jobs):
-        for name in ("job.toml", "shape.npz"):
-            files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
+def load_cell(path: Path) -> LoadedCell:
+    """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
+    cell = read_cell(path)
+    config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
+    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in cell.jobs]
     setup = Setup(
-        jobs={job.number: LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in jobs},
+        jobs={job.number: job for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),
         period_s=config.cycle.period_s if config.cycle.mode == "free" else None,
-        calibration_id=rig.rig.calibration_id,
-        fingerprint=fingerprint(config, files),
+        calibration_id=cell.rig.calibration_id,
+        fingerprint=cell.fingerprint,
         simulated=config.cameras.source.startswith("virtual"),
-        robot_from_rig=rig.rig.robot_from_rig,
-        registration_covariance=rig.rig.registration_covariance,
-        flange_from_rig=rig.rig.flange_from_rig,
+        robot_from_rig=cell.rig.robot_from_rig,
+        registration_covariance=cell.rig.registration_covariance,
+        flange_from_rig=cell.rig.flange_from_rig,
         listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
     )
-    return LoadedCell(config, rig, setup, tuple(jobs), {**files, "cell.toml": path.read_bytes()})
-
-
-def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
-    folder = config.cell.jobs
-    if not folder.is_dir():
-        problems.append(f"cell.jobs: {folder}: no such folder")
-        return []
-    jobs: list[Job] = []
-    try:
-        entries = job_folders(folder)
-    except OSError as error:
-        problems.append(f"cell.jobs: {folder}: cannot be read: {error.strerror or error}")
-        return []
-    for entry in entries:
-        try:
-            job = load_job(entry)
-        except UserError as error:
-            problems.append(f"cell.jobs: {error}")
-            continue
-        twin = next((other for other in jobs if other.number == job.number), None)
-        if twin is not None:
-            problems.append(f"cell.jobs: {job.name} and {twin.name} both have the number {job.number}")
-        jobs.append(job)
-    names = [job.name for job in jobs]
-    if config.cell.job not in names:
-        problems.append(
-            f"cell.job: no usable job {config.cell.job!r} in {folder} (there: {', '.join(names) or 'none'})"
-        )
-    return jobs
+    return LoadedCell(cell, rig, setup)
 
 
 def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], None]], Outcome]:
@@ -145,7 +94,7 @@ def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], No
 
 def warm_up(loaded: LoadedCell) -> None:
     """Run every job once on an empty pair: buffers are allocated and kernels are loaded."""
-    camera = loaded.rig.rig.left, loaded.rig.rig.right
+    camera = loaded.cell.rig.left, loaded.cell.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
     pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
     for job in loaded.setup.jobs.values():
@@ -154,9 +103,9 @@ def warm_up(loaded: LoadedCell) -> None:
 
 def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:
     """The stereo head of a loaded configuration, which insists on images as they were calibrated."""
-    rig = loaded.rig.rig
+    rig = loaded.cell.rig
     return head_of(
-        loaded.config.cameras,
+        loaded.cell.config.cameras,
         world,
         external=loaded.setup.listens,
         calibrated=((rig.left.width, rig.left.height), (rig.right.width, rig.right.height)),
@@ -165,8 +114,8 @@ def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:
 
 def _other_cameras(new: LoadedCell, old: LoadedCell) -> bool:
     """Whether a reload needs another head: cameras, who triggers them, or the images they must give."""
-    return (new.config.cameras, new.setup.listens, new.setup.calibration_id) != (
-        old.config.cameras,
+    return (new.cell.config.cameras, new.setup.listens, new.setup.calibration_id) != (
+        old.cell.config.cameras,
         old.setup.listens,
         old.setup.calibration_id,
     )
@@ -193,7 +142,7 @@ class Daemon:
         self._head = head_for(loaded, world)
         self._cycle = Cycle(self._head, loaded.setup)
         self._notifier = SystemdNotifier()
-        self._metrics = MetricsPublisher(loaded.config.cell.name, self._figures)
+        self._metrics = MetricsPublisher(loaded.cell.config.cell.name, self._figures)
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
         self._servers: dict[str, Publisher] = {}
         self._reloading = asyncio.Lock()
@@ -202,7 +151,7 @@ class Daemon:
         """Publish and measure until `stop`. Raises `ListenError` when a port cannot be opened."""
         started: list[Publisher] = []
         try:
-            config = self._loaded.config
+            config = self._loaded.cell.config
             if config.modbus.enabled:
                 await self._start("modbus", self._modbus(config.modbus))
             if config.zenoh.enabled:
@@ -235,7 +184,7 @@ class Daemon:
                 loaded = await asyncio.to_thread(load_cell, self._path)
                 await asyncio.to_thread(warm_up, loaded)
                 head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
-                await self._exchange_servers(loaded.config)
+                await self._exchange_servers(loaded.cell.config)
             except EdgedError as error:
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
                 self._notifier.reloaded(refused=str(error))
@@ -265,7 +214,7 @@ class Daemon:
                 await task
 
     async def _exchange_servers(self, new: Config) -> None:
-        old = self._loaded.config
+        old = self._loaded.cell.config
         if new.modbus != old.modbus:
             await self._exchange_server(
                 "modbus",
@@ -351,7 +300,7 @@ class Daemon:
     def _recorder(self, section: RecorderSection) -> Recorder:
         return Recorder(
             RecorderSettings(**section.model_dump()),
-            lambda: (self._loaded.setup.fingerprint, self._loaded.files),
+            lambda: (self._loaded.setup.fingerprint, self._loaded.cell.contents),
         )
 
     def _web(self, cell: str, section: WebSection) -> WebPublisher:
@@ -376,7 +325,7 @@ class Daemon:
 
     def _facts(self) -> dict[str, dict[str, Any]]:
         """What the status page says of the parts, group by group."""
-        config, setup = self._loaded.config, self._loaded.setup
+        config, setup = self._loaded.cell.config, self._loaded.setup
         registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
         if setup.flange_from_rig is not None:
             registered = "on the flange: commands say where it is"
@@ -447,7 +396,7 @@ class Daemon:
             "version": __version__,
             "fingerprint": self._loaded.setup.fingerprint,
             "calibration": self._loaded.setup.calibration_id,
-            "config": self._loaded.config.model_dump(mode="json"),
+            "config": self._loaded.cell.config.model_dump(mode="json"),
         }
 
     async def _start(self, name: str, publisher: Publisher) -> None:

@@ -7,9 +7,7 @@ degrees and milliseconds here; everything is converted once, where the values le
 
 from __future__ import annotations
 
-import hashlib
 import ipaddress
-import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -443,15 +441,3 @@ def _problem(detail: Any) -> str:
     if isinstance(detail["input"], dict) or len(shown) > 60:
         return f"{place}: {message}"
     return f"{place}: {message}, got {shown}"
-
-
-def fingerprint(config: Config, files: dict[str, bytes]) -> str:
-    """Short digest (8 hex digits) of the configuration and of the rig and job files it stands on.
-
-    Of a path only its name counts: a cell that was restored elsewhere is the same cell.
-    """
-    settings = json.dumps(config.model_dump(), default=lambda path: path.name, sort_keys=True)
-    digest = hashlib.sha256(settings.encode())
-    for name in sorted(files):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
-    return digest.hexdigest()[:8]

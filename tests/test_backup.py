@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from typer.testing import CliRunner
 
-from edged.app import load_cell
+from edged.cellfiles import read_cell
 from edged.cli import app
 from edged.commands import backup as module
 from edged.commands.backup import Backup, backup, pack, restore, unpack
@@ -58,8 +58,8 @@ def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path
     restored = contents(tmp_path / "new" / "cell")
     assert restored.pop("registers.csv").startswith(b"address,")
     assert contents(cell.parent) == restored
-    again = load_cell(tmp_path / "new" / "cell" / "cell.toml").setup.fingerprint
-    assert load_cell(cell).setup.fingerprint == again
+    again = read_cell(tmp_path / "new" / "cell" / "cell.toml").fingerprint
+    assert read_cell(cell).fingerprint == again
     assert ["cell"] == [entry.name for entry in (tmp_path / "new").iterdir()]
 
 
@@ -284,5 +284,5 @@ def test_the_commands_check_without_writing(cell: Path, tmp_path: Path) -> None:
 
     assert (0, 0) == (made.exit_code, checked.exit_code)
     assert "every checksum is right" in checked.output
-    assert load_cell(cell).setup.fingerprint in checked.output
+    assert read_cell(cell).fingerprint in checked.output
     assert ["a.tar.gz"] == [entry.name for entry in tmp_path.iterdir()]

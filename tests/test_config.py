@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from edged.config import fingerprint, load
+from edged.cellfiles import fingerprint
+from edged.config import load
 from edged.errors import ConfigError
 
 GOOD = """

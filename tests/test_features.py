@@ -19,13 +19,12 @@ from edged.vision.curves import Curve, Face
 from edged.vision.features import measure_part
 from edged.vision.flatness import form_of
 from edged.vision.geometry import apply, invert
-from edged.vision.job import Job, MeasurementSpec
+from edged.vision.job import Job, MeasurementSpec, nominal_size
 from edged.vision.measurement import Images, Measured
 from edged.vision.overlay import RED, draw_pair
 from edged.vision.planefit import fit_plane
 from edged.vision.pointcloud import CONTOUR, FACE
 from edged.vision.shape.search import find_shapes
-from edged.vision.sizes import nominal_size
 from edged.vision.teaching import teach
 
 METAL = Surface(albedo=0.62, contrast=0.12, feature_mm=0.5, seed=1)

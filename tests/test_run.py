@@ -39,14 +39,17 @@ def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
     assert daemon.enabled
 
 
-def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
-    """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
-    program = (
-        "import sys, edged.commands.run; print(*(name for name in sys.modules if name.startswith('edged')))"
-    )
-    loaded = subprocess.run(
+def _modules_after(program: str) -> list[str]:
+    """What a fresh process has loaded after it."""
+    program = f"import sys, {program}; print(*sys.modules)"
+    return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout.split()
+
+
+def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
+    """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
+    loaded = _modules_after("edged.commands.run")
 
     assert "edged.app" in loaded
     others = (
@@ -56,4 +59,13 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
         "edged.vision.chessboard",
         "edged.clients",
     )
+    assert [] == [name for name in loaded if name.startswith(others)]
+
+
+def test_a_check_and_a_status_need_no_compiler() -> None:
+    """Nor the networks of the daemon: who edits a configuration has the answer at once."""
+    loaded = _modules_after("edged.cli, edged.commands.check, edged.commands.status")
+
+    assert "edged.cellfiles" in loaded
+    others = ("numba", "llvmlite", "zenoh", "pymodbus", "aiohttp", "gi", "edged.adapters")
     assert [] == [name for name in loaded if name.startswith(others)]

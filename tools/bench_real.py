@@ -31,7 +31,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.domain import Image
-from edged.vision.shape.model import ShapeModel, create_model
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
 from edged.vision.teachingregion import Circle, Region
 

@@ -27,7 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import scenes as sc
 
-from edged.vision.shape.model import ShapeModel, create_model
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, Workspace, find_shapes
 
 PLAIN = sc.Look()

@@ -32,7 +32,7 @@ from typing import Any
 from rich.console import Console
 
 from edged import __version__
-from edged.app import load_cell
+from edged.cellfiles import read_cell
 from edged.commands.registers import render
 from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError
@@ -73,21 +73,21 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
-    loaded = load_cell(config, elsewhere=True)
-    files, left_out = _collect(config, loaded.config)
+    cell = read_cell(config, elsewhere=True)
+    files, left_out = _collect(config, cell.config)
     taken = Backup(
         datetime.now(UTC).replace(microsecond=0),
         __version__,
-        loaded.config.cell.name,
+        cell.config.cell.name,
         config.name,
-        loaded.setup.fingerprint,
+        cell.fingerprint,
         files,
         left_out,
     )
     data = pack(taken)
     with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
         _write(Path(place), unpack(data, str(output)))
-        found = load_cell(Path(place) / config.name, elsewhere=True).setup.fingerprint
+        found = read_cell(Path(place) / config.name, elsewhere=True).fingerprint
     if found != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     try:
@@ -134,7 +134,7 @@ def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
     """Whether the daemon would start with the restored cell, and as the same one."""
     config = output / taken.config
     try:
-        fingerprint = load_cell(config).setup.fingerprint
+        fingerprint = read_cell(config).fingerprint
     except ConfigError as error:
         console.print(f"restored, but it would not start here: {error}", markup=False, highlight=False)
         return 1

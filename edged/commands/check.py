@@ -6,22 +6,22 @@ import json
 import sys
 from pathlib import Path
 
-from edged.app import load_cell
+from edged.cellfiles import read_cell
 from edged.errors import ConfigError
 
 
 def check(path: Path, *, as_json: bool) -> int:
     """Print what was found; 0 when the daemon would start with it, 2 when not."""
     try:
-        loaded = load_cell(path)
+        cell = read_cell(path)
     except ConfigError as error:
         if as_json:
             print(json.dumps({"ok": False, "file": str(path), "problems": error.problems}))
         else:
             sys.stderr.write(f"edged: {error}\n")
         return 2
-    config, setup = loaded.config, loaded.setup
-    jobs = [{"number": job.number, "name": job.name} for job in loaded.jobs]
+    config, rig = cell.config, cell.rig
+    jobs = [{"number": job.number, "name": job.name} for job in cell.jobs]
     if as_json:
         print(
             json.dumps(
@@ -30,20 +30,20 @@ def check(path: Path, *, as_json: bool) -> int:
                     "file": str(path),
                     "problems": [],
                     "cell": config.cell.name,
-                    "fingerprint": setup.fingerprint,
-                    "calibration": setup.calibration_id,
-                    "robot_frame": setup.robot_from_rig is not None,
+                    "fingerprint": cell.fingerprint,
+                    "calibration": rig.calibration_id,
+                    "robot_frame": rig.robot_from_rig is not None,
                     "jobs": jobs,
                 }
             )
         )
         return 0
     print(f"{path}: good")
-    print(f"  cell         {config.cell.name}, fingerprint {setup.fingerprint}")
-    frame = "robot" if setup.robot_from_rig is not None else "rig (not registered to a robot)"
-    if setup.flange_from_rig is not None:
+    print(f"  cell         {config.cell.name}, fingerprint {cell.fingerprint}")
+    frame = "robot" if rig.robot_from_rig is not None else "rig (not registered to a robot)"
+    if rig.flange_from_rig is not None:
         frame = "robot, of commands that say where the flange is"
-    print(f"  rig          {setup.calibration_id}; coordinates in the frame: {frame}")
+    print(f"  rig          {rig.calibration_id}; coordinates in the frame: {frame}")
     print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"
     print(f"  cameras      {config.cameras.source}, {when}")

@@ -26,15 +26,15 @@ def run(path: Path) -> int:
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     loaded = load_cell(path)
-    set_up_logging(loaded.config.cell.name)
+    set_up_logging(loaded.cell.config.cell.name)
     warm_up(loaded)
     log.info(
         "cell %s, fingerprint %s, %d job(s)",
-        loaded.config.cell.name,
+        loaded.cell.config.cell.name,
         loaded.setup.fingerprint,
-        len(loaded.jobs),
+        len(loaded.cell.jobs),
     )
-    source = loaded.config.cameras.source
+    source = loaded.cell.config.cameras.source
     if source.startswith("virtual"):
         from edged.sim.world import VirtualWorld  # a cell with real cameras starts without it
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.app import load_cell
+from edged.cellfiles import read_cell
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
@@ -31,18 +31,18 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
     """All checks for a configuration, as they are done. trigger : take test pictures too."""
     clock = ClockWatch()
     try:
-        loaded = load_cell(path)
+        cell = read_cell(path)
     except ConfigError as error:
         for problem in error.problems:
             yield Check("configuration", Verdict.BAD, problem, "the daemon does not start", f"edit {path}")
         return
-    config = loaded.config
-    jobs = f"{len(loaded.jobs)} job(s), calibration {loaded.rig.rig.calibration_id}"
+    config = cell.config
+    jobs = f"{len(cell.jobs)} job(s), calibration {cell.rig.calibration_id}"
     yield Check("configuration", Verdict.OK, jobs)
     yield from look_at_machine(config)
     yield from look_at_ports(config)
     if config.cameras.source == "aravis":
-        yield from look_at_cameras(loaded)
+        yield from look_at_cameras(cell)
     if trigger:
-        yield from take_pictures(loaded)
+        yield from take_pictures(cell)
     yield from clock.look()

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.adapters.aravis.library import control_state
-from edged.app import LoadedCell
+from edged.cellfiles import CellFiles
 from edged.config import CameraSection
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import look_at_firewall
@@ -15,7 +15,7 @@ from edged.doctor.host import Interface, interfaces
 from edged.doctor.network import Place, home, look_at_network
 
 
-def look_at_cameras(loaded: LoadedCell) -> Iterator[Check]:
+def look_at_cameras(cell: CellFiles) -> Iterator[Check]:
     """Cameras of the configuration and the network that they are on."""
     if missing := aravis_missing():
         yield Check(
@@ -26,7 +26,7 @@ def look_at_cameras(loaded: LoadedCell) -> Iterator[Check]:
             "apt install gir1.2-aravis-0.8 python3-gi",
         )
         return
-    config, discovered = loaded.config, list_cameras()
+    config, discovered = cell.config, list_cameras()
     yield from twins(discovered)
     ports = interfaces()
     if ports is None:
@@ -44,7 +44,7 @@ def look_at_cameras(loaded: LoadedCell) -> Iterator[Check]:
         yield camera(side, section, info, discovered, ports)
         yield where
         places.append(Place(side, info, interface))
-    rig = loaded.rig.rig
+    rig = cell.rig
     image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
     yield from look_at_network(places, ports or (), image_bytes, config)
     seen = [(place.interface.name, place.info.address) for place in places]

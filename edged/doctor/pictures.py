@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator
 
-from edged.app import LoadedCell
+from edged.cellfiles import CellFiles
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
     CameraBusy,
@@ -37,26 +37,26 @@ REMEDIES: dict[type[EdgedError], str] = {
 """By what went wrong, the first that fits."""
 
 
-def take_pictures(loaded: LoadedCell) -> Iterator[Check]:
+def take_pictures(cell: CellFiles) -> Iterator[Check]:
     """One check: open the cameras, take a few pairs, and see whether they fit the rig."""
-    source, mode = loaded.config.cameras.source, loaded.config.cameras.trigger.mode
-    if mode == "line" or loaded.config.cycle.mode == "external" or loaded.config.cameras.trigger.first_line:
+    source, mode = cell.config.cameras.source, cell.config.cameras.trigger.mode
+    if mode == "line" or cell.config.cycle.mode == "external" or cell.config.cameras.trigger.first_line:
         yield Check("test pictures", Verdict.SKIP, "somebody else triggers the cameras: run it and see")
         return
     try:
         if source.startswith("virtual"):
             with VirtualWorld(gige=source == "virtual") as world:
-                yield asyncio.run(_shoot(loaded, world))
+                yield asyncio.run(_shoot(cell, world))
         else:
-            yield asyncio.run(_shoot(loaded, None))
+            yield asyncio.run(_shoot(cell, None))
     except EdgedError as error:
         yield Check("test pictures", Verdict.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
 
 
-async def _shoot(loaded: LoadedCell, world: VirtualWorld | None) -> Check:
-    head = head_of(loaded.config.cameras, world)
+async def _shoot(cell: CellFiles, world: VirtualWorld | None) -> Check:
+    head = head_of(cell.config.cameras, world)
     times_ms, skews_ms, faults = [], [], list[CaptureError]()
-    sizes = [(camera.height, camera.width) for camera in (loaded.rig.rig.left, loaded.rig.rig.right)]
+    sizes = [(camera.height, camera.width) for camera in (cell.rig.left, cell.rig.right)]
     try:
         await head.open()
         for _ in range(TRIGGERS):

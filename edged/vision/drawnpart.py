@@ -18,7 +18,7 @@ from edged.errors import TeachError
 from edged.vision.geometry import transform
 from edged.vision.job import CircleFeature, CornerFeature, EdgeFeature, Job, Limits, known_radius
 from edged.vision.rectification import Rectification
-from edged.vision.shape.model import create_model
+from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.raster import coverage
 from edged.vision.shape.search import SearchParams

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -10,7 +11,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.search import SearchParams
+from edged.vision.shape.params import SearchParams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,3 +193,38 @@ def crossing(one: EdgeFeature, two: EdgeFeature) -> FloatArray:
         return np.full(3, np.nan)
     gap = two.start_mm - one.start_mm
     return np.asarray(one.start_mm + (gap[0] * b[1] - gap[1] * b[0]) / area * a)
+
+
+def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
+    """The size that the taught features of a job have: mm, of an angle rad; 0 for the flatness."""
+    if kind == "flatness":
+        return 0.0
+    circles = {circle.name: circle.radius_mm for circle in job.circles}
+    slots = {slot.name: slot for slot in job.slots}
+    if kind == "radius":
+        return circles[of[0]]
+    if kind in ("width", "length"):
+        slot = slots[of[0]]
+        return slot.width_mm if kind == "width" else slot.length_mm
+    angles = {slot.name: slot.angle_rad for slot in job.slots}
+    angles |= {edge.name: edge.angle_rad for edge in job.edges}
+    if kind == "angle":
+        return angle_between(angles[of[1]] - angles[of[0]], None)
+    one, two = (job.place_of(name)[:2] for name in of)
+    lines = [name for name in of if job.kind_of(name) == "edge"]
+    if not lines:
+        return float(np.linalg.norm(two - one))
+    angle = angles[lines[0]]
+    return float(abs((two - one) @ (-math.sin(angle), math.cos(angle))))
+
+
+def angle_between(turn: float, nominal: float | None) -> float:
+    """The angle between two lines, rad: of all that may be meant, the one nearest to the nominal value.
+
+    Without one it is within [0, pi / 2]. Folded there, 89.9° and 90.1° would be the same.
+    """
+    turn = turn % math.pi
+    meant = [turn, turn - math.pi, -turn, math.pi - turn]
+    if nominal is None:
+        return min(abs(angle) for angle in meant)
+    return min(meant, key=lambda angle: abs(angle - nominal))

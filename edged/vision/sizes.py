@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Measurement
-from edged.vision.job import Job, MeasurementKind, MeasurementSpec
+from edged.vision.job import Job, MeasurementSpec, angle_between
 from edged.vision.planefit import PlaneFit, derived
 
 Size = Callable[[FloatArray], float]
@@ -28,29 +28,6 @@ def as_measurement(spec: MeasurementSpec, value: float, sigma: float) -> Measure
     nominal = None if spec.nominal is None else spec.nominal * scale
     tolerance = None if spec.tolerance is None else spec.tolerance * scale
     return Measurement(spec.name, spec.kind, unit, value * scale, sigma * scale, nominal, tolerance)
-
-
-def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
-    """The size that the taught features of a job have: mm, of an angle rad; 0 for the flatness."""
-    if kind == "flatness":
-        return 0.0
-    circles = {circle.name: circle.radius_mm for circle in job.circles}
-    slots = {slot.name: slot for slot in job.slots}
-    if kind == "radius":
-        return circles[of[0]]
-    if kind in ("width", "length"):
-        slot = slots[of[0]]
-        return slot.width_mm if kind == "width" else slot.length_mm
-    angles = {slot.name: slot.angle_rad for slot in job.slots}
-    angles |= {edge.name: edge.angle_rad for edge in job.edges}
-    if kind == "angle":
-        return _between(angles[of[1]] - angles[of[0]], None)
-    one, two = (job.place_of(name)[:2] for name in of)
-    lines = [name for name in of if job.kind_of(name) == "edge"]
-    if not lines:
-        return float(np.linalg.norm(two - one))
-    angle = angles[lines[0]]
-    return float(abs((two - one) @ (-math.sin(angle), math.cos(angle))))
 
 
 def _measured(
@@ -76,7 +53,7 @@ def _size(job: Job, spec: MeasurementSpec, fit: PlaneFit) -> Size | None:
         one, two = (fit.place(name) for name in spec.of)
         if one is None or two is None:
             return None
-        return lambda p: _between(float(p[two][2] - p[one][2]), spec.nominal)
+        return lambda p: angle_between(float(p[two][2] - p[one][2]), spec.nominal)
     first, second = (place(job, fit, name) for name in spec.of)
     if first is None or second is None:
         return None
@@ -107,15 +84,3 @@ def _meet(one: FloatArray, two: FloatArray) -> FloatArray:
 
 def _across(edge: FloatArray, gap: FloatArray) -> float:
     return float(abs(gap @ (-math.sin(edge[2]), math.cos(edge[2]))))
-
-
-def _between(turn: float, nominal: float | None) -> float:
-    """The angle between two lines, rad: of all that may be meant, the one nearest to the nominal value.
-
-    Without one it is within [0, pi / 2]. Folded there, 89.9° and 90.1° would be the same.
-    """
-    turn = turn % math.pi
-    meant = [turn, turn - math.pi, -turn, math.pi - turn]
-    if nominal is None:
-        return min(abs(angle) for angle in meant)
-    return min(meant, key=lambda angle: abs(angle - nominal))

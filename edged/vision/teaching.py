@@ -25,7 +25,7 @@ from edged.vision.featureteaching import (
 from edged.vision.geometry import apply, invert, transform
 from edged.vision.job import CircleFeature, Job, Limits, crossing, known_radius
 from edged.vision.rectification import Rectification
-from edged.vision.shape.model import create_model
+from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.startplane import Plane, find_plane

@@ -15,7 +15,8 @@ from shape import drawings
 from edged.commands.teach import PairSource, teach
 from edged.store import save_rig
 from edged.vision.shape.inspection import NOISE, Inspection, inspect_model
-from edged.vision.shape.model import ShapeModel, create_model
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, find_shapes
 
 RIGID = SearchParams(sub_pixel="similarity", scale_min=0.95, scale_max=1.05)

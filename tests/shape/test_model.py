@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.shape.model import ShapeModel, create_model, repetition
+from edged.vision.shape.learning import create_model, repetition
+from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams, find_shapes
 

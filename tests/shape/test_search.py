@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from edged.domain import Image
 from edged.errors import ImageError, TeachError, UserError
-from edged.vision.shape.model import ShapeModel, create_model
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, Workspace, find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 

@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
-from edged.errors import TeachError
-from edged.vision.edges import edges_along_normals
-from edged.vision.jit import kernel
-from edged.vision.shape.levels import surviving_levels
-from edged.vision.shape.modelparams import MAX_LEVELS, ModelParams
-from edged.vision.shape.strongedges import MIN_POINTS, strong_edges
-from edged.vision.shape.symmetry import find_symmetry
+from edged.domain import FloatArray
+from edged.vision.shape.modelparams import MAX_LEVELS, MIN_POINTS
 
 MAX_POINTS = (600, 400, 240, 160, 160)
 """Points kept on each level: enough for the precision of the finest, few for the exhaustive top."""
-SMOOTHING_PX = (2.0, 1.2, 0.7)
-"""Before the edges of a level are chosen: coarse levels are averages already, and their parts are small."""
-SUPPORT_PX = 3.0
-"""On each level: how far from an edge of the finest one its own may lie. What is no edge there is texture."""
-MIN_PIXELS = 64
-MAX_ORIGIN = 4.0
-"""Of half the region's diagonal: farther from its middle an origin makes every angle a leap."""
-MARGIN_PX = 32
-"""Around the disc of the region: what smoothing and the search for symmetries see of the surroundings."""
-PADDING_PX = 10
-"""Reach of the measuring operator."""
-MIN_TOP_RADIUS_PX = 14.0
 SAME_SCORE = 0.985
 """Above it, what differs is less than what noise and sampling change."""
 
@@ -130,177 +111,3 @@ def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int
             f"{name}: expected finite float64 of the shape {shape}, got {value.dtype} {value.shape}"
         )
     return np.ascontiguousarray(value)
-
-
-def create_model(
-    image: Image, mask: Image, origin_px: FloatArray | None = None, params: ModelParams | None = None
-) -> ShapeModel:
-    """Learn the shape inside a mask.
-
-    image : (H, W) uint8, rectified.  mask : (H, W) uint8, non-zero where the part is.
-    origin_px (2,) : the point whose position a match reports; default: the centre of the mask.
-    params : thresholds and levels; by default all follow from the region.
-    Raises `TeachError` when there are too few edges.
-    """
-    if image.dtype != np.uint8 or image.ndim != 2 or image.shape != mask.shape:
-        raise TeachError(
-            f"a model needs an 8-bit grey image and a mask of its size, got {image.shape}, {mask.shape}"
-        )
-    ys, xs = np.nonzero(mask)
-    if len(xs) < MIN_PIXELS:
-        raise TeachError(f"the region is empty or tiny: expected at least {MIN_PIXELS} pixels")
-    low, high = np.array([xs.min(), ys.min()], float), np.array([xs.max(), ys.max()], float)
-    middle, half = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
-    origin = middle if origin_px is None else np.asarray(origin_px, dtype=np.float64)
-    if not (origin.shape == (2,) and np.linalg.norm(origin - middle) <= MAX_ORIGIN * half):
-        raise TeachError(f"origin {origin.tolist()}: expected a pixel x, y in the region or near it")
-    corner = _corner(middle - half)
-    x1, y1 = np.ceil(middle + half).astype(int) + MARGIN_PX
-    image = np.ascontiguousarray(image[corner[1] : y1, corner[0] : x1])
-    mask = np.ascontiguousarray(mask[corner[1] : y1, corner[0] : x1])
-    model = _learnt(image, mask, origin - corner, params or ModelParams())
-    return replace(model, origin_px=origin)
-
-
-def _corner(low: FloatArray) -> npt.NDArray[np.int64]:
-    """Upper left corner of what is looked at: a pixel that the averages of every level begin with."""
-    step = 2 ** (MAX_LEVELS - 1)
-    return np.asarray(np.maximum(np.floor((low - MARGIN_PX) / step), 0) * step, np.int64)
-
-
-def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) -> ShapeModel:
-    """The model of a region in the picture around it."""
-    levels, contrast = _levels(image, mask, origin, params)
-    if not levels:
-        raise TeachError(
-            f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
-            "is the part inside the region, lit and in focus?"
-        )
-    levels = levels[: surviving_levels(image, origin, levels)]
-    radius = float(np.linalg.norm(levels[0].points, axis=1).max())
-    symmetry = find_symmetry(image, origin, levels, contrast)
-    return ShapeModel(
-        tuple(levels),
-        origin,
-        radius,
-        contrast,
-        symmetry.rotations,
-        symmetry.centre_px,
-        symmetry.round,
-        repetition(levels[0].points),
-    )
-
-
-def _levels(
-    image: Image, mask: Image, origin: FloatArray, params: ModelParams
-) -> tuple[list[ShapeLevel], float]:
-    """Points of each level, finest first, as far up as there are enough; the finest's median slope."""
-    levels: list[ShapeLevel] = []
-    contrast = 0.0
-    apart_px = np.zeros(image.shape, np.float32)  # to the nearest edge of the finest level, once it is known
-    for index in range(params.levels or MAX_LEVELS):
-        seen = np.asarray(mask * (apart_px <= SUPPORT_PX * 2**index), np.uint8)
-        extracted = _edge_points(image, seen, SMOOTHING_PX[min(index, 2)], params if index == 0 else None)
-        if extracted is None:
-            break
-        level_origin = (origin + 0.5) / 2**index - 0.5
-        relative = extracted.points - level_origin
-        if levels and np.linalg.norm(relative, axis=1).max() < MIN_TOP_RADIUS_PX:
-            break
-        keep = _spread(relative, MAX_POINTS[index])
-        normals = extracted.normals[keep]
-        levels.append(ShapeLevel(np.ascontiguousarray(relative[keep]), np.ascontiguousarray(normals)))
-        if index == 0:
-            contrast = extracted.slope
-            apart_px = np.asarray(cv2.distanceTransform(1 - extracted.thin, cv2.DIST_L2, 3), np.float32)
-        height, width = image.shape
-        if min(height, width) < 32:
-            break
-        # as the search builds its pyramid: a last odd row or column is left out
-        half = (width // 2, height // 2)
-        image = np.asarray(
-            cv2.resize(image[: 2 * half[1], : 2 * half[0]], half, interpolation=cv2.INTER_AREA), np.uint8
-        )
-        mask = np.asarray(mask[: 2 * half[1] : 2, : 2 * half[0] : 2], np.uint8)
-        apart_px = apart_px[: 2 * half[1] : 2, : 2 * half[0] : 2]
-    return levels, contrast
-
-
-@kernel("f8(f8[:, ::1])")
-def repetition(points: FloatArray) -> float:
-    """Sum of the correlations of a point's noise with all points', averaged; 1 for points (N, 2) far apart.
-
-    Bicubic samples of white noise half a pixel apart correlate by about 0.6: a Gaussian of sigma 0.5 px.
-    """
-    total = 0.0
-    for n in range(len(points)):
-        for m in range(n):
-            dx, dy = points[n, 0] - points[m, 0], points[n, 1] - points[m, 1]
-            squared = dx * dx + dy * dy
-            if squared < 9.0:  # beyond it the correlation is below 2e-8
-                total += np.exp(-2.0 * squared)
-    return 1.0 + 2.0 * total / len(points)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _EdgePoints:
-    """points (N, 2), normals (N, 2) unit gradients, their median slope; thin (H, W), their pixels."""
-
-    points: FloatArray
-    normals: FloatArray
-    slope: float
-    thin: Image
-
-
-def _edge_points(
-    image: Image, mask: Image, smoothing_px: float, params: ModelParams | None
-) -> _EdgePoints | None:
-    """The strong edges in the mask, measured; None when there are too few for a level."""
-    edges = strong_edges(image, mask, params, smoothing_px)
-    if edges is None:
-        return None
-    ys, xs = np.nonzero(edges.thin)
-    points = np.column_stack([xs, ys]).astype(np.float64)
-    normals = np.column_stack([edges.gx[ys, xs], edges.gy[ys, xs]]).astype(np.float64)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    # measured with the operator that will measure the image: its bias at corners and arcs cancels
-    offsets, slopes = _measured(image, points, normals)
-    good = np.isfinite(offsets)
-    if good.sum() < MIN_POINTS:
-        return None
-    points = points[good] + normals[good] * offsets[good, None]
-    return _EdgePoints(points, normals[good], float(np.median(slopes[good])), edges.thin)
-
-
-def _measured(image: Image, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`edges_along_normals`; near the border, in a template cut tightly, as if the picture went on."""
-    offsets, slopes = edges_along_normals(image, points, normals, 1.5, 1)
-    height, width = image.shape
-    inside = np.minimum(points, np.array([width - 1.0, height - 1.0]) - points).min(axis=1)
-    cut = np.flatnonzero((inside < PADDING_PX) & ~np.isfinite(offsets))
-    if len(cut):
-        padded = np.asarray(cv2.copyMakeBorder(image, *(PADDING_PX,) * 4, cv2.BORDER_REPLICATE), np.uint8)
-        offsets[cut], slopes[cut] = edges_along_normals(
-            padded, points[cut] + PADDING_PX, normals[cut], 1.5, 1
-        )
-    return offsets, slopes
-
-
-def _spread(points: FloatArray, count: int) -> npt.NDArray[np.intp]:
-    """Indices of at most `count` points, spread evenly along the edges, in a fixed random order."""
-    order = np.random.default_rng(0).permutation(len(points))
-    if len(points) <= count:
-        return order
-    # the largest distance at which enough points remain: points closer than that repeat each other
-    low, high = 0.0, float(np.ptp(points, axis=0).max())
-    best, shuffled = order[:count], points[order]
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        columns, rows = np.floor(shuffled / max(middle, 1e-9)).astype(np.int64).T
-        numbers = (rows - rows.min()) * (int(np.ptp(columns)) + 1) + columns - columns.min()
-        cells = np.unique(numbers, return_index=True)[1]
-        if len(cells) >= count:
-            low, best = middle, order[np.sort(cells)][:count]
-        else:
-            high = middle
-    return best

@@ -9,6 +9,8 @@ import numpy as np
 from edged.errors import TeachError
 
 MAX_LEVELS = 5
+MIN_POINTS = 24
+"""Edge points that a level needs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.modelparams import MIN_POINTS, ModelParams
 
 SMOOTHING_PX = 2.0
 """Wider than the measuring operator: narrow machining marks average out, outlines stay."""
@@ -33,7 +33,6 @@ COMPONENT_SHARE = 0.08
 NEAREST_PX, BORDER_PX = 1.0, 3.0
 """Across an edge the picture must show so much to both sides: to have it in a template that is cut tightly,
 and to know its slope."""
-MIN_POINTS = 24
 MIN_STRONG = 4
 """Pixels of a connected edge that must be strong: one is noise."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from edged.app import load_cell
+from edged.cellfiles import read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.errors import ConfigError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -32,11 +32,11 @@ def folder(taught: Path, tmp_path: Path) -> Path:
 def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
     """The older one that is kept beside it is no second job, and does not change the fingerprint."""
     assert (folder / "jobs" / "flange.old").is_dir()
-    loaded = load_cell(folder / "cell.toml")
+    cell = read_cell(folder / "cell.toml")
     shutil.rmtree(folder / "jobs" / "flange.old")
 
-    assert [job.name for job in loaded.jobs] == ["flange"]
-    assert load_cell(folder / "cell.toml").setup.fingerprint == loaded.setup.fingerprint
+    assert [job.name for job in cell.jobs] == ["flange"]
+    assert read_cell(folder / "cell.toml").fingerprint == cell.fingerprint
 
 
 def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
@@ -45,7 +45,7 @@ def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
     (folder / "jobs" / "flange" / "shape.npz").write_bytes(b"no zip")
 
     with pytest.raises(ConfigError) as caught:
-        load_cell(folder / "cell.toml")
+        read_cell(folder / "cell.toml")
 
     text = "\n".join(caught.value.problems)
     assert {"rig.json", "shape.npz", "no usable job 'flange'"} <= {
@@ -58,16 +58,16 @@ def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "twin")
 
     with pytest.raises(ConfigError, match="both have the number 1"):
-        load_cell(folder / "cell.toml")
+        read_cell(folder / "cell.toml")
 
 
 def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
     """Whoever edits a limit or calibrates again gets another fingerprint in every result."""
-    before = load_cell(folder / "cell.toml").setup.fingerprint
+    before = read_cell(folder / "cell.toml").fingerprint
     job = folder / "jobs" / "flange" / "job.toml"
     job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1"))
 
-    assert load_cell(folder / "cell.toml").setup.fingerprint != before
+    assert read_cell(folder / "cell.toml").fingerprint != before
 
 
 def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
@@ -79,8 +79,8 @@ def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
     (folder / "c.pem").write_text("")
 
     with pytest.raises(ConfigError) as caught:
-        load_cell(config)
+        read_cell(config)
 
     places = [problem.partition(":")[0] for problem in caught.value.problems]
     assert ["modbus.tls.key", "modbus.tls.authority", "web.key", "zenoh.config_file"] == places
-    assert load_cell(config, elsewhere=True).config.cell.name == "demo"
+    assert read_cell(config, elsewhere=True).config.cell.name == "demo"

@@ -1,0 +1,103 @@
+"""A cell as files: its configuration, and the rig and the jobs that it names.
+
+`read_cell` finds every mistake in all of them. It needs neither cameras nor compiled code, so that a check is
+quick.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from edged.config import Config, load
+from edged.errors import ConfigError, UserError
+from edged.jobs import job_folders, load_job
+from edged.store import load_rig
+from edged.vision.camera import StereoRig
+from edged.vision.job import Job
+from edged.vision.rectification import Rectification, make_rectification
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellFiles:
+    """What a cell's files say.
+
+    fingerprint : changes with anything that a result stands on.
+    contents : of each file that a result stands on, by its name in a recording.
+    """
+
+    config: Config
+    rig: StereoRig
+    rectification: Rectification
+    jobs: tuple[Job, ...]
+    fingerprint: str
+    contents: Mapping[str, bytes]
+
+
+def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
+    """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them.
+
+    elsewhere : on a machine that it need not run on; certificates and keys may be missing.
+    """
+    config = load(path)
+    problems = [] if elsewhere else config.missing_files()
+    rig = rectification = None
+    try:
+        rig = load_rig(config.cell.rig)
+        rectification = make_rectification(rig)
+    except UserError as error:
+        problems.append(f"cell.rig: {error}")
+    jobs = _load_jobs(config, problems)
+    if rig is None or rectification is None or problems:
+        raise ConfigError(str(path), problems)
+    files = {"rig.json": config.cell.rig.read_bytes()}
+    for folder in job_folders(config.cell.jobs):
+        for name in ("job.toml", "shape.npz"):
+            files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
+    identity = fingerprint(config, files)
+    contents = {**files, "cell.toml": path.read_bytes()}
+    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
+
+
+def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
+    folder = config.cell.jobs
+    if not folder.is_dir():
+        problems.append(f"cell.jobs: {folder}: no such folder")
+        return []
+    jobs: list[Job] = []
+    try:
+        entries = job_folders(folder)
+    except OSError as error:
+        problems.append(f"cell.jobs: {folder}: cannot be read: {error.strerror or error}")
+        return []
+    for entry in entries:
+        try:
+            job = load_job(entry)
+        except UserError as error:
+            problems.append(f"cell.jobs: {error}")
+            continue
+        twin = next((other for other in jobs if other.number == job.number), None)
+        if twin is not None:
+            problems.append(f"cell.jobs: {job.name} and {twin.name} both have the number {job.number}")
+        jobs.append(job)
+    names = [job.name for job in jobs]
+    if config.cell.job not in names:
+        problems.append(
+            f"cell.job: no usable job {config.cell.job!r} in {folder} (there: {', '.join(names) or 'none'})"
+        )
+    return jobs
+
+
+def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
+    """Short digest (8 hex digits) of the configuration and of the rig and job files it stands on.
+
+    Of a path only its name counts: a cell that was restored elsewhere is the same cell.
+    """
+    settings = json.dumps(config.model_dump(), default=lambda path: path.name, sort_keys=True)
+    digest = hashlib.sha256(settings.encode())
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
+    return digest.hexdigest()[:8]

@@ -1,0 +1,94 @@
+"""A job as a folder: `job.toml` for people, `shape.npz` for the machine.
+
+job.toml holds what an integrator may edit: number, limits, search parameters, the features and their names,
+which of them is the reference, and what is to be measured. The shape model beside it is checksummed and never
+edited.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import tomllib
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from edged.errors import FileFormatError
+from edged.jobs.schema import JobFile
+from edged.jobs.text import to_toml
+from edged.store import load_arrays, read_bytes, save_arrays, write_atomically
+from edged.vision.job import Job
+from edged.vision.shape.model import ShapeModel
+
+SHAPE_KIND = "edged-shape"
+SHAPE_VERSION = 1
+
+
+def load_job(folder: Path) -> Job:
+    """Read a job; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
+    path = Path(folder) / "job.toml"
+    if not Path(folder).is_dir():
+        raise FileFormatError(f"{folder}: no such job folder")
+    try:
+        data = tomllib.loads(read_bytes(path, "a job").decode("utf-8"))
+        file = JobFile.model_validate(data)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileFormatError(f"{path}: not TOML: {error}") from error
+    except RecursionError as error:
+        raise FileFormatError(f"{path}: not TOML of a job: nested too deeply") from error
+    except ValidationError as error:
+        details = "; ".join(
+            f"{'.'.join(str(part) for part in detail['loc']) or '(file)'}: "
+            f"{detail['msg'].removeprefix('Value error, ')}"
+            for detail in error.errors()
+        )
+        raise FileFormatError(f"{path}: {details}") from error
+    shape_path = Path(folder) / "shape.npz"
+    try:
+        shape = ShapeModel.from_arrays(load_arrays(shape_path, SHAPE_KIND, SHAPE_VERSION))
+    except ValueError as error:
+        raise FileFormatError(f"{shape_path}: {error}") from error
+    return file.job(shape)
+
+
+def job_folders(folder: Path) -> list[Path]:
+    """The job folders inside a folder, by name; not the older jobs that `save_job` keeps beside them."""
+    return sorted(
+        entry
+        for entry in Path(folder).iterdir()
+        if (entry / "job.toml").is_file() and not entry.name.startswith(".") and entry.suffix != ".old"
+    )
+
+
+def save_job(folder: Path, job: Job) -> None:
+    """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
+
+    Raises `FileFormatError` where something else is in the way, or the disc refuses.
+    """
+    folder = Path(folder).resolve()
+    if folder.exists() and not (folder / "job.toml").is_file():
+        raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            _fill(fresh, job)
+            if folder.exists():
+                old = folder.with_name(folder.name + ".old")
+                shutil.rmtree(old, ignore_errors=True)
+                folder.replace(old)
+            fresh.replace(folder)
+        except BaseException:
+            shutil.rmtree(fresh, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error
+
+
+def _fill(folder: Path, job: Job) -> None:
+    folder.chmod(0o755)
+    write_atomically(folder / "job.toml", to_toml(job).encode())
+    save_arrays(folder / "shape.npz", SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays())

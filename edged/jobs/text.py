@@ -1,0 +1,144 @@
+"""A job.toml as it is written: for people, with what each line means beside it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.vision.job import Job, MeasurementKind, MeasurementSpec, nominal_size
+
+
+def _numbers(values: object) -> str:
+    return "[" + ", ".join(repr(float(value)) for value in np.ravel(np.asarray(values))) + "]"
+
+
+def to_toml(job: Job) -> str:
+    """The text of a job's file."""
+    limits, search = job.limits, job.search
+    tolerance = limits.radius_tolerance_mm
+    tolerance_line = (
+        f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
+    )
+    scale_y_line = (
+        f"scale_y = {_numbers((search.scale_y_min, search.scale_y_max))}"
+        if search.scale_y_min is not None and search.scale_y_max is not None
+        else "# scale_y = [0.9, 1.1]"
+    )
+    lines = [
+        "# A taught job. Edit what you like below; unknown keys are errors. shape.npz is not for editing.",
+        'format = "edged-job"',
+        "version = 1",
+        f'name = "{job.name}"',
+        f"number = {job.number}   # how the PLC calls it",
+        f'reference = "{job.reference}"   # the circle, slot or corner whose place is the reported position',
+        f'witness = "{job.witness}"   # the measurement whose size is known: tells when the rig drifts'
+        if job.witness
+        else '# witness = "l"   # a measurement whose size is known: tells when the rig drifts',
+        "# pose at teaching: x_rig = rig_from_part x_part, mm",
+        "rig_from_part = [",
+        *(f"    {_numbers(row)}," for row in job.rig_from_part),
+        "]",
+        "",
+        "[limits]   # a result beyond them is published as not good, with the reason",
+        f"depth_mm = {_numbers(limits.depth_mm)}   # nearest and farthest, rig z",
+        f"min_support = {limits.min_support!r}   # share of the reference circle that each camera must see",
+        f"max_rms_px = {limits.max_rms_px!r}   # of its edges",
+        f"max_sigma_mm = {limits.max_sigma_mm!r}   # of each coordinate",
+        f"max_epipolar_px = {limits.max_epipolar_px!r}   # rows of both cameras against each other",
+        tolerance_line + "   # of the reference circle against its taught radius",
+        "",
+        "[search]",
+        f"angle_start_deg = {math.degrees(search.angle_start_rad):.6g}",
+        f"angle_extent_deg = {math.degrees(search.angle_extent_rad):.6g}",
+        f"scale = {_numbers((search.scale_min, search.scale_max))}   # apparent size against the teaching",
+        scale_y_line + "   # the same across, where it differs",
+        f"min_score = {search.min_score!r}   # share of the shape that must be seen",
+        f"max_matches = {search.max_matches}",
+        f"max_overlap = {search.max_overlap!r}",
+        '# contrast "same" as taught, "global": may be inverted as a whole, "local": each edge by itself',
+        f'polarity = "{search.polarity}"',
+        f"min_contrast = {search.min_contrast!r}   # grey values per px",
+        f'sub_pixel = "{search.sub_pixel}"   # none, rigid, similarity, stretch, affine or projective',
+        f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
+    ]
+    return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
+
+
+def _features_to_toml(job: Job) -> list[str]:
+    lines: list[str] = []
+    for circle in job.circles:
+        lines += [
+            "",
+            "[[circle]]   # part frame, mm; polarity 1: brighter outside",
+            f'name = "{circle.name}"',
+            f"centre_mm = {_numbers(circle.centre_mm)}",
+            f"radius_mm = {circle.radius_mm!r}",
+            f"polarity = {circle.polarity}",
+        ]
+    for slot in job.slots:
+        lines += [
+            "",
+            "[[slot]]   # part frame, mm; length over all; angle of its long axis, from x to y",
+            f'name = "{slot.name}"',
+            f"centre_mm = {_numbers(slot.centre_mm)}",
+            f"angle_deg = {math.degrees(slot.angle_rad)!r}",
+            f"length_mm = {slot.length_mm!r}",
+            f"width_mm = {slot.width_mm!r}",
+            f"polarity = {slot.polarity}",
+        ]
+    for edge in job.edges:
+        lines += [
+            "",
+            "[[edge]]   # part frame, mm; polarity 1: brighter at 90 degrees from its direction, from x to y",
+            f'name = "{edge.name}"',
+            f"start_mm = {_numbers(edge.start_mm)}",
+            f"end_mm = {_numbers(edge.end_mm)}",
+            f"polarity = {edge.polarity}",
+        ]
+    for corner in job.corners:
+        lines += [
+            "",
+            "[[corner]]   # where two edges meet",
+            f'name = "{corner.name}"',
+            f'edges = ["{corner.edges[0]}", "{corner.edges[1]}"]',
+        ]
+    return lines
+
+
+def _measurements_to_toml(job: Job) -> list[str]:
+    """The measurements; for a job without any, some that its features allow, as comments to choose from."""
+    if job.measurements:
+        return [line for spec in job.measurements for line in ["", *_measurement_to_toml(spec)]]
+    kinds: dict[MeasurementKind, tuple[str, ...]] = {}
+    if job.circles:
+        kinds["radius"] = (job.reference_circle.name,)
+    if len(job.circles) > 1:
+        far = max(
+            job.circles[1:], key=lambda c: float(np.linalg.norm(c.centre_mm - job.circles[0].centre_mm))
+        )
+        other = max(job.circles, key=lambda c: float(np.linalg.norm(c.centre_mm - far.centre_mm)))
+        kinds["distance"] = (far.name, other.name)
+    if job.slots:
+        kinds["width"] = kinds["length"] = (job.slots[0].name,)
+    if job.corners:
+        kinds["angle"] = job.corners[0].edges
+    kinds["flatness"] = ()
+    lines = ["", "# What to measure; a part out of tolerance is not good. Take out the # of what you want:"]
+    for kind, of in kinds.items():
+        nominal = nominal_size(job, kind, of)
+        spec = MeasurementSpec(kind, kind, of, nominal, math.radians(0.1) if kind == "angle" else 0.05)
+        lines += ["#", *(f"# {line}" for line in _measurement_to_toml(spec))]
+    return lines
+
+
+def _measurement_to_toml(spec: MeasurementSpec) -> list[str]:
+    of = ", ".join(f'"{name}"' for name in spec.of)
+    lines = ["[[measurement]]", f'name = "{spec.name}"', f'kind = "{spec.kind}"']
+    lines += [f"of = [{of}]"] if spec.of else []
+    unit, scale = ("deg", math.degrees(1)) if spec.kind == "angle" else ("mm", 1.0)
+    if spec.nominal is not None and spec.kind != "flatness":
+        lines.append(f"nominal_{unit} = {spec.nominal * scale!r}")
+    if spec.tolerance is not None:
+        lines.append(f"tolerance_{unit} = {spec.tolerance * scale!r}")
+    return lines
