@@ -358,10 +358,18 @@ def summary(corners: Corners, rows: Sequence[Row]) -> str:
     """Means over all pairs for one kind of corner."""
     if len(rows) < 2:
         return f"\n{corners}: fewer than two pairs"
-    error, sigma, with_rows, chi2, flat, predicted = (
-        np.array([getattr(row, name) for row in rows])
-        for name in "size_error size_sigma size_sigma_rows chi2_per_dof flatness_mm flatness_predicted_mm".split()
-    )
+    figures = [
+        [
+            row.size_error,
+            row.size_sigma,
+            row.size_sigma_rows,
+            row.chi2_per_dof,
+            row.flatness_mm,
+            row.flatness_predicted_mm,
+        ]
+        for row in rows
+    ]
+    error, sigma, with_rows, chi2, flat, predicted = np.array(figures).T
     of_mean = error.std(ddof=1) / np.sqrt(len(rows))
     normalised = [float(np.mean((error / one) ** 2)) for one in (sigma, with_rows)]
     flat_um, predicted_um = (1e3 * np.sqrt(np.mean(one**2)) for one in (flat, predicted))
