@@ -15,7 +15,6 @@ import math
 import platform
 import re
 import shutil
-import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Mapping
@@ -31,7 +30,7 @@ from edged import __version__
 from edged.domain import Frame, FramePair, Image, Snapshot
 from edged.errors import FileFormatError, ImageError
 from edged.payload import Json, snapshot_to_json
-from edged.store import MAX_FILE_BYTES, decode_image, read_bytes, write_atomically
+from edged.store import MAX_FILE_BYTES, decode_image, read_bytes, replace_folder, write_atomically
 
 FORMAT = "edged-recording"
 VERSION = 1
@@ -179,20 +178,8 @@ def entries(folder: Path) -> list[Entry]:
 def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> None:
     """Keep what results of this fingerprint stand on, once. Raises `OSError`."""
     target = setup_folder(folder, fingerprint)
-    if target.is_dir():
-        return
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=".", dir=target.parent))
-    try:
-        for name, data in files.items():
-            file = draft / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(file, data)
-        draft.chmod(0o755)
-        draft.replace(target)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
+    if not target.is_dir():
+        replace_folder(target, files)
 
 
 def setup_folder(folder: Path, fingerprint: str) -> Path:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import hashlib
 import io
 import json
 import math
 import os
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -42,23 +44,70 @@ def write_atomically(path: Path, data: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-    directory = os.open(path.parent, os.O_RDONLY)
+    _sync(path.parent)
+
+
+def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
+    """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
+
+    keep : beside it, where a former folder that was not empty remains; what was there before is removed.
+    Returns whether there was one. Raises `OSError`; then nothing has changed.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        for name, data in files.items():
+            file = draft / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(file, data)
+        draft.chmod(0o755)  # mkdtemp makes it private
+        in_use = folder.exists() and any(folder.iterdir())
+        if in_use:
+            if keep is not None and keep.exists():
+                shutil.rmtree(keep)
+            _exchange(draft, folder)
+        else:
+            draft.replace(folder)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    if in_use and keep is not None:
+        draft.rename(keep)
+    elif in_use:
+        shutil.rmtree(draft, ignore_errors=True)
+    _sync(folder.parent)
+    return in_use
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
+
+    renameat2(2) with RENAME_EXCHANGE, of Linux. File systems of networks may not know it: there it is
+    three steps, and a crash between them leaves `other` beside its name, as `one` with a dash.
+    """
+    at_fdcwd, rename_exchange = -100, 2
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0:
+        return
+    number = ctypes.get_errno()
+    if number not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        raise OSError(number, os.strerror(number), str(one))
+    aside = other.rename(one.with_name(f"{one.name}-"))
+    try:
+        one.rename(other)
+    except BaseException:
+        aside.rename(other)
+        raise
+    aside.rename(one)
+
+
+def _sync(folder: Path) -> None:
+    """Bring the names in a folder to the disc."""
+    directory = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(directory)
     finally:
         os.close(directory)
-
-
-def exchange(one: Path, other: Path) -> None:
-    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
-
-    renameat2(2) with RENAME_EXCHANGE, of Linux; file systems of networks may refuse it.
-    """
-    at_fdcwd, rename_exchange = -100, 2
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) != 0:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), str(one))
 
 
 def read_bytes(path: Path, what: str) -> bytes:
@@ -277,16 +326,16 @@ class _Fields:
 # --- array containers ---------------------------------------------------------------------------
 
 
-def save_arrays(path: Path, kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
+def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    """Named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
     buffer = io.BytesIO()
     header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
     np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
-    write_atomically(Path(path), buffer.getvalue())
+    return buffer.getvalue()
 
 
 def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
-    """Read what `save_arrays` wrote; damage, another kind or version is a `FileFormatError`."""
+    """Read a file of `pack_arrays`; damage, another kind or version is a `FileFormatError`."""
     path = Path(path)
     data = read_bytes(path, f"a {kind}")
     try:

@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from edged.errors import FileFormatError, ImageError
-from edged.store import exchange, load_arrays, load_image, load_rig, save_arrays, save_rig, write_atomically
+from edged.store import (
+    load_arrays,
+    load_image,
+    load_rig,
+    pack_arrays,
+    save_rig,
+    write_atomically,
+)
 from edged.vision.camera import CameraModel, StereoRig
 
 CAMERA = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))
@@ -102,7 +109,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
     """A damaged container is refused, never half loaded."""
     path = tmp_path / "a.npz"
     arrays = {"points": np.arange(600.0).reshape(300, 2), "n": np.array(7, np.int32)}
-    save_arrays(path, "shape", 1, arrays)
+    path.write_bytes(pack_arrays("shape", 1, arrays))
     back = load_arrays(path, "shape", 1)
     assert all(np.array_equal(arrays[name], back[name]) for name in arrays)
 
@@ -127,7 +134,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
 def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> None:
     """The message says what was found and what is read."""
     path = tmp_path / "a.npz"
-    save_arrays(path, "shape", 1, {"a": np.zeros(3)})
+    path.write_bytes(pack_arrays("shape", 1, {"a": np.zeros(3)}))
 
     with pytest.raises(FileFormatError, match="expected 'recording'"):
         load_arrays(path, "recording", 1)
@@ -142,7 +149,7 @@ def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> No
 def test_an_array_that_claims_another_size_is_refused(tmp_path: Path, claim: str) -> None:
     """A few hundred bytes cannot ask for gigabytes: the claim is refused before there is room made for it."""
     path = tmp_path / "a.npz"
-    save_arrays(path, "shape", 1, {"points": np.arange(600.0)})
+    path.write_bytes(pack_arrays("shape", 1, {"points": np.arange(600.0)}))
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {claim}, }}"
@@ -192,17 +199,3 @@ def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
     ]:
         with pytest.raises(ImageError, match=message):
             load_image(tmp_path / name)
-
-
-def test_exchange_swaps_two_names(tmp_path: Path) -> None:
-    """A folder and a file change places; what is not there is an `OSError` that names it."""
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "inside").write_bytes(b"1")
-    (tmp_path / "file").write_bytes(b"2")
-
-    exchange(tmp_path / "folder", tmp_path / "file")
-
-    assert (tmp_path / "file" / "inside").read_bytes() == b"1"
-    assert (tmp_path / "folder").read_bytes() == b"2"
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        exchange(tmp_path / "nowhere", tmp_path / "file")

@@ -18,7 +18,6 @@ import io
 import json
 import os
 import re
-import shutil
 import tarfile
 import tempfile
 import tomllib
@@ -37,7 +36,7 @@ from edged.commands.registers import render
 from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.jobs import job_folders
-from edged.store import exchange, read_bytes, write_atomically
+from edged.store import read_bytes, replace_folder, write_atomically
 
 FORMAT = "edged-backup"
 VERSION = 1
@@ -86,8 +85,8 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     )
     data = pack(taken)
     with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
-        _write(Path(place), unpack(data, str(output)))
-        found = read_cell(Path(place) / config.name, elsewhere=True).fingerprint
+        replace_folder(Path(place) / "cell", unpack(data, str(output)).files)
+        found = read_cell(Path(place) / "cell" / config.name, elsewhere=True).fingerprint
     if found != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     try:
@@ -342,38 +341,18 @@ def _read(archive: Path) -> bytes:
 # --- into the folder --------------------------------------------------------------------------
 
 
-def _write(folder: Path, taken: Backup) -> None:
-    for name, data in taken.files.items():
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(file, data)
-
-
 def _put_in_place(taken: Backup, output: Path, *, force: bool) -> Path | None:
     """Make `output` the restored cell in one step; returns where a former folder is kept."""
     output = output.resolve()
     if output.exists() and not output.is_dir():
         raise UserError(f"{output}: exists and is no folder")
-    in_use = output.is_dir() and any(output.iterdir())
-    if in_use and not force:
+    if output.is_dir() and any(output.iterdir()) and not force:
         raise UserError(f"{output}: is not empty; choose another folder, or --force to replace it")
+    keep = _unused(output.with_name(f"{output.name}.before-restore"))
     try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
-        try:
-            _write(draft, taken)
-            draft.chmod(0o755)
-            if not in_use:
-                draft.replace(output)
-                return None
-            draft = draft.rename(_unused(output.with_name(f"{output.name}.before-restore")))
-            exchange(draft, output)
-        except BaseException:
-            shutil.rmtree(draft, ignore_errors=True)
-            raise
+        return keep if replace_folder(output, taken.files, keep) else None
     except OSError as error:
         raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
-    return draft
 
 
 def _unused(path: Path) -> Path:

@@ -7,8 +7,6 @@ edited.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import tomllib
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from pydantic import ValidationError
 from edged.errors import FileFormatError
 from edged.jobs.schema import JobFile
 from edged.jobs.text import to_toml
-from edged.store import load_arrays, read_bytes, save_arrays, write_atomically
+from edged.store import load_arrays, pack_arrays, read_bytes, replace_folder
 from edged.vision.job import Job
 from edged.vision.shape.model import ShapeModel
 
@@ -71,24 +69,11 @@ def save_job(folder: Path, job: Job) -> None:
     folder = Path(folder).resolve()
     if folder.exists() and not (folder / "job.toml").is_file():
         raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    files = {
+        "job.toml": to_toml(job).encode(),
+        "shape.npz": pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),
+    }
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            _fill(fresh, job)
-            if folder.exists():
-                old = folder.with_name(folder.name + ".old")
-                shutil.rmtree(old, ignore_errors=True)
-                folder.replace(old)
-            fresh.replace(folder)
-        except BaseException:
-            shutil.rmtree(fresh, ignore_errors=True)
-            raise
+        replace_folder(folder, files, folder.with_name(folder.name + ".old"))
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error
-
-
-def _fill(folder: Path, job: Job) -> None:
-    folder.chmod(0o755)
-    write_atomically(folder / "job.toml", to_toml(job).encode())
-    save_arrays(folder / "shape.npz", SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays())

@@ -1,0 +1,114 @@
+"""A folder is replaced as a whole: whenever the process dies, the former one or the new one is there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edged.store import replace_folder
+
+KILLED = """
+import ctypes, errno, os, sys
+from pathlib import Path
+from edged.store import replace_folder
+
+if sys.argv[2] == "refused":
+    class Refusing:
+        def renameat2(self, *_):
+            ctypes.set_errno(errno.EINVAL)
+            return -1
+    ctypes.CDLL = lambda *_, **__: Refusing()
+
+OLD, NEW = {"a": b"old", "b/c": b"old"}, {"a": b"new", "b/c": b"new"}
+
+def die_before(step):
+    count = 0
+    def hook(event, _):
+        nonlocal count
+        count += event.startswith(("os.", "open", "shutil.", "tempfile.", "ctypes."))
+        if count == step:
+            os._exit(9)
+    sys.addaudithook(hook)
+
+def state(folder):
+    files = (file for file in folder.rglob("*") if file.is_file())
+    found = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
+    return {(): "none", tuple(OLD.items()): "old", tuple(NEW.items()): "new"}.get(
+        tuple(sorted(found.items())), "broken"
+    )
+
+code, step = 9, 0
+while code == 9:
+    step += 1
+    cell = Path(sys.argv[1], str(step))
+    replace_folder(cell / "job", OLD)
+    child = os.fork()
+    if not child:
+        die_before(step)
+        replace_folder(cell / "job", NEW, cell / "kept")
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    seen = state(cell / "job")
+    replace_folder(cell / "job", NEW, cell / "kept")
+    print(seen, state(cell / "job"))
+"""
+
+
+def _killed_at_every_step(folder: Path, exchange: str) -> list[tuple[str, str]]:
+    """What a folder holds after its replacement died before each of its steps, and after another one."""
+    run = subprocess.run(
+        [sys.executable, "-c", KILLED, folder, exchange], capture_output=True, text=True, check=True
+    )
+    return [(line.split()[0], line.split()[1]) for line in run.stdout.splitlines()]
+
+
+def _names(folder: Path) -> set[str]:
+    return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_a_death_leaves_the_former_folder_or_the_new_one(tmp_path: Path) -> None:
+    """Before whichever step: never none, never a mixture, once new always new, and another try succeeds."""
+    seen = _killed_at_every_step(tmp_path, "granted")
+    states = [after for after, _ in seen]
+    assert len(states) > 20
+    assert ["old"] * states.count("old") + ["new"] * states.count("new") == states
+    assert 0 < states.count("old") < len(states) - 1
+    assert {"new"} == {again for _, again in seen}
+
+
+def test_where_names_cannot_be_exchanged_one_death_leaves_none(tmp_path: Path) -> None:
+    """The file systems of some networks refuse it; then the former folder lies beside its name."""
+    seen = _killed_at_every_step(tmp_path, "refused")
+    states = [after for after, _ in seen]
+    assert {"old", "none", "new"} == set(states)
+    assert 1 == states.count("none")
+    (aside,) = (tmp_path / str(states.index("none") + 1)).glob(".job.*-")
+    assert b"old" == (aside / "a").read_bytes()
+    assert {"new"} == {again for _, again in seen}
+
+
+def test_the_former_folder_is_kept_where_it_was_asked_for(tmp_path: Path) -> None:
+    """The last one only; an empty folder is none, and without a place to keep it nothing is left of it."""
+    cell, kept = tmp_path / "cell", tmp_path / "kept"
+    cell.mkdir()
+    assert [False, True, True] == [replace_folder(cell, {"a/b": bytes([n])}, kept) for n in range(3)]
+    assert (b"\2", b"\1") == ((cell / "a/b").read_bytes(), (kept / "a/b").read_bytes())
+
+    assert replace_folder(cell, {"c": b""})
+    assert {"cell/c", "kept/a/b"} == _names(tmp_path)
+
+
+def test_a_replacement_that_fails_changes_nothing(tmp_path: Path) -> None:
+    """Where a file cannot be written, or the place of the former folder is taken by a file."""
+    cell, kept = tmp_path / "cell", tmp_path / "kept"
+    replace_folder(cell, {"a": b"1"})
+    kept.write_bytes(b"a file")
+    with pytest.raises(OSError, match="kept"):
+        replace_folder(cell, {"a": b"2"}, kept)
+    with pytest.raises(OSError, match="a"):
+        replace_folder(cell, {"a": b"2", "a/b": b"3"})
+    assert b"1" == (cell / "a").read_bytes()
+    assert {"cell/a", "kept"} == _names(tmp_path)
