@@ -147,6 +147,13 @@ def test_two_cameras_at_one_address_are_found() -> None:
     assert check.finding == "10.0.0.5 is the address of 1, 2"
 
 
+def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
+    """By its serial number, which is then no name for it; cameras without one are not confused."""
+    found = [info("1", "10.0.0.5"), info("1", "10.0.1.5"), info("", "10.0.0.6"), info("", "10.0.0.7")]
+    (check,) = cameras.twins(found)
+    assert (Verdict.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
+
+
 @pytest.mark.parametrize(
     ("control", "verdict"),
     [("free", Verdict.OK), ("controlled", Verdict.WARN), ("does not answer: network?", Verdict.BAD)],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.adapters.aravis.library import control_state
@@ -59,9 +60,7 @@ def _one(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
 
 def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
     """Two cameras with one address, or one serial number."""
-    addresses = [info.address for info in found]
-    for address in sorted({one for one in addresses if addresses.count(one) > 1}):
-        who = ", ".join(info.serial for info in found if info.address == address)
+    for address, who in _shared((info.address, info.serial) for info in found):
         yield Check(
             "camera addresses",
             Verdict.BAD,
@@ -69,9 +68,7 @@ def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
             "images of one camera arrive as the other's, or not at all",
             "unplug one, then give the other another address: arv-tool-0.8, or the maker's tool",
         )
-    serials = [info.serial for info in found]
-    for serial in sorted({one for one in serials if one and serials.count(one) > 1}):
-        where = ", ".join(info.address for info in found if info.serial == serial)
+    for serial, where in _shared((info.serial, info.address) for info in found if info.serial):
         yield Check(
             "camera serial numbers",
             Verdict.WARN,
@@ -79,6 +76,16 @@ def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
             "edged cannot tell them apart by serial number",
             "write the IP addresses as `device` (one camera with two ports answers twice: take one of them)",
         )
+
+
+def _shared(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Each first that stands in more than one pair, with all its seconds."""
+    groups = defaultdict[str, list[str]](list)
+    for first, second in pairs:
+        groups[first].append(second)
+    for first in sorted(groups):
+        if len(groups[first]) > 1:
+            yield first, ", ".join(groups[first])
 
 
 def camera(
