@@ -1,0 +1,131 @@
+"""Commands that show a cell without hardware, and connect other programs to one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edged.cli.options import JsonOption
+
+app = typer.Typer()
+
+
+@app.command()
+def demo(
+    cycles: Annotated[int, typer.Option(min=0, help="stop after so many cycles; 0: until ctrl-C")] = 0,
+    period_s: Annotated[
+        float, typer.Option("--period", min=0, max=60, help="seconds from trigger to trigger")
+    ] = 0.25,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="cameras inside the process instead of GigE Vision over UDP")
+    ] = False,
+    modbus_port: Annotated[int, typer.Option(min=1, max=65535, help="Modbus/TCP port")] = 1502,
+    zenoh_port: Annotated[int, typer.Option(min=1, max=65535, help="Zenoh TCP port")] = 7447,
+    web_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="port of the status page; 0: no page")
+    ] = 8080,
+    folder: Annotated[
+        Path | None, typer.Option(help="where rig, job and config go; default: a temporary folder")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a virtual cell and the daemon on this machine; shows measured against true position."""
+    from edged.commands.demo import DemoOptions
+    from edged.commands.demo import demo as command
+
+    raise typer.Exit(
+        command(
+            DemoOptions(
+                cycles, period_s, in_process, modbus_port, zenoh_port, web_port or None, folder, as_json
+            )
+        )
+    )
+
+
+@app.command()
+def sim(
+    config: Annotated[
+        Path | None, typer.Argument(help="take addresses, serial numbers and rig from this configuration")
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="show these pairs NAME_left.png, NAME_right.png, again and again")
+    ] = None,
+    pattern: Annotated[str, typer.Option(help="show a moving ramp of so many pixels, 640x480")] = "",
+    left: Annotated[str, typer.Option(help="address of the left camera, or none; 127.0.0.2")] = "",
+    right: Annotated[str, typer.Option(help="address of the right camera, or none; 127.0.0.3")] = "",
+    fault: Annotated[
+        list[str] | None, typer.Option(help="packet_loss=0.01, right.frozen=on, ...; more by `help` on stdin")
+    ] = None,
+    quirk: Annotated[
+        list[str] | None, typer.Option(help="habit of the firmware: mode-before-source, few-nodes, ...")
+    ] = None,
+    pulse_hz: Annotated[float, typer.Option("--pulse", min=0, max=1000, help="Hz: pulses on Line1")] = 0.0,
+    drift_ppm: Annotated[
+        float, typer.Option("--drift", min=-100_000, max=100_000, help="ppm: the right camera's clock")
+    ] = 0.0,
+) -> None:
+    """Simulate GigE Vision cameras over UDP, with faults at will, to test any client of such cameras.
+
+    A virtual cell on 127.0.0.2 and 127.0.0.3:  edged sim
+
+    Pictures of a folder, 1 % of the packets lost:  edged sim --images DIR --fault packet_loss=0.01
+
+    One camera with a test pattern:  edged sim --pattern 640x480 --left 192.168.7.10 --right none
+
+    While it runs, lines on standard input change what goes wrong: `set left unplugged on`, `reboot both`,
+    `pulse both Line1`, `steal right`; `help` lists them.
+    """
+    from rich.console import Console
+
+    from edged.commands.sim import SimOptions
+    from edged.commands.sim import sim as command
+
+    raise typer.Exit(
+        command(
+            SimOptions(
+                config,
+                images,
+                pattern,
+                (left, right),
+                tuple(fault or ()),
+                tuple(quirk or ()),
+                pulse_hz,
+                drift_ppm,
+            ),
+            Console(),
+        )
+    )
+
+
+@app.command()
+def registers(
+    format: Annotated[
+        str, typer.Option("--format", help="md, csv, json; sources: st, urscript, python")
+    ] = "md",
+) -> None:
+    """Print the Modbus map or a client's source, generated from the schema that encodes it."""
+    from edged.commands.registers import registers as command
+
+    raise typer.Exit(command(format))
+
+
+@app.command()
+def watch(
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(help="Zenoh endpoint, for example tcp/192.168.1.10:7447; may be repeated"),
+    ] = None,
+    cell: Annotated[str | None, typer.Option(help="only this cell")] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="stop after so many results")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print one JSON object per result, one a line")
+    ] = False,
+) -> None:
+    """Show live results of every cell that is reachable over Zenoh."""
+    from rich.console import Console
+
+    from edged.commands.watch import watch as command
+
+    raise typer.Exit(command(connect or ["tcp/127.0.0.1:7447"], cell, as_json, count, Console()))

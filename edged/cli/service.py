@@ -1,0 +1,130 @@
+"""Commands that run a cell and look after it."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edged.cli.options import JsonOption
+
+app = typer.Typer()
+
+
+@app.command()
+def check(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    as_json: JsonOption = False,
+) -> None:
+    """Validate configuration, rig and jobs; report every mistake in one go."""
+    from edged.commands.check import check as command
+
+    raise typer.Exit(command(config, as_json=as_json))
+
+
+@app.command()
+def doctor(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    trigger: Annotated[bool, typer.Option(help="take test pictures")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Examine machine, network and cameras: what will bite, and the command that fixes it."""
+    from rich.console import Console
+
+    from edged.commands.doctor import doctor as command
+
+    raise typer.Exit(command(config, as_json, Console(), trigger=trigger))
+
+
+@app.command()
+def run(
+    config: Annotated[Path, typer.Argument(help="configuration file, see config/cell.toml")],
+) -> None:
+    """Run the daemon until SIGTERM; SIGHUP reloads the configuration."""
+    gc.disable()  # imports leave no garbage, and looking for it is a tenth of the start; `serve` enables it
+    from edged.commands.run import run as command
+
+    raise typer.Exit(command(config))
+
+
+@app.command()
+def status(
+    url: Annotated[str, typer.Option(help="status page of the cell")] = "http://127.0.0.1:8080",
+    as_json: JsonOption = False,
+) -> None:
+    """Show what the cell does now, from its status page. 0: ready; 1: not ready or not reached."""
+    from rich.console import Console
+
+    from edged.commands.status import status as command
+
+    raise typer.Exit(command(url, as_json, Console()))
+
+
+@app.command()
+def replay(
+    path: Annotated[Path, typer.Argument(help="a recording, or a recorder's folder")],
+    as_json: JsonOption = False,
+    export: Annotated[
+        Path | None, typer.Option(help="folder to write the recordings, their setups and a report to")
+    ] = None,
+) -> None:
+    """Measure recorded cycles again; says if any result differs in a single bit."""
+    from rich.console import Console
+
+    from edged.commands.replay import replay as command
+
+    raise typer.Exit(command(path, as_json, Console(), export))
+
+
+@app.command()
+def backup(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="archive to write, FILE.tar.gz")],
+    force: Annotated[bool, typer.Option("--force", help="replace an archive of that name")] = False,
+) -> None:
+    """Put configuration, rig, jobs and the register map into one checksummed archive."""
+    from rich.console import Console
+
+    from edged.commands.backup import backup as command
+
+    raise typer.Exit(command(config, output, Console(soft_wrap=True), force=force))
+
+
+@app.command()
+def restore(
+    archive: Annotated[Path, typer.Argument(help="written by `edged backup`")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="folder to make; without it the archive is checked")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="replace a folder that is in use; it is kept beside")
+    ] = False,
+) -> None:
+    """Check a backup and make a folder of it. 0: done; 1: done, but it would not start."""
+    from rich.console import Console
+
+    from edged.commands.backup import restore as command
+
+    raise typer.Exit(command(archive, output, Console(soft_wrap=True), force=force))
+
+
+@app.command()
+def password() -> None:
+    """Ask for a password and print its hash, for `web.password_hash`."""
+    from edged.commands.password import password as command
+
+    raise typer.Exit(command())
+
+
+@app.command()
+def warm(
+    if_needed: Annotated[
+        bool, typer.Option("--if-needed", help="do nothing when the kernels are cached")
+    ] = False,
+) -> None:
+    """Compile the numerical kernels once, so that the daemon starts quickly."""
+    from edged.commands.warm import warm as command
+
+    raise typer.Exit(command(only_if_needed=if_needed))

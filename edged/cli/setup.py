@@ -1,0 +1,273 @@
+"""Commands that make a rig and its jobs: pictures, calibration, teaching, registration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from edged.cli.options import JsonOption, RigOption
+
+app = typer.Typer()
+
+
+@app.command()
+def cameras(as_json: JsonOption = False) -> None:
+    """List the GenICam cameras that answer, and whether they can be used."""
+    from rich.console import Console
+
+    from edged.commands.cameras import cameras as command
+
+    raise typer.Exit(command(as_json, Console()))
+
+
+@app.command()
+def grab(
+    config: Annotated[Path, typer.Argument(help="configuration file: its cameras are used")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="folder for the pictures")],
+    count: Annotated[int, typer.Option(min=1, max=1000, help="pairs")] = 1,
+    name: Annotated[str, typer.Option(help="beginning of the file names")] = "pair",
+) -> None:
+    """Save pairs of pictures, for calibration and teaching."""
+    from rich.console import Console
+
+    from edged.commands.cameras import grab as command
+
+    raise typer.Exit(command(config, output, count, name, Console(stderr=True)))
+
+
+@app.command()
+def calibrate(
+    directory: Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")],
+    board: Annotated[str, typer.Option(help="for example chessboard:11x8:4.0 (inner corners, square in mm)")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    model: Annotated[str, typer.Option(help="lens model: brown or division")] = "brown",
+    report: Annotated[Path | None, typer.Option(help="HTML report to write")] = None,
+    plate_shape: Annotated[
+        bool, typer.Option("--plate-shape", help="measure how the board is bent and misprinted, too")
+    ] = False,
+) -> None:
+    """Calibrate a stereo rig from pairs of pictures of a board."""
+    from rich.console import Console
+
+    from edged.commands.calibrate import calibrate as command
+
+    console = Console(stderr=True)
+    raise typer.Exit(command(directory, board, output, model, report, console, plate_shape=plate_shape))
+
+
+@app.command()
+def verify(
+    rig: RigOption,
+    left: Annotated[Path, typer.Argument(help="left image")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    board: Annotated[
+        str | None, typer.Option(help="the board in the images, as for `edged calibrate`")
+    ] = None,
+    job: Annotated[Path | None, typer.Option(help="job folder of the part in the images")] = None,
+    length: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=MM, a known size of the part: c0 (diameter), c0-c1 (distance), or a measurement"
+        ),
+    ] = None,
+    max_epipolar: Annotated[float, typer.Option(min=0, help="largest epipolar rms, px")] = 0.3,
+    max_length_error: Annotated[float, typer.Option(min=0, help="largest length error, percent")] = 0.1,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a rig against one fresh pair: rows must agree, and a known length must come out."""
+    from rich.console import Console
+
+    from edged.commands.verify import Limits
+    from edged.commands.verify import verify as command
+
+    limits = Limits(max_epipolar, max_length_error)
+    raise typer.Exit(command(rig, left, right, board, job, length or [], limits, as_json, Console()))
+
+
+rig_app = typer.Typer(name="rig", help="Rig files of other software.", no_args_is_help=True)
+app.add_typer(rig_app)
+
+
+@rig_app.callback()
+def _rig() -> None:
+    pass
+
+
+@rig_app.command("convert")
+def rig_convert(
+    source: Annotated[Path, typer.Argument(help="rig file, or folder of ROS or HALCON files")],
+    target: Annotated[Path, typer.Argument(help="file or folder to write")],
+    to: Annotated[str, typer.Option(help="edged, opencv, ros, kalibr or halcon")] = "edged",
+    from_: Annotated[str | None, typer.Option("--from", help="the same; default: by content")] = None,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, for OpenCV files without it")] = None,
+    unit: Annotated[str, typer.Option(help="mm, cm or m: the unit of an OpenCV file to be read")] = "mm",
+    pixel_um: Annotated[
+        float, typer.Option("--pixel-um", help="pixel size for HALCON files; any gives the same geometry")
+    ] = 3.45,
+) -> None:
+    """Convert a rig from or to OpenCV, ROS camera_info, Kalibr or HALCON."""
+    from rich.console import Console
+
+    from edged.commands.rig import convert as command
+
+    raise typer.Exit(command(source, target, to, from_, size, unit, pixel_um, Console(stderr=True)))
+
+
+@app.command()
+def teach(
+    rig: RigOption,
+    name: Annotated[str, typer.Option(help="name of the job")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="job folder to write")],
+    left: Annotated[Path | None, typer.Option(help="left image")] = None,
+    right: Annotated[Path | None, typer.Option(help="right image")] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            "--region",
+            "--roi",
+            help="around the part, pixels of the left image: X,Y,W,H, circle:X,Y,R, "
+            "polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
+        ),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(help="what of the region is not the part, in the same forms; repeat")
+    ] = None,
+    dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
+    contour: Annotated[
+        Path | None, typer.Option(help="outlines to teach from: x,y in mm a line, empty lines between them")
+    ] = None,
+    depth: Annotated[
+        float | None, typer.Option(help="of a drawing: nominal distance of the face from the left camera, mm")
+    ] = None,
+    layer: Annotated[list[str] | None, typer.Option(help="of a DXF drawing: only this layer; repeat")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="of a DXF drawing that does not say: mm, cm, m, in")
+    ] = None,
+    contrast: Annotated[
+        str | None, typer.Option(help="LOW,HIGH: edges that count, grey values per px; default: automatic")
+    ] = None,
+    min_component: Annotated[
+        float | None, typer.Option(help="shortest connected edge that counts, px; default: automatic")
+    ] = None,
+    levels: Annotated[
+        int | None, typer.Option(help="most levels of the pyramid, 1 to 5; default: automatic")
+    ] = None,
+    number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML page to write: the model, and what it promises")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
+    from rich.console import Console
+
+    from edged.commands.teach import DrawingSource, PairSource, chosen_source, parse_contrast
+    from edged.commands.teach import teach as command
+    from edged.vision.shape.modelparams import ModelParams
+
+    source = chosen_source(
+        PairSource(left, right, region, tuple(exclude or ())),
+        DrawingSource(dxf, contour, depth, layer or [], unit),
+    )
+    params = ModelParams(*parse_contrast(contrast), min_component, levels)
+    console = Console(stderr=True)
+    raise typer.Exit(
+        command(
+            rig, source, name, output, console, number=number, params=params, report=report, as_json=as_json
+        )
+    )
+
+
+@app.command()
+def locate(
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job folder, written by `edged teach`")],
+    left: Annotated[Path, typer.Argument(help="left image")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    as_json: JsonOption = False,
+    overlay: Annotated[
+        Path | None, typer.Option(help="picture to write: the pair with what was measured")
+    ] = None,
+    ply: Annotated[
+        Path | None, typer.Option(help="point cloud to write: contours and matched face points")
+    ] = None,
+    cloud: Annotated[Path | None, typer.Option(help="picture to write: the point cloud")] = None,
+) -> None:
+    """Locate the part in one stereo pair, offline."""
+    from rich.console import Console
+
+    from edged.commands.locate import locate as command
+
+    raise typer.Exit(
+        command(rig, job, left, right, as_json, Console(), overlay=overlay, ply=ply, cloud=cloud)
+    )
+
+
+register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
+app.add_typer(register, name="register")
+PosesOption = Annotated[
+    Path, typer.Option("--poses", help="lines NAME,x,y,z and orientation, as the robot shows them")
+]
+PairsArgument = Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")]
+BoardOption = Annotated[str, typer.Option("--board", help="as for calibrate")]
+
+
+@register.command("touch")
+def register_touch(
+    rig: RigOption,
+    points: Annotated[
+        Path, typer.Option(help="lines rig_x,rig_y,rig_z,robot_x,robot_y,robot_z (mm), or LOCATE.json,x,y,z")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    limit: Annotated[float, typer.Option(min=0, help="mm: of each point against all others")] = 0.5,
+    as_json: JsonOption = False,
+) -> None:
+    """From three or more points that the robot touched. 0: saved; 1: over the limit."""
+    from rich.console import Console
+
+    from edged.commands.register import touch as command
+
+    raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json)))
+
+
+@register.command("hand-eye")
+def register_hand_eye(
+    directory: PairsArgument,
+    rig: RigOption,
+    poses: PosesOption,
+    board: BoardOption,
+    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli or kawasaki")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    in_hand: Annotated[
+        bool, typer.Option("--in-hand", help="the rig is on the flange, the board is not")
+    ] = False,
+    limit: Annotated[float, typer.Option(min=0, help="mm: rms of held-out poses")] = 0.5,
+    as_json: JsonOption = False,
+) -> None:
+    """From poses of the flange, each with a view of a board that it holds. 0: saved; 1: over the limit."""
+    from rich.console import Console
+
+    from edged.commands.register import hand_eye_command as command
+
+    mount: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand" if in_hand else "eye-to-hand"
+    console = Console(stderr=as_json)
+    raise typer.Exit(command(rig, directory, poses, board, brand, mount, output, limit, as_json, console))
+
+
+@register.command("self-test")
+def register_self_test(
+    directory: PairsArgument,
+    rig: RigOption,
+    poses: PosesOption,
+    board: BoardOption,
+    brand: Annotated[str | None, typer.Option(help="whose poses these should be")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Which convention, unit and mount the poses are in: every reading is tried. 0: one stands out."""
+    from rich.console import Console
+
+    from edged.commands.register import self_test as command
+
+    raise typer.Exit(command(rig, directory, poses, board, brand, as_json, Console(stderr=as_json)))
