@@ -219,6 +219,8 @@ class Target:
     epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
     free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
     rotation about it is not known; None where the part has no such axis.
+    doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
+    rows that do not meet, sizes that are all wrong alike.
     """
 
     job: str
@@ -233,6 +235,7 @@ class Target:
     corners: tuple[Corner3D, ...] = ()
     measurements: tuple[Measurement, ...] = ()
     free_axis: FloatArray | None = None
+    doubt_mm: float = 0.0
 
     @property
     def position_mm(self) -> FloatArray:

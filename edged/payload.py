@@ -60,6 +60,7 @@ def target_to_json(
         "measurements": [_measurement(one) for one in target.measurements],
         "free_axis": None if target.free_axis is None else _numbers(target.free_axis),
         "epipolar_rms_px": _number(target.epipolar_rms_px),
+        "doubt_mm": _number(target.doubt_mm),
         "reject": reject_names(target.reject),
     }
     if robot_from_rig is not None:

@@ -115,7 +115,9 @@ def edit(folder: Path, pattern: str, replacement: str) -> None:
     path.write_text(text)
 
 
-@pytest.mark.parametrize(("limits", "search"), [(None, None), (Limits((150.0, 151.0)), EVERY_OPTION)])
+@pytest.mark.parametrize(
+    ("limits", "search"), [(None, None), (Limits((150.0, 151.0), form_tolerance_mm=0.1), EVERY_OPTION)]
+)
 def test_a_job_comes_back(tmp_path: Path, limits: Limits | None, search: SearchParams | None) -> None:
     """Saved and loaded, every number is the same; saved again, so is every byte of job.toml."""
     job = make_job(limits=limits, search=search)

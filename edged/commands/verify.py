@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from edged.domain import Circle3D, Frame, FramePair, Image, Status, Target
+from edged.domain import Circle3D, Frame, FramePair, Image, Target
+from edged.drift import TELLING
 from edged.errors import ImageError, UserError
 from edged.jobs import load_job
 from edged.pipeline import locate, prepare
@@ -21,6 +22,7 @@ from edged.store import load_image, load_rig
 from edged.vision.boards import Missed, StereoView, parse_boards
 from edged.vision.camera import StereoRig
 from edged.vision.detection import detect_board, remeasure_board
+from edged.vision.doubt import undoubted
 from edged.vision.verification import COVERAGE, BoardCheck, Length, Verdict, check_board, pose_of_board
 
 _WARNING = (
@@ -117,9 +119,10 @@ def _by_part(
 ) -> Finding:
     pair = FramePair(Frame("left", 0, images[0], 0, 0), Frame("right", 0, images[1], 0, 0))
     outcome = locate(pair, load_job(job_path), prepare(rig))
-    if outcome.status is not Status.OK:
+    measured = [target for target in outcome.targets if not target.reject & ~TELLING]
+    if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")
-    target = outcome.targets[0]
+    target = undoubted(measured[0])
     lengths = tuple(_length_of(target, name, true_mm) for name, true_mm in known.items())
     return _judged(target.epipolar_rms_px, lengths, limits, None)
 

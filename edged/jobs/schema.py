@@ -40,8 +40,9 @@ class _Limits(_Section):
     min_support: float = Field(0.3, ge=0, le=1)
     max_rms_px: float = Field(0.5, gt=0)
     max_sigma_mm: float = Field(0.2, gt=0)
-    max_epipolar_px: float = Field(1.0, gt=0)
+    max_epipolar_px: float = Field(0.5, gt=0)
     radius_tolerance_mm: float | None = Field(None, gt=0)
+    form_tolerance_mm: float | None = Field(None, gt=0)
 
     @model_validator(mode="after")
     def _ordered(self) -> _Limits:

@@ -16,9 +16,12 @@ def _numbers(values: object) -> str:
 def to_toml(job: Job) -> str:
     """The text of a job's file."""
     limits, search = job.limits, job.search
-    tolerance = limits.radius_tolerance_mm
-    tolerance_line = (
-        f"radius_tolerance_mm = {tolerance!r}" if tolerance is not None else "# radius_tolerance_mm = 0.05"
+    radius_line, form_line = (
+        f"# {name} = 0.05" if tolerance is None else f"{name} = {tolerance!r}"
+        for name, tolerance in (
+            ("radius_tolerance_mm", limits.radius_tolerance_mm),
+            ("form_tolerance_mm", limits.form_tolerance_mm),
+        )
     )
     scale_y_line = (
         f"scale_y = {_numbers((search.scale_y_min, search.scale_y_max))}"
@@ -46,7 +49,11 @@ def to_toml(job: Job) -> str:
         f"max_rms_px = {limits.max_rms_px!r}   # of its edges",
         f"max_sigma_mm = {limits.max_sigma_mm!r}   # of each coordinate",
         f"max_epipolar_px = {limits.max_epipolar_px!r}   # rows of both cameras against each other",
-        tolerance_line + "   # of the reference circle against its taught radius",
+        "# How far a part may differ from the taught one. Beyond that it is another part, another edge was",
+        "# seen (a chamfer, a burr), or the distance is wrong (a knocked camera, a part that moved between",
+        "# the exposures). Taught: half of ISO 2768-1 class f, or half a pixel. Your drawing knows better.",
+        radius_line + "   # of the reference circle",
+        form_line + "   # of a part without circles: of each straight edge and slot",
         "",
         "[search]",
         f"angle_start_deg = {math.degrees(search.angle_start_rad):.6g}",

@@ -16,7 +16,15 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.geometry import transform
-from edged.vision.job import CircleFeature, CornerFeature, EdgeFeature, Job, Limits, known_radius
+from edged.vision.job import (
+    DEPTH_SHARE,
+    CircleFeature,
+    CornerFeature,
+    EdgeFeature,
+    Job,
+    known_radius,
+    usual_limits,
+)
 from edged.vision.rectification import Rectification
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
@@ -36,7 +44,6 @@ MIN_CIRCLE_PX = 4.0
 """Radius of a circle that is worth measuring."""
 MIN_EDGE_PX = 24.0
 """Length of a straight edge that is worth measuring."""
-DEPTH_SHARE = 0.12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +96,7 @@ def teach_drawing(
         circles=tuple(CircleFeature(c.name, c.centre_mm + shift, c.radius_mm, c.polarity) for c in circles),
         reference=reference,
         rig_from_part=rig_from_part,
-        limits=Limits((depth_mm * (1 - DEPTH_SHARE), depth_mm * (1 + DEPTH_SHARE))),
+        limits=usual_limits(depth_mm, depth_mm / rectification.focal_px, shape, circles, reference),
         search=SearchParams(
             scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8, polarity="local"
         ),

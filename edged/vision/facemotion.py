@@ -16,8 +16,11 @@ TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""
 TUKEY = 4.685
 ROUNDS = 8
+MIN_SPARE = 2
+"""More observations than unknowns, before a growth is told from a feature that lies elsewhere."""
 
-Evidence = tuple[FloatArray, FloatArray, FloatArray]
+Observation = tuple[FloatArray, FloatArray, FloatArray]
+"""Of one curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance."""
 
 
 def edge_curve(edge: EdgeFeature, free_polarity: bool, sign: int = 1) -> Curve:
@@ -58,45 +61,81 @@ def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
     A feature that lies elsewhere (another edge beside it, a worn corner) loses its weight as a whole.
     None when the features leave the rotation open.
     """
-    evidence = _evidence(job, fit)
-    motion, weights, far = np.zeros(3), np.ones(len(evidence)), np.zeros(len(evidence))
-    normal = np.zeros((3, 3))
+    solved = _solved(_observations(job, fit), 3)
+    if solved is None:
+        return None
+    motion, covariance = solved
+    return Motion(motion[:2], float(motion[2]), covariance)
+
+
+def find_growth(job: Job, fit: PlaneFit) -> tuple[float, float]:
+    """By which share the features lie farther apart than taught, and its sigma; NaN: they do not tell."""
+    observations = _observations(job, fit)
+    if sum(len(gap) for gap, _, _ in observations) < 4 + MIN_SPARE:
+        return math.nan, math.nan
+    solved = _solved(observations, 4)
+    if solved is None:
+        return math.nan, math.nan
+    motion, covariance = solved
+    return float(motion[3]), math.sqrt(max(float(covariance[3, 3]), 0.0))
+
+
+def form_mm(job: Job, fit: PlaneFit, motion: Motion) -> float:
+    """Farthest that an edge or slot lies from its taught outline, laid there by the motion; at its middle."""
+    unknowns = np.append(motion.shift, motion.turn)
+    far = [
+        float(np.linalg.norm((gap - design[:, :3] @ unknowns)[:-1]))
+        for gap, design, _ in _observations(job, fit)
+    ]
+    seen = {one.curve.name: one.curve for one in fit.fits}
+    for slot in job.slots:
+        if slot.name in seen:
+            wrong = seen[slot.name].parameters[3:] - (slot.length_mm, slot.width_mm)
+            far.append(0.5 * float(np.abs(wrong).max()))
+    return max(far)
+
+
+def _solved(observations: list[Observation], unknowns: int) -> tuple[FloatArray, FloatArray] | None:
+    """The first unknowns (3: shift and turn; 4: and growth) by robust least squares, and their covariance."""
+    motion, weights, far = np.zeros(unknowns), np.ones(len(observations)), np.zeros(len(observations))
+    normal = np.zeros((unknowns, unknowns))
     for _ in range(ROUNDS):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        for (gap, design, inverse), weight in zip(evidence, weights, strict=True):
+        normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        for (gap, full, inverse), weight in zip(observations, weights, strict=True):
+            design = full[:, :unknowns]
             normal += weight * design.T @ inverse @ design
             right += weight * design.T @ inverse @ gap
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e10:
             return None
         motion = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-        misfits = [gap - design @ motion for gap, design, _ in evidence]
+        misfits = [gap - full[:, :unknowns] @ motion for gap, full, _ in observations]
         far = np.array(
             [
                 math.sqrt(r @ inverse @ r / len(r))
-                for r, (_, _, inverse) in zip(misfits, evidence, strict=True)
+                for r, (_, _, inverse) in zip(misfits, observations, strict=True)
             ]
         )
         spread = max(1.4826 * float(np.median(far)), 1.0)
         weights = np.clip(1 - (far / (TUKEY * spread)) ** 2, 0, None) ** 2
-    freedom = sum(len(gap) for gap, _, _ in evidence) - 3
-    chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in evidence])) / max(freedom, 1)
-    return Motion(motion[:2], float(motion[2]), np.asarray(np.linalg.inv(normal) * max(chi2, 1.0)))
+    freedom = sum(len(gap) for gap, _, _ in observations) - unknowns
+    chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in observations])) / max(freedom, 1)
+    return motion, np.asarray(np.linalg.inv(normal) * max(chi2, 1.0))
 
 
-def _evidence(job: Job, fit: PlaneFit) -> list[Evidence]:
-    """For each curve: measured minus taught, its derivative by (shift, turn), and its inverse covariance."""
+def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
+    """One for each curve that was both taught and measured."""
     taught = {circle.name: np.append(circle.centre_mm[:2], 0.0) for circle in job.circles}
     taught |= {slot.name: np.append(slot.centre_mm[:2], slot.angle_rad) for slot in job.slots}
     taught |= {edge.name: edge_curve(edge, True).parameters for edge in job.edges}
-    evidence: list[Evidence] = []
+    observations: list[Observation] = []
     for one in fit.fits:
         curve = one.curve
         where = fit.place(curve.name)
         if where is None or curve.name not in taught:
             continue
         x, y, angle = taught[curve.name]
-        rows = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        rows = np.array([[1.0, 0.0, -y, x], [0.0, 1.0, x, y], [0.0, 0.0, 1.0, 0.0]])
         sizes = {"circle": 2, "slot": 3, "edge": 3}
         project = np.eye(3)[: sizes[curve.kind]]
         lever = curve.perimeter_mm / math.sqrt(12)
@@ -109,5 +148,5 @@ def _evidence(job: Job, fit: PlaneFit) -> list[Evidence]:
         spread[: len(known), : len(known)] = known
         spread += np.diag([TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM / lever]) ** 2
         inverse = np.asarray(np.linalg.inv(project @ spread @ project.T), dtype=np.float64)
-        evidence.append((project @ gap, project @ rows, inverse))
-    return evidence
+        observations.append((project @ gap, project @ rows, inverse))
+    return observations

@@ -12,17 +12,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Match, Measurement, Reject, Target
+from edged.domain import FloatArray, Match, Reject, Target
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face
 from edged.vision.edgestart import start_pose
-from edged.vision.facemotion import Motion, edge_curve, find_motion, slot_curve
+from edged.vision.facemotion import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
 from edged.vision.flatness import with_flatness
 from edged.vision.geometry import transform
 from edged.vision.inrig import lifted, with_features
 from edged.vision.job import Job
 from edged.vision.measurement import EACH_EDGE_ITSELF, Images, Measured, about_z, measure
 from edged.vision.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
-from edged.vision.quality import reject_reasons
+from edged.vision.quality import Evidence, judged
 from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.sizes import measure_sizes, place
@@ -51,8 +51,7 @@ def measure_part(
     if isinstance(result, Reject):
         return result
     result = with_flatness(result, images, rectification, job)
-    target = result.target
-    return replace(result, target=replace(target, reject=target.reject | size_reasons(target.measurements)))
+    return replace(result, target=judged(job, rectification, result.target, result.evidence))
 
 
 # --- parts with circles ----------------------------------------------------------------------------
@@ -186,12 +185,16 @@ def _from_edges(
     if fit is None or motion is None:
         return Reject.FEW_EDGES
     target = _target_from(rectification, job, match, fit, motion)
-    support = _mean_support(curves, fit)
-    rms_px = float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits])))
-    reject = reject_reasons(job.limits, target, support, rms_px)
     if match.ambiguous:
-        reject |= Reject.AMBIGUOUS_ROTATION
-    return Measured(replace(target, reject=reject), (), fit.fits)
+        target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
+    evidence = Evidence(
+        _mean_support(curves, fit),
+        float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
+        target.epipolar_rms_px,
+        *find_growth(job, fit),
+        form_mm(job, fit, motion),
+    )
+    return Measured(target, evidence, (), fit.fits)
 
 
 def _target_from(
@@ -250,15 +253,3 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
         if level > MIN_LEVEL:
             differences.append(one.mismatch_px / level)
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
-
-
-# --- common ----------------------------------------------------------------------------------------
-
-
-def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
-    """What the sizes speak against a part: out of tolerance, or not to be seen."""
-    reject = Reject.NONE
-    for one in measurements:
-        if one.ok is False:
-            reject |= Reject.TOLERANCE if math.isfinite(one.value) else Reject.FEW_EDGES
-    return reject

@@ -76,6 +76,9 @@ class CornerFeature:
     edges: tuple[str, str]
 
 
+DEPTH_SHARE = 0.12
+"""Default depth limits of a job: this much nearer and farther than it lay at teaching."""
+
 MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "flatness"]
 MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
     "radius": (("circle",),),
@@ -111,14 +114,32 @@ class Limits:
     max_rms_px : of the reference circle's edges.  max_sigma_mm : of each coordinate.
     max_epipolar_px : rms row difference of corresponding points.
     radius_tolerance_mm : deviation of the reference radius from the taught one; None: not checked.
+    form_tolerance_mm : of a part without circles, deviation of its edges and slots from their taught places.
     """
 
     depth_mm: tuple[float, float]
     min_support: float = 0.3
     max_rms_px: float = 0.5
     max_sigma_mm: float = 0.2
-    max_epipolar_px: float = 1.0
+    max_epipolar_px: float = 0.5
     radius_tolerance_mm: float | None = None
+    form_tolerance_mm: float | None = None
+
+
+FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (1000.0, 0.3), (math.inf, 0.5))
+"""Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
+DISPLACED_PX = 0.5
+"""Another light displaces the edges of one part by up to a third of this (`displacements`), walls by more."""
+
+
+def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:
+    """By how much an edge may lie off its taught place before it is another part's, or another edge.
+
+    Half of what the whole size may differ by, but no less than pictures can tell. size_mm : of the part, or
+    diameter.  pixel_mm : of a pixel at its depth.  sigma_mm : of the taught place.
+    """
+    fine = next(tolerance for largest, tolerance in FINE_TOLERANCES_MM if size_mm <= largest)
+    return round(max(0.5 * fine, DISPLACED_PX * pixel_mm) + 3 * sigma_mm, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,6 +193,28 @@ class Job:
                 one, two = (edges[edge] for edge in corner.edges)
                 return crossing(one, two)
         return np.asarray(0.5 * (edges[name].start_mm + edges[name].end_mm))
+
+
+def usual_limits(
+    depth_mm: float,
+    pixel_mm: float,
+    shape: ShapeModel,
+    circles: Sequence[CircleFeature],
+    reference: str,
+    sigma_mm: float = 0.0,
+) -> Limits:
+    """The limits of a job that was taught at this depth, where a pixel has this size.
+
+    reference : as in the job.  sigma_mm : of the taught radius.
+    """
+    first = next((circle for circle in circles if circle.name == reference), circles[0] if circles else None)
+    size_mm = 2 * (shape.radius_px * pixel_mm if first is None else first.radius_mm)
+    tolerance_mm = usual_tolerance_mm(size_mm, pixel_mm, sigma_mm)
+    return Limits(
+        (depth_mm * (1 - DEPTH_SHARE), depth_mm * (1 + DEPTH_SHARE)),
+        radius_tolerance_mm=tolerance_mm if circles else None,
+        form_tolerance_mm=None if circles else tolerance_mm,
+    )
 
 
 def known_radius(

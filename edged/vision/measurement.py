@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, FaceFit
+from edged.vision.doubt import growth_of, row_shift_px
 from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry import apply, rotation_matrix, transform
 from edged.vision.job import CircleFeature, Job
 from edged.vision.planefit import CurveFit
-from edged.vision.quality import reject_reasons
+from edged.vision.quality import Evidence
 from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import Plane, find_plane
@@ -55,9 +56,10 @@ class Images:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A target and the edges it stands on (for pictures): of its circles, and of its other features."""
+    """A target, what it stands on, and the edges of its circles and its other features (for pictures)."""
 
     target: Target
+    evidence: Evidence
     fits: tuple[CircleFit, ...]
     curves: tuple[CurveFit, ...] = ()
 
@@ -86,6 +88,7 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
     rig_from_part[:3, 3] = main.circle.centre_mm
     fits = (main, *(others[index] for index in used))
     origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
+    circles = tuple(_in_order(job, fits))
     target = Target(
         job=job.name,
         match=Match(
@@ -93,10 +96,17 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
         ),
         rig_from_part=rig_from_part,
         covariance=_pose_covariance(main, sigma_turn),
-        circles=tuple(_in_order(job, fits)),
+        circles=circles,
         epipolar_rms_px=_epipolar_rms(rectification, main),
+        reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,
     )
-    return Measured(replace(target, reject=_judge(job, target, main, ambiguous)), fits)
+    evidence = Evidence(
+        min(main.support_left, main.support_right),
+        main.rms_px,
+        row_shift_px(rectification, main),
+        *growth_of(job, circles),
+    )
+    return Measured(target, evidence, fits)
 
 
 def _reference(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> CircleFit | None:
@@ -471,13 +481,3 @@ def _epipolar_rms(rectification: Rectification, fit: CircleFit) -> float:
 def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
     by_name = {fit.circle.name: fit.circle for fit in fits}
     return [by_name[circle.name] for circle in job.circles if circle.name in by_name]
-
-
-def _judge(job: Job, target: Target, main: CircleFit, ambiguous: bool) -> Reject:
-    reject = reject_reasons(job.limits, target, min(main.support_left, main.support_right), main.rms_px)
-    tolerance = job.limits.radius_tolerance_mm
-    if tolerance is not None and abs(main.circle.radius_mm - job.reference_circle.radius_mm) > tolerance:
-        reject |= Reject.TOLERANCE
-    if ambiguous:
-        reject |= Reject.AMBIGUOUS_ROTATION
-    return reject

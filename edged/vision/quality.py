@@ -1,22 +1,70 @@
-"""What makes a result good: the limits of a job as reasons against a target."""
+"""What makes a result good: the limits of a job as reasons against a target, and its doubts in its sigma."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from edged.domain import Reject, Target
-from edged.vision.job import Limits
+from edged.domain import Measurement, Reject, Target
+from edged.vision.doubt import doubt_by_rows, doubt_by_sizes, doubted
+from edged.vision.job import Job, Limits
+from edged.vision.rectification import Rectification
 
 
-def reject_reasons(limits: Limits, target: Target, support: float, rms_px: float) -> Reject:
-    """Every limit that a target fails.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a target stands on; NaN where nothing tells.
 
     support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
+    row_shift_px : left against right.  growth, sigma_growth : by which share all sizes exceed the
+    taught ones.
+    form_mm : largest deviation of a straight edge or slot from its taught place.
     """
+
+    support: float
+    rms_px: float
+    row_shift_px: float = math.nan
+    growth: float = math.nan
+    sigma_growth: float = math.nan
+    form_mm: float = math.nan
+
+
+def judged(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:
+    """The target with every limit that it fails among its reasons, and with its doubts in every covariance.
+
+    A doubt that by itself makes a result too vague is a reason of its own kind: rows that do not meet are a
+    mismatch, sizes that are wrong alike are out of tolerance.
+    """
+    limits = job.limits
+    reject = target.reject | _reasons(limits, target, evidence)
+    reject |= _out_of_tolerance(job, target, evidence) | size_reasons(target.measurements)
+    by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px)
+    by_sizes = doubt_by_sizes(target, evidence.growth, evidence.sigma_growth)
+    for share, reason in (
+        (by_rows, Reject.LEFT_RIGHT_MISMATCH),
+        (by_sizes, Reject.TOLERANCE),
+    ):
+        if share * float(np.linalg.norm(target.position_mm)) > limits.max_sigma_mm:
+            reject |= reason
+    return replace(doubted(target, math.hypot(by_rows, by_sizes)), reject=reject)
+
+
+def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
+    """What the sizes speak against a part: out of tolerance, or not to be seen."""
     reject = Reject.NONE
-    if not support >= limits.min_support:
+    for one in measurements:
+        if one.ok is False:
+            reject |= Reject.TOLERANCE if math.isfinite(one.value) else Reject.FEW_EDGES
+    return reject
+
+
+def _reasons(limits: Limits, target: Target, evidence: Evidence) -> Reject:
+    reject = Reject.NONE
+    if not evidence.support >= limits.min_support:
         reject |= Reject.FEW_EDGES
-    if not rms_px <= limits.max_rms_px:
+    if not evidence.rms_px <= limits.max_rms_px:
         reject |= Reject.RESIDUAL
     if not float(np.sqrt(np.diag(target.covariance)[:3].max())) <= limits.max_sigma_mm:
         reject |= Reject.SIGMA_LIMIT
@@ -25,3 +73,17 @@ def reject_reasons(limits: Limits, target: Target, support: float, rms_px: float
     if not limits.depth_mm[0] <= target.position_mm[2] <= limits.depth_mm[1]:
         reject |= Reject.OUT_OF_VOLUME
     return reject
+
+
+def _out_of_tolerance(job: Job, target: Target, evidence: Evidence) -> Reject:
+    """Whether the reference circle's size, or the form of a part without circles, is not the taught one."""
+    allowed = job.limits.radius_tolerance_mm
+    if job.circles and allowed is not None:
+        taught = job.reference_circle
+        for circle in target.circles:
+            if circle.name == taught.name and abs(circle.radius_mm - taught.radius_mm) > allowed:
+                return Reject.TOLERANCE
+    form = job.limits.form_tolerance_mm
+    if form is not None and evidence.form_mm > form:
+        return Reject.TOLERANCE
+    return Reject.NONE

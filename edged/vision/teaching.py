@@ -23,7 +23,7 @@ from edged.vision.featureteaching import (
     part_frame,
 )
 from edged.vision.geometry import apply, invert, transform
-from edged.vision.job import CircleFeature, Job, Limits, crossing, known_radius
+from edged.vision.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
 from edged.vision.rectification import Rectification
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
@@ -31,8 +31,6 @@ from edged.vision.shape.search import SearchParams
 from edged.vision.startplane import Plane, find_plane
 from edged.vision.teachingregion import Area, painted_region
 
-DEPTH_SHARE = 0.12
-"""Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
 IN_FACE_MM = 0.05
@@ -107,7 +105,8 @@ def teach(
         for one in features
     ]
     found, _ = find_features(view, rig_from_part, curves)
-    return _job(view, params, name, number, rig_from_part, features[0].name, found, features)
+    sigma_mm = circles[0].circle.sigma_radius_mm
+    return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
 def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[CircleFit]:
@@ -162,6 +161,7 @@ def _job(
     reference: str,
     found: FoundFeatures,
     circles: tuple[CircleFeature, ...] = (),
+    sigma_mm: float = 0.0,
 ) -> Job:
     rectification = view.rectification
     depth = float(rig_from_part[2, 3])
@@ -182,7 +182,7 @@ def _job(
         witness=witness,
         reference=reference,
         rig_from_part=rig_from_part,
-        limits=Limits((depth * (1 - DEPTH_SHARE), depth * (1 + DEPTH_SHARE))),
+        limits=usual_limits(depth, depth / rectification.focal_px, shape, circles, reference, sigma_mm),
         search=SearchParams(
             scale_min=1 / (1 + DEPTH_SHARE),
             scale_max=1 / (1 - DEPTH_SHARE),

@@ -1,0 +1,175 @@
+"""What a picture says against its own rig: rows that do not meet, and sizes that are all wrong alike.
+
+A camera that was knocked, or a right image that is older than the left one while the part moved on, still
+shows one part in both images; only its distance is wrong, and nothing in the residuals tells. Two things do:
+
+* Rows. A camera that has moved by some pixels across the rows has moved along them by as much, as far as
+  anybody knows, and along the rows a shift is a distance.
+* Sizes. A part that is found at a wrong distance is too large, or too small, in all of its features by one
+  factor: radii and places differ as they would seen from elsewhere. A part out of tolerance
+  differs otherwise. (A warm part differs just so, 0.02 % for 20 K in steel: no picture tells it from a
+  nearer one.)
+
+Neither makes the result wrong; both make it less certain. They are doubts about one number, the distance in
+shares of itself, by which everything grows about the left camera.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
+from edged.vision.circlefit import CircleFit
+from edged.vision.job import Job
+from edged.vision.rectification import Rectification
+
+Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
+
+CERTAIN = 3.0
+"""Sigmas that chance may explain."""
+WALL_PX = 0.2
+"""Walls and light displace edges by up to this, and in both images differently (see `displacements`)."""
+MIN_LEVEL = 0.2
+"""Share of a shift across the rows that moves the edge along its normal; less is none."""
+MIN_POINTS = 8
+MIN_SIZES = 4
+ARM = 0.15
+"""Share of the reference radius from which on the place of a circle is a size."""
+
+
+def row_shift_px(rectification: Rectification, fit: CircleFit) -> float:
+    """By how much the circle lies lower in the left image than in the right one, rectified px, or NaN.
+
+    Least squares over its edge points: where the edge is slanted a shift moves it less along its normal.
+    """
+    left = rectification.rectify_points("left", fit.points_left)
+    right = rectification.rectify_points("right", fit.points_right)
+    along = np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0)
+    rows = left[:, 1] - right[:, 1]
+    weights = np.minimum(fit.weights_left, fit.weights_right)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = along[:, 0] ** 2 / np.sum(along**2, axis=1)
+        usable = (weights > 0.1) & np.isfinite(rows) & (level > MIN_LEVEL)
+    if usable.sum() < MIN_POINTS:
+        return math.nan
+    weights, level, rows = weights[usable], level[usable], rows[usable]
+    return float(np.sum(weights * level * rows) / np.sum(weights * level**2))
+
+
+def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
+    """By which share all circles are larger, and farther apart, than taught, and its sigma; NaN for too few.
+
+    The median by lengths: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma
+    comes from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
+    """
+    by_name = {circle.name: circle for circle in circles}
+    seen = [(one, by_name[one.name]) for one in job.circles if one.name in by_name]
+    rows = [(one.radius_mm, found.radius_mm, found.sigma_radius_mm) for one, found in seen]
+    middle, hub = job.reference_circle, by_name.get(job.reference_circle.name)
+    for one, found in seen:
+        arm = float(np.linalg.norm(one.centre_mm - middle.centre_mm))
+        if hub is not None and arm > ARM * middle.radius_mm:
+            rows.append((arm, *_distance(hub, found)))
+    if len(rows) < MIN_SIZES:
+        return math.nan, math.nan
+    taught, sizes, sigmas = np.array(rows).T
+    excess, square = sizes - taught, float(np.sum(taught**2))
+    order = np.argsort(excess / taught)
+    half = np.searchsorted(np.cumsum(taught[order] ** 2), 0.5 * square)
+    growth = float((excess / taught)[order][half])
+    scatter = 1.4826 * float(np.median(np.abs(excess - growth * taught)))
+    alike = float(np.sum(taught * sigmas)) / square
+    return growth, math.hypot(math.sqrt(math.pi / 2 / square) * scatter, alike)
+
+
+def _distance(one: Circle3D, two: Circle3D) -> tuple[float, float]:
+    """Between two centres, and its sigma."""
+    gap = two.centre_mm - one.centre_mm
+    length = float(np.linalg.norm(gap))
+    along = gap / length
+    spread = one.covariance[:3, :3] + two.covariance[:3, :3]
+    return length, math.sqrt(max(float(along @ spread @ along), 0.0))
+
+
+def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float) -> float:
+    """Sigma of the distance, in shares of itself, for a shift across the rows; 0 for an explained one."""
+    row = rectification.rectified_from_left[1]
+    depth = float(rectification.rectified_from_left[2] @ target.position_mm)
+    sigma_px = (
+        math.sqrt(max(float(row @ target.covariance[:3, :3] @ row), 0.0)) * rectification.focal_px / depth
+    )
+    # the position is the mean of both images: their difference has twice its sigma
+    explained_px = min(CERTAIN * 2 * sigma_px, WALL_PX)
+    beyond_px = _beyond(shift_px, explained_px)
+    return beyond_px * depth / (rectification.focal_px * rectification.baseline_mm)
+
+
+def doubt_by_sizes(target: Target, growth: float, sigma: float) -> float:
+    """Sigma of the distance, in shares of itself, for sizes that are wrong alike; 0 for explained ones.
+
+    What the stated sigma of the distance says already, now and at teaching, is explained.
+    """
+    place = target.position_mm
+    distance = float(np.linalg.norm(place))
+    ray = place / distance
+    known = math.sqrt(2 * max(float(ray @ target.covariance[:3, :3] @ ray), 0.0)) / distance
+    return _beyond(growth, CERTAIN * math.hypot(sigma, known))
+
+
+def _beyond(value: float, explained: float) -> float:
+    """What of a value is left over; 0 for one that is not known."""
+    excess = value**2 - explained**2
+    return math.sqrt(excess) if excess > 0 else 0.0
+
+
+def doubted(target: Target, share: float) -> Target:
+    """The target with a doubt about its distance, a share of it, in every covariance."""
+    if share == 0:
+        return target
+    doubt_mm = share * float(np.linalg.norm(target.position_mm))
+    return replace(_widened(target, share**2), doubt_mm=doubt_mm)
+
+
+def undoubted(target: Target) -> Target:
+    """The target as if the rig were beyond doubt: for who wants to know from it whether the rig is."""
+    share = target.doubt_mm / float(np.linalg.norm(target.position_mm))
+    return replace(_widened(target, -(share**2)), doubt_mm=0.0)
+
+
+def _widened(target: Target, square: float) -> Target:
+    """With a variance of the distance, in squared shares of it, added to every covariance."""
+    normal = target.rig_from_part[:3, 2]
+    covariance = target.covariance.copy()
+    covariance[:3, :3] += square * np.outer(target.position_mm, target.position_mm)
+    return replace(
+        target,
+        covariance=covariance,
+        circles=tuple(_grown(one, square, one.centre_mm, one.radius_mm) for one in target.circles),
+        edges=tuple(_grown(one, square, _across(one, normal), 0.0) for one in target.edges),
+        slots=tuple(_grown(one, square, one.centre_mm, one.length_mm, one.width_mm) for one in target.slots),
+        corners=tuple(_grown(one, square, one.position_mm) for one in target.corners),
+        measurements=tuple(_measurement(one, square) for one in target.measurements),
+    )
+
+
+def _grown(one: Feature, square: float, *lengths_mm: FloatArray | float) -> Feature:
+    """A feature whose covariance is of these lengths, all of which grow with the distance."""
+    growth = np.hstack(lengths_mm)
+    return replace(one, covariance=one.covariance + square * np.outer(growth, growth))
+
+
+def _across(one: Edge3D, normal: FloatArray) -> float:
+    """How far the edge lies from the camera's foot on the face, across itself."""
+    along = one.end_mm - one.start_mm
+    across = np.cross(normal, along / np.linalg.norm(along))
+    return float(across @ (0.5 * (one.start_mm + one.end_mm)))
+
+
+def _measurement(one: Measurement, square: float) -> Measurement:
+    if one.unit != "mm":
+        return one
+    return replace(one, sigma=float(np.sqrt(one.sigma**2 + square * one.value**2)))
