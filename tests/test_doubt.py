@@ -74,7 +74,7 @@ def test_a_camera_knocked_askew(name: str, across_px: float) -> None:
 
 @pytest.mark.parametrize("along_px", [0.5, -0.7, 2.0, -2.0])
 def test_a_camera_knocked_along_the_rows(along_px: float) -> None:
-    """No row tells; that radii and places are wrong by one factor does: a larger sigma, or out of tolerance."""
+    """No row tells; radii and places wrong by one factor do: a larger sigma, or out of tolerance."""
     left, right = seen("disc")
     target = only(located("disc", left, shifted(right, along_px, 0.0)))
     assert abs(error("disc", target)[2]) > 0.15
