@@ -22,7 +22,8 @@ from edged.domain import FloatArray, Image
 from edged.vision.jit import kernel
 
 F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+I32 = npt.NDArray[np.int32]
 
 EDGE_SIGMA_PX = 1.2
 """Width of the operator: about sqrt(5) times the blur of a focused lens (0.55 px) is optimal."""
@@ -32,10 +33,10 @@ FINE_STEP_PX = 0.5
 """Sampling of the profile for narrow operators."""
 _HILL_SHARE = 0.25
 """Of the extremum that both neighbours of a blurred step exceed at either sampling; below it, texture."""
-_MAX_PEAK = 1.2
-"""The peak of a hill is less than this times its highest sample: exp(log(1 / _HILL_SHARE) / 8)."""
-_TOGETHER = 64  # profiles that are worked on side by side
+_TOGETHER = 128  # profiles that are worked on side by side
+_EXTREMUM = 1 << 16  # more than a profile has samples, so that one number holds a count and a place
 _CLIP_REACH_PX = 2.5  # the plateaus on both sides of an edge begin here, for a blur of up to 1 px
+_WHITE, _BLACK = 254.5, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +111,7 @@ def _measured(
     step_px: float,
 ) -> EdgeSamples:
     points = _columns(points_px)
-    signs = np.full(len(points), polarity, dtype=np.int64)
+    signs = np.full(len(points), polarity, dtype=np.int32)
     widths = np.asarray(widths_px, dtype=np.float64)
     result = _edge_offsets(
         _pixels(image), points, _columns(normals), float(reach_px), widths, signs, float(step_px)
@@ -128,44 +129,116 @@ def _pixels(image: Image) -> Image:
     return np.require(image, np.uint8, ("C", "W"))
 
 
-@kernel("UniTuple(f8, 4)(f8)", any_order=True)
-def _cubic(f: float) -> tuple[float, float, float, float]:
+@kernel(inline=True)
+def _cubic(f: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Catmull-Rom weights of the four values around a place f past the second (R. Keys, 1981, a = -0.5)."""
-    half, square = 0.5 * f, 0.5 * f * f
+    one, three = np.float32(1.0), np.float32(3.0)
+    half = np.float32(0.5) * f
+    square = half * f
     return (
-        half * (f * (2.0 - f) - 1.0),
-        1.0 + square * (3.0 * f - 5.0),
-        half * (1.0 + f * (4.0 - 3.0 * f)),
-        square * (f - 1.0),
+        half * (f * (np.float32(2.0) - f) - one),
+        one + square * (three * f - np.float32(5.0)),
+        half * (one + f * (np.float32(4.0) - three * f)),
+        square * (f - one),
     )
 
 
-@kernel("b1(u1[:, ::1], f8, f8, f8, f8, i8, f8[::1])", any_order=True)
-def _sample_profile(
-    image: Image, x: float, y: float, sx: float, sy: float, half: int, profile: FloatArray
+@kernel("void(f8[::1], f8[::1], f8, f4[::1], i4[::1])", any_order=True)
+def _split(middle: F64, step: F64, s: float, fraction: F32, before: I32) -> None:
+    """Sample s of each profile on one axis: how far past a pixel, and which one comes before that pixel."""
+    for n in range(len(middle)):
+        place = middle[n] + s * step[n]
+        whole = np.floor(place)
+        fraction[n] = np.float32(place - whole)
+        before[n] = np.int32(np.int32(whole) - np.int32(1))
+
+
+@kernel(inline=True)
+def _four_pixels(flat: Image, at: np.uint64) -> np.int32:
+    """Neighbours on a row as one number; the compiler makes one load of it."""
+    return np.int32(
+        np.uint32(flat[at])
+        | np.uint32(flat[at + np.uint64(1)]) << np.uint32(8)
+        | np.uint32(flat[at + np.uint64(2)]) << np.uint32(16)
+        | np.uint32(flat[at + np.uint64(3)]) << np.uint32(24)
+    )
+
+
+@kernel("void(u1[::1], i8, i4[::1], i4[::1], i4[:, ::1])", any_order=True)
+def _fetch(flat: Image, width: int, left: I32, top: I32, rows: I32) -> None:
+    """The 4 x 4 pixels from (left, top): four numbers, one for each row, of four bytes."""
+    a, b, c, d = rows[0], rows[1], rows[2], rows[3]
+    down = np.uint64(width)
+    for n in range(len(left)):
+        # inside the image: as unsigned numbers they need no check for negative indices
+        at = np.uint64(top[n]) * down + np.uint64(left[n])
+        a[n] = _four_pixels(flat, at)
+        b[n] = _four_pixels(flat, at + down)
+        c[n] = _four_pixels(flat, at + down + down)
+        d[n] = _four_pixels(flat, at + down + down + down)
+
+
+@kernel(inline=True)
+def _byte(row: np.int32, k: int) -> np.float32:
+    return np.float32(np.int32(np.int32(np.uint32(row) >> np.uint32(8 * k)) & np.int32(255)))
+
+
+@kernel("void(i4[:, ::1], f4[::1], f4[::1], f4[::1])", any_order=True)
+def _interpolate(rows: I32, x: F32, y: F32, values: F32) -> None:
+    a, b, c, d = rows[0], rows[1], rows[2], rows[3]
+    for n in range(len(values)):
+        left, here, right, last = _cubic(x[n])
+        above, level, below, bottom = _cubic(y[n])
+        p, q, r, s = a[n], b[n], c[n], d[n]
+        values[n] = (
+            left * (above * _byte(p, 0) + level * _byte(q, 0) + below * _byte(r, 0) + bottom * _byte(s, 0))
+            + here * (above * _byte(p, 1) + level * _byte(q, 1) + below * _byte(r, 1) + bottom * _byte(s, 1))
+            + right * (above * _byte(p, 2) + level * _byte(q, 2) + below * _byte(r, 2) + bottom * _byte(s, 2))
+            + last * (above * _byte(p, 3) + level * _byte(q, 3) + below * _byte(r, 3) + bottom * _byte(s, 3))
+        )
+
+
+@kernel("b1(u1[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8, i8, f4[:, ::1], b1[::1])")
+def _sample_profiles(
+    image: Image,
+    points: F64,
+    normals: F64,
+    first: int,
+    step: float,
+    half: int,
+    profiles: F32,
+    inside: npt.NDArray[np.bool_],
 ) -> bool:
-    """Fill profile with 2 half + 1 bicubic samples, (sx, sy) apart; False when it leaves the image."""
+    """Fill profiles (2 half + 1, B), one in each column, across the points from the first on.
+
+    inside (B,) : whether there is such a point and its profile stays in the image; returns whether any does.
+    """
     height, width = image.shape
-    for end in (-half, half):
-        px, py = x + end * sx, y + end * sy
-        if not (1.0 <= px < width - 2.0 and 1.0 <= py < height - 2.0):
-            return False
+    many, some = len(inside), False
+    middle, steps = np.ones((2, many)), np.zeros((2, many))
+    for n in range(many):
+        inside[n] = False
+        if first + n >= len(points):
+            continue
+        x, y = points[first + n, 0], points[first + n, 1]
+        sx, sy = normals[first + n, 0] * step, normals[first + n, 1] * step
+        fits = True
+        for end in (-half, half):
+            px, py = x + end * sx, y + end * sy
+            fits = fits and 1.0 <= px < width - 2.0 and 1.0 <= py < height - 2.0
+        if fits:
+            inside[n] = some = True
+            middle[0, n], middle[1, n], steps[0, n], steps[1, n] = x, y, sx, sy
+    if not some:
+        return False
+    flat = image.reshape(image.size)
+    fraction, before = np.empty((2, many), np.float32), np.empty((2, many), np.int32)
+    rows = np.empty((4, many), np.int32)
     for s in range(2 * half + 1):
-        px = x + (s - half) * sx
-        py = y + (s - half) * sy
-        # inside the image, see above: as unsigned numbers they need no check for negative indices
-        ix, iy = np.uint64(px), np.uint64(py)
-        wa, wb, wc, wd = _cubic(px - ix)
-        above, here, below, last = _cubic(py - iy)
-        a, b, c, d = ix - np.uint64(1), ix, ix + np.uint64(1), ix + np.uint64(2)
-        row = image[iy - np.uint64(1)]
-        value = above * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
-        row = image[iy]
-        value += here * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
-        row = image[iy + np.uint64(1)]
-        value += below * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
-        row = image[iy + np.uint64(2)]
-        profile[s] = value + last * (wa * row[a] + wb * row[b] + wc * row[c] + wd * row[d])
+        for axis in range(2):
+            _split(middle[axis], steps[axis], float(s - half), fraction[axis], before[axis])
+        _fetch(flat, width, before[0], before[1], rows)
+        _interpolate(rows, fraction[0], fraction[1], profiles[s])
     return True
 
 
@@ -173,18 +246,18 @@ def _sample_profile(
 def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, step: float) -> FloatArray:
     count = points.shape[0]
     found = np.full((count, 2 * half + 1), np.nan)
-    profile = np.empty(2 * half + 1)
-    for n in range(count):
-        x, y = points[n, 0], points[n, 1]
-        if _sample_profile(image, x, y, normals[n, 0] * step, normals[n, 1] * step, half, profile):
-            found[n] = profile
+    profiles, inside = np.empty((2 * half + 1, _TOGETHER), np.float32), np.empty(_TOGETHER, np.bool_)
+    for first in range(0, count, _TOGETHER):
+        _sample_profiles(image, points, normals, first, step, half, profiles, inside)
+        for s in range(2 * half + 1):
+            for n in range(min(_TOGETHER, count - first)):
+                if inside[n]:
+                    found[first + n, s] = profiles[s, n]
     return found
 
 
-@kernel("void(f8[:, ::1], f8[::1], i8, i8, i8, f8[:, ::1])", any_order=True)
-def _slopes(
-    profiles: FloatArray, derivative: FloatArray, radius: int, half: int, inner: int, slopes: FloatArray
-) -> None:
+@kernel("void(f4[:, ::1], f4[::1], i8, i8, i8, f4[:, ::1])", any_order=True)
+def _slopes(profiles: F32, derivative: F32, radius: int, half: int, inner: int, slopes: F32) -> None:
     """Profiles (S, B), one in each column, times the derivative of a Gaussian, at the inner places."""
     side_by_side = profiles.shape[1]
     for s in range(2 * inner + 1):
@@ -196,28 +269,68 @@ def _slopes(
                 total[n] += gain * (ahead[n] - behind[n])
 
 
-@kernel("UniTuple(f8, 2)(f8[:, ::1], i8, f8, i8, f8)")
-def _best_extremum(
-    slopes: FloatArray, n: int, reach: float, polarity: int, step: float
-) -> tuple[float, float]:
+@kernel("void(f4[:, ::1], i4[::1], i4[::1])", any_order=True)
+def _extrema(slopes: F32, polarity: I32, extrema: I32) -> None:
+    """For each column, _EXTREMUM times the number of extrema of its polarity, plus the sum of their rows."""
+    extrema[:] = 0
+    for s in range(1, len(slopes) - 1):
+        before, here, after = slopes[s - 1], slopes[s], slopes[s + 1]
+        mark = np.int32(_EXTREMUM + s)
+        for n in range(len(extrema)):
+            slope = here[n]
+            falling = polarity[n] < 0 or (polarity[n] == 0 and slope < 0)
+            if falling:
+                hill = slope < 0 and slope <= before[n] and slope < after[n]
+            else:
+                hill = slope > 0 and slope >= before[n] and slope > after[n]
+            extrema[n] += mark if hill else np.int32(0)
+
+
+@kernel(inline=True)
+def _log_share(share: float) -> float:
+    """The logarithm of a number in [_HILL_SHARE, 1], to 4e-9: of its fourth root four terms are enough."""
+    root = np.sqrt(np.sqrt(share))
+    z = (root - 1.0) / (root + 1.0)
+    z2 = z * z
+    series = 1.0 + z2 * (1.0 / 3.0 + z2 * (1.0 / 5.0 + z2 * (1.0 / 7.0 + z2 * (1.0 / 9.0))))
+    return float(8.0 * z * series)
+
+
+@kernel(inline=True)
+def _top(before: float, here: float, after: float) -> tuple[float, float]:
+    """Place, in samples from the middle, and height of a maximum: a hill's is the Gaussian's."""
+    rise, fall = _log_share(before / here), _log_share(after / here)
+    lead = rise - fall
+    fraction = 0.5 * lead / (rise + fall)
+    x = -0.25 * lead * fraction  # up to -log(_HILL_SHARE) / 8: six terms of the exponential give 1e-9
+    growth = 1.0 + x * (1.0 + x * (0.5 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x * (1 / 720))))))
+    bend = 0.5 * (before - after) / (before - 2.0 * here + after)
+    if min(before, after) > _HILL_SHARE * here:
+        return fraction, here * growth
+    return bend, here - 0.25 * (before - after) * bend
+
+
+@kernel("void(f8[:, ::1], f8[::1], f8[::1])", any_order=True)
+def _tops(three: F64, fraction: F64, peak: F64) -> None:
+    """`_top` of three samples (3, B) for each profile."""
+    before, here, after = three[0], three[1], three[2]
+    for n in range(len(peak)):
+        place, height = _top(before[n], here[n], after[n])
+        fraction[n], peak[n] = place, height
+
+
+@kernel("UniTuple(f8, 2)(f4[:, ::1], i8, f8, i8, f8)")
+def _best_extremum(slopes: F32, n: int, reach: float, polarity: int, step: float) -> tuple[float, float]:
     """(offset px, slope) of the strongest extremum in column n of the slopes; NaN if there is none."""
     inner = len(slopes) // 2
     best_weight, best_offset, best_slope = 0.0, np.nan, np.nan
     for s in range(1, 2 * inner):
-        before, here, after = slopes[s - 1, n], slopes[s, n], slopes[s + 1, n]
+        before, here, after = float(slopes[s - 1, n]), float(slopes[s, n]), float(slopes[s + 1, n])
         if polarity < 0 or (polarity == 0 and here < 0):
             before, here, after = -before, -here, -after
         if here <= 0 or here < before or here <= after:
             continue
-        if min(before, after) > _HILL_SHARE * here:
-            if _MAX_PEAK * here < best_weight:
-                continue
-            lead = np.log(before / after)
-            fraction = 0.5 * lead / np.log(before * after / (here * here))
-            peak = here * np.exp(-0.25 * lead * fraction)
-        else:
-            fraction = 0.5 * (before - after) / (before - 2.0 * here + after)
-            peak = here - 0.25 * (before - after) * fraction
+        fraction, peak = _top(before, here, after)
         offset = (s - inner + fraction) * step
         weight = peak * np.exp(-0.5 * (offset / reach) ** 2)
         if abs(offset) <= reach and weight > best_weight:
@@ -226,59 +339,106 @@ def _best_extremum(
     return best_offset, best_slope
 
 
-@kernel("b1(f8[:, ::1], i8, f8, f8)")
-def _clips(profiles: FloatArray, n: int, offset: float, step: float) -> bool:
+@kernel("void(f4[:, ::1], i4[::1], f8, f8, f8[::1], f8[::1])")
+def _measure_slopes(slopes: F32, polarity: I32, reach: float, step: float, offset: F64, slope: F64) -> None:
+    """Fill offset (B,) and slope (B,) of the strongest extremum in each column; NaN if there is none."""
+    many, inner = len(polarity), len(slopes) // 2
+    extrema, three = np.empty(many, np.int32), np.ones((3, many))
+    _extrema(slopes, polarity, extrema)
+    for n in range(many):
+        if _EXTREMUM < extrema[n] < 2 * _EXTREMUM:
+            s = extrema[n] - _EXTREMUM
+            sign = 1.0 if slopes[s, n] > 0 else -1.0
+            for i in range(3):
+                three[i, n] = sign * slopes[s - 1 + i, n]
+    fraction, peak = np.empty(many), np.empty(many)
+    _tops(three, fraction, peak)
+    for n in range(many):
+        offset[n], slope[n] = np.nan, np.nan
+        if extrema[n] >= 2 * _EXTREMUM:
+            offset[n], slope[n] = _best_extremum(slopes, n, reach, polarity[n], step)
+        elif extrema[n] > 0:
+            s = extrema[n] - _EXTREMUM
+            place = (s - inner + fraction[n]) * step
+            if abs(place) <= reach:
+                offset[n], slope[n] = place, peak[n] if slopes[s, n] > 0 else -peak[n]
+
+
+@kernel("void(f4[:, ::1], b1[::1])", any_order=True)
+def _may_clip(profiles: F32, may: npt.NDArray[np.bool_]) -> None:
+    """Whether the sensor is saturated, or black, anywhere on each profile."""
+    high, low = profiles[0].copy(), profiles[0].copy()
+    for s in range(1, len(profiles)):
+        row = profiles[s]
+        for n in range(len(row)):
+            high[n] = max(high[n], row[n])
+        for n in range(len(row)):
+            low[n] = min(low[n], row[n])
+    for n in range(len(may)):
+        may[n] = high[n] >= _WHITE or low[n] <= _BLACK
+
+
+@kernel("b1(f4[:, ::1], i8, f8, f8)")
+def _clips(profiles: F32, n: int, offset: float, step: float) -> bool:
     """Whether the sensor is saturated, or black, beside an edge of the profile in column n."""
     half = len(profiles) // 2
     middle, span = half + offset / step, _CLIP_REACH_PX / step
     for s in range(max(0, int(middle - span)), min(2 * half, int(np.ceil(middle + span))) + 1):
-        if profiles[s, n] >= 254.5 or profiles[s, n] <= 0.5:
+        if profiles[s, n] >= _WHITE or profiles[s, n] <= _BLACK:
             return True
     return False
 
 
-@kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], f8, f8[::1], i8[::1], f8)")
+@kernel(inline=True)
+def _radius(width: float, step: float) -> int:
+    return int(np.ceil(3.5 * width / step))
+
+
+@kernel("void(f8, f8, f4[::1])")
+def _derivative(width: float, step: float, taps: F32) -> None:
+    """Fill taps with the derivative of a Gaussian, so that a ramp of 1 per px gives 1."""
+    radius, gain = _radius(width, step), 0.0
+    for i in range(-radius, radius + 1):
+        gain += i * step * (i * np.exp(-0.5 * (i * step / width) ** 2))
+    for i in range(-radius, radius + 1):
+        taps[i + radius] = i * np.exp(-0.5 * (i * step / width) ** 2) / gain
+
+
+@kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], f8, f8[::1], i4[::1], f8)")
 def _edge_offsets(
-    image: Image,
-    points: FloatArray,
-    normals: FloatArray,
-    reach: float,
-    widths: FloatArray,
-    polarity: npt.NDArray[np.int64],
-    step: float,
-) -> FloatArray:
+    image: Image, points: F64, normals: F64, reach: float, widths: F64, polarity: I32, step: float
+) -> F64:
     """Rows: the offset at each width, then the slope at each width, then 1 where the sensor clips."""
     count, many = points.shape[0], widths.shape[0]
     found = np.full((2 * many + 1, count), np.nan)
     inner = int(np.ceil(reach / step)) + 1  # one more on each side: an extremum has two neighbours
-    radii = np.empty(many, np.int64)
+    half = inner
+    for width in widths:
+        half = max(half, inner + _radius(width, step))
+    taps = np.empty((many, 2 * half + 1), np.float32)
     for w in range(many):
-        radii[w] = int(np.ceil(3.5 * widths[w] / step))
-    half = inner + radii.max()
-    derivatives = np.zeros((many, 2 * half + 1))
-    for w in range(many):
-        gain = 0.0
-        for i in range(-radii[w], radii[w] + 1):
-            value = i * np.exp(-0.5 * (i * step / widths[w]) ** 2)
-            derivatives[w, i + radii[w]] = value
-            gain += i * step * value
-        derivatives[w] /= gain
-    profile, profiles = np.empty(2 * half + 1), np.zeros((2 * half + 1, _TOGETHER))
-    slopes = np.empty((2 * inner + 1, _TOGETHER))
+        _derivative(widths[w], step, taps[w])
+    profiles = np.empty((2 * half + 1, _TOGETHER), np.float32)
+    slopes = np.empty((2 * inner + 1, _TOGETHER), np.float32)
+    inside, may_clip = np.empty(_TOGETHER, np.bool_), np.empty(_TOGETHER, np.bool_)
+    signs, offset, slope = np.zeros(_TOGETHER, np.int32), np.empty(_TOGETHER), np.empty(_TOGETHER)
     for first in range(0, count, _TOGETHER):
-        for n in range(first, min(first + _TOGETHER, count)):
-            x, y = points[n, 0], points[n, 1]
-            sx, sy = normals[n, 0] * step, normals[n, 1] * step
-            if np.isfinite(x + y) and _sample_profile(image, x, y, sx, sy, half, profile):
-                profiles[:, n - first] = profile
-                found[2 * many, n] = 0.0
+        part = min(_TOGETHER, count - first)
+        if not _sample_profiles(image, points, normals, first, step, half, profiles, inside):
+            continue
+        _may_clip(profiles, may_clip)
+        for n in range(part):
+            signs[n] = polarity[first + n]
+        clips = found[2 * many, first : first + part]
         for w in range(many):
-            _slopes(profiles, derivatives[w], radii[w], half, inner, slopes)
-            for n in range(first, min(first + _TOGETHER, count)):
-                if np.isnan(found[2 * many, n]):
+            _slopes(profiles, taps[w], _radius(widths[w], step), half, inner, slopes)
+            _measure_slopes(slopes, signs, reach, step, offset, slope)
+            for n in range(part):
+                if not inside[n]:
                     continue
-                offset, slope = _best_extremum(slopes, n - first, reach, polarity[n], step)
-                found[w, n], found[many + w, n] = offset, slope
-                if found[2 * many, n] == 0.0 and np.isfinite(offset):
-                    found[2 * many, n] = 1.0 if _clips(profiles, n - first, offset, step) else 0.0
+                found[w, first + n], found[many + w, first + n] = offset[n], slope[n]
+                if w == 0:
+                    clips[n] = 0.0
+                if may_clip[n] and clips[n] == 0.0 and np.isfinite(offset[n]):
+                    clips[n] = 1.0 if _clips(profiles, n, offset[n], step) else 0.0
     return found
