@@ -406,6 +406,17 @@ def shape_edge(
     return offset, cosine
 
 
+def shape_agreement(gx: np.ndarray, gy: np.ndarray, place: np.ndarray, sign: int, minimum: float) -> float:
+    """cos, of twice the angle for sign 0, between a placed normal and the gradient at the nearest pixel."""
+    i, j = math.floor(place[0] + 0.5), math.floor(place[1] + 0.5)
+    if not (0 <= i < gx.shape[1] and 0 <= j < gx.shape[0]):
+        return 0.0
+    if math.hypot(gx[j, i], gy[j, i]) < max(minimum, 1e-9):
+        return 0.0
+    turn = math.atan2(gy[j, i], gx[j, i]) - math.atan2(place[3], place[2])
+    return math.cos(2 * turn) if sign == 0 else sign * math.cos(turn)
+
+
 def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
     """How far along x or y the farthest of the points moves between two poses."""
     return max(

@@ -8,7 +8,7 @@ import naive
 import numpy as np
 import pytest
 
-from edged.vision.shape import refine, rivals, scan
+from edged.vision.shape import nearby, refine, rivals, scan
 
 RNG = np.random.default_rng(7)
 
@@ -369,3 +369,23 @@ def test_points_beside_an_outline_are_found() -> None:
     expected = [naive.lies_beside(place, outline, 2.0, 5.0, 0.8) for place in points]
     assert 10 < found.sum() < 140
     np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("sign", [-1, 0, 1])
+@pytest.mark.parametrize("place", [(20.3, 11.8), (2.0, 19.0), (-30.0, 500.0)])
+def test_agreement_around_a_pose(sign: int, place: tuple[float, float]) -> None:
+    """A moved pose scores the mean cosine at its points' nearest pixels, 0 for those outside the image."""
+    gx, gy = _gradients(21, 34)
+    points, directions = _points(9)
+    normals = np.column_stack([np.cos(directions), np.sin(directions)])
+    poses = np.array([refine.start_pose(*place, angle, 1.1, 0.9) for angle in (0.3, -2.0)])
+    scores = np.empty((2, nearby.PLACES, nearby.PLACES), np.float32)
+    nearby.scan_nearby(gx, gy, points, normals, poses, sign, 150.0, scores)
+    placed = np.empty((9, 4))
+    for pose, found in zip(poses, scores, strict=True):
+        refine.place(points, normals, pose, placed)
+        for i in range(nearby.PLACES):
+            for j in range(nearby.PLACES):
+                shift = nearby.STRIDE_PX * np.array([j, i, 0, 0]) - nearby.REACH_PX * np.array([1, 1, 0, 0])
+                expected = [naive.shape_agreement(gx, gy, point, sign, 150.0) for point in placed + shift]
+                assert found[i, j] == pytest.approx(float(np.mean(expected)), abs=1e-5)

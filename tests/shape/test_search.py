@@ -98,6 +98,21 @@ def test_inverted_contrast(bracket: ShapeModel) -> None:
     assert find_shapes(image, bracket, replace(RIGID, polarity="same")) == []
 
 
+@pytest.mark.parametrize("angle", [-3.0, -1.5, 0.0, 1.5])
+def test_the_shadow_is_not_taken_for_the_part(bracket: ShapeModel, angle: float) -> None:
+    """A dark part a little above a bright, textured table is found beside its shadow, not between the two."""
+    size, outline = (320, 400), BRACKET[0][0]
+    table = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 90, size), (0, 0), 1.5) + 130
+    shadow = draw(((outline, 255.0),), (198.0, 157.0, angle, 1, 1), background=np.zeros(size, np.uint8))
+    table *= 1 - 0.75 / 255 * cv2.GaussianBlur(shadow, (0, 0), 1.5)
+    holes = tuple((points, 70.0) for points, _ in BRACKET[1:])
+    image = draw(((outline, 15.0), *holes), (190.0, 150.0, angle, 1, 1), background=table)
+    params = SearchParams(scale_min=0.89, scale_max=1.13, polarity="local")
+    match = _one(find_shapes(image, bracket, params))
+    assert math.hypot(match.x_px - 190.0, match.y_px - 150.0) < 0.3
+    assert _turn(match.angle_rad, angle) < math.radians(0.3)
+
+
 def test_local_inversion(bracket: ShapeModel) -> None:
     """On a background half darker, half brighter than the part only "local" sees all of it."""
     background = np.full((320, 400), 20, np.uint8)

@@ -42,6 +42,35 @@ def one_level_finer(pose: FloatArray) -> FloatArray:
     return finer
 
 
+def covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray) -> FloatArray:
+    """(5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
+    found = np.full((5, 5), np.nan)
+    if not freedom:
+        return found
+    try:
+        inner = np.linalg.inv(matrix[:freedom, :freedom] + 1e-9 * np.eye(freedom)) * sigma**2
+    except np.linalg.LinAlgError:
+        return found
+    a, b, c, d = pose[2:6]
+    to_scale = np.zeros((5, freedom))
+    to_scale[:3, :3] = np.eye(3)
+    used = 5
+    if freedom == RIGID:
+        used = 3
+    elif freedom == SIMILARITY:
+        to_scale[3, 3], to_scale[4, 3] = np.hypot(a, c), np.hypot(b, d)
+    elif freedom == STRETCH:
+        to_scale[3, 3], to_scale[4, 4] = np.hypot(a, c), np.hypot(b, d)
+    else:
+        lean = (c - b) ** 2 + (a + d) ** 2
+        to_scale[2, :] = 0
+        to_scale[2, 2:6] = np.array([-(c - b), -(a + d), a + d, -(c - b)]) / lean
+        to_scale[3, [2, 4]] = np.array([a, c]) / np.hypot(a, c)
+        to_scale[4, [3, 5]] = np.array([b, d]) / np.hypot(b, d)
+    found[:used, :used] = (to_scale @ inner @ to_scale.T)[:used, :used]
+    return found
+
+
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1])")
 def place(
     points: Array,

@@ -16,7 +16,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges import edges_along_normals
-from edged.vision.shape import refine, rivals
+from edged.vision.shape import nearby, refine, rivals
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams, ShapeMatch
@@ -36,6 +36,11 @@ REFINEMENT_GAIN = 0.3
 """What refinement may add to the score of a grid pose: quantised directions, half steps in all directions."""
 COARSE_SHARE = 0.65
 """Share of min_score that a pose must reach on coarse levels, where it may still be half a pixel off."""
+NEARLY_SHARE = 0.8
+"""... and on the last level but one, where a right pose agrees as well as on the finest."""
+NEARBY_LEVELS = (1, 2)
+CLEAR = 0.85
+"""Score above which there is nothing to be gained beside a pose."""
 RIVAL_MARGIN = (0.06, 0.12, 0.25)
 """A pose at the place of a better one is dropped below this distance of the scores: finest level, next,
 coarser ones."""
@@ -146,6 +151,8 @@ class _Search:
             if level < top:
                 hypothesis = hypothesis.at(refine.one_level_finer(hypothesis.pose))
             hypothesis = self._on_level(hypothesis, level, level == top)
+            if hypothesis is not None and level in NEARBY_LEVELS and hypothesis.score < CLEAR:
+                hypothesis = self._best_nearby(hypothesis, level)
             if hypothesis is None or self._hopeless(hypothesis, level, found):
                 return None
         return None if hypothesis is None else self._finest(hypothesis, top > 0)
@@ -183,6 +190,22 @@ class _Search:
             return None
         return Hypothesis(pose, hypothesis.sign, score)
 
+    def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis | None:
+        """A pose that explains a coarse level badly, or a better one beside it; None if both are hopeless."""
+        shape = self.model.levels[level]
+        place = nearby.best_nearby(
+            *self.work.gradient(level),
+            shape.points,
+            shape.normals,
+            hypothesis.pose,
+            self._sign(hypothesis),
+            8 * self.params.min_contrast,
+            self._stretches(),
+        )
+        other = self._on_level(hypothesis.at(place), level, first=True)
+        best = hypothesis if other is None or other.score < hypothesis.score else other
+        return None if level == 1 and best.score < NEARLY_SHARE * self.params.min_score else best
+
     def _finest(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis | None:
         """Robust steps on edges measured in the image itself, with the operator that measured the model."""
         image = self.work.images[0]
@@ -205,7 +228,7 @@ class _Search:
             moved = refine.robust_step(
                 points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
             )
-            if not moved:
+            if not moved or summary[0] < COARSE_SHARE * self.params.min_score:
                 return None
             if freedom:
                 pose = trial
@@ -214,7 +237,7 @@ class _Search:
         if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.03):
             return None
         sigma = float(summary[2]) * np.sqrt(self.model.repetition)
-        return Hypothesis(pose, hypothesis.sign, score, _covariance(matrix, freedom, sigma, pose))
+        return Hypothesis(pose, hypothesis.sign, score, refine.covariance(matrix, freedom, sigma, pose))
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
@@ -403,35 +426,6 @@ def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:
     moved[2:6] = (linear @ variant[:2, :2]).ravel()
     moved[6:] = pose[6:] @ variant[:2, :2]
     return moved
-
-
-def _covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray) -> FloatArray:
-    """(5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
-    covariance = np.full((5, 5), np.nan)
-    if not freedom:
-        return covariance
-    try:
-        inner = np.linalg.inv(matrix[:freedom, :freedom] + 1e-9 * np.eye(freedom)) * sigma**2
-    except np.linalg.LinAlgError:
-        return covariance
-    a, b, c, d = pose[2:6]
-    to_scale = np.zeros((5, freedom))
-    to_scale[:3, :3] = np.eye(3)
-    used = 5
-    if freedom == refine.RIGID:
-        used = 3
-    elif freedom == refine.SIMILARITY:
-        to_scale[3, 3], to_scale[4, 3] = np.hypot(a, c), np.hypot(b, d)
-    elif freedom == refine.STRETCH:
-        to_scale[3, 3], to_scale[4, 4] = np.hypot(a, c), np.hypot(b, d)
-    else:
-        lean = (c - b) ** 2 + (a + d) ** 2
-        to_scale[2, :] = 0
-        to_scale[2, 2:6] = np.array([-(c - b), -(a + d), a + d, -(c - b)]) / lean
-        to_scale[3, [2, 4]] = np.array([a, c]) / np.hypot(a, c)
-        to_scale[4, [3, 5]] = np.array([b, d]) / np.hypot(b, d)
-    covariance[:used, :used] = (to_scale @ inner @ to_scale.T)[:used, :used]
-    return covariance
 
 
 def _turn(one: float, other: float) -> float:

@@ -1,0 +1,137 @@
+"""A better place beside the one where the refinement settled.
+
+A part that lies off its table, or casts a shadow, has each of its outer edges twice. Far up the pyramid the
+two are one, and the least squares that follow keep to whichever was nearer: half of the part and half of its
+shadow. So a fit that explains the image badly is compared with every place around it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.vision.jit import kernel
+from edged.vision.shape import refine
+
+REACH_PX, STRIDE_PX = 6, 2
+"""How far, px of the level, the place may be off along x and y, in steps that the refinement bridges."""
+PLACES = 2 * REACH_PX // STRIDE_PX + 1
+STEP_PX = 1.5
+"""Motion of the farthest point from one angle or size to the next."""
+TURNS, SIZES = 1, 3
+"""Steps to both sides."""
+POINTS = 120
+"""Enough to rank poses; they are in random order."""
+
+Array = npt.NDArray[Any]
+
+
+def best_nearby(
+    gx: npt.NDArray[np.int16],
+    gy: npt.NDArray[np.int16],
+    points: FloatArray,
+    normals: FloatArray,
+    pose: FloatArray,
+    sign: int,
+    minimum: float,
+    stretched: bool,
+) -> FloatArray:
+    """The pose vector (8,) around `pose` at which the model agrees best with a gradient image.
+
+    gx, gy : Sobel (H, W) int16.  points, normals (N, 2) : of the model on this level.  sign, minimum : as
+    in `refine.gradient_edges`.  stretched : keep the sizes along x and y apart, where they are looked for.
+    Only place, angle and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
+    they are what a fit to half of two outlines shows.
+    """
+    points, normals = points[:POINTS], normals[:POINTS]
+    poses = _around(points, pose, stretched)
+    scores = np.empty((len(poses), PLACES, PLACES), np.float32)
+    scan_nearby(gx, gy, points, normals, poses, sign, minimum, scores)
+    best, row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    found = poses[best]
+    found[0] += STRIDE_PX * float(column) - REACH_PX
+    found[1] += STRIDE_PX * float(row) - REACH_PX
+    return np.asarray(found)
+
+
+def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray:
+    """Poses (P, 8) with other angles and sizes about the middle of the model's points."""
+    a, b, c, d = pose[2:6].tolist()
+    size_x, size_y = np.hypot(a, c), np.hypot(b, d)
+    if not stretched:
+        size_x = size_y = np.sqrt(abs(a * d - b * c))
+    middle = points.mean(axis=0)
+    place = pose[:2] + pose[2:6].reshape(2, 2) @ middle
+    radius = float(np.sqrt(size_x * size_y) * np.linalg.norm(points - middle, axis=1).max())
+    step = STEP_PX / max(radius, 1.0)
+    angles = np.arctan2(c - b, a + d) + step * np.repeat(np.arange(-TURNS, TURNS + 1), 2 * SIZES + 1)
+    sizes = 1 + step * np.tile(np.arange(-SIZES, SIZES + 1), 2 * TURNS + 1)
+    cosines, sines = sizes * np.cos(angles), sizes * np.sin(angles)
+    poses = np.zeros((len(angles), 8))
+    poses[:, 2], poses[:, 3] = cosines * size_x, -sines * size_y
+    poses[:, 4], poses[:, 5] = sines * size_x, cosines * size_y
+    poses[:, 0] = place[0] - poses[:, 2:4] @ middle
+    poses[:, 1] = place[1] - poses[:, 4:6] @ middle
+    return poses
+
+
+@kernel("void(i2[:, ::1], i2[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8, f4[:, :, ::1])")
+def scan_nearby(
+    gx: Array,
+    gy: Array,
+    points: Array,
+    normals: Array,
+    poses: Array,
+    sign: int,
+    minimum: float,
+    scores: Array,
+) -> None:
+    """Write the similarity (P, PLACES, PLACES) of each pose, moved along y and x in steps of STRIDE_PX.
+
+    The mean over the points of cos (sign 1 or -1) or, blind to the sign (0), of cos of twice the angle
+    between normal and gradient at the nearest pixel; 0 where the gradient is weaker than `minimum` or
+    outside of the image.
+    """
+    height, width = gx.shape
+    count = points.shape[0]
+    placed = np.empty((poses.shape[0], count, 4))
+    for p in range(poses.shape[0]):
+        refine.place(points, normals, poses[p], placed[p])
+    # the window that the poses see; zeros around the image agree with nothing
+    left = int(max(np.floor(placed[:, :, 0].min()), -REACH_PX)) - REACH_PX
+    top = int(max(np.floor(placed[:, :, 1].min()), -REACH_PX)) - REACH_PX
+    right = int(min(np.ceil(placed[:, :, 0].max()), width + REACH_PX)) + REACH_PX
+    bottom = int(min(np.ceil(placed[:, :, 1].max()), height + REACH_PX)) + REACH_PX
+    scores[:] = 0
+    if right < left or bottom < top:
+        return
+    u, v = np.zeros((2, bottom - top + 1, right - left + 1), np.float32)
+    for y in range(max(top, 0), min(bottom + 1, height)):
+        for x in range(max(left, 0), min(right + 1, width)):
+            a, b = np.float32(gx[y, x]), np.float32(gy[y, x])
+            power = a * a + b * b
+            if power < minimum * minimum or power == 0:
+                continue
+            if sign == 0:
+                u[y - top, x - left], v[y - top, x - left] = (a * a - b * b) / power, 2 * a * b / power
+            else:
+                gain = np.float32(sign) / np.sqrt(power)
+                u[y - top, x - left], v[y - top, x - left] = a * gain, b * gain
+    for p in range(poses.shape[0]):
+        for n in range(count):
+            column = int(np.floor(placed[p, n, 0] + 0.5)) - left - REACH_PX
+            row = int(np.floor(placed[p, n, 1] + 0.5)) - top - REACH_PX
+            if not (0 <= column <= right - left - 2 * REACH_PX and 0 <= row <= bottom - top - 2 * REACH_PX):
+                continue
+            nx, ny = placed[p, n, 2], placed[p, n, 3]
+            if sign == 0:
+                nx, ny = nx * nx - ny * ny, 2 * nx * ny
+            along, across = np.float32(nx / count), np.float32(ny / count)
+            for i in range(PLACES):
+                y = row + STRIDE_PX * i
+                for j in range(PLACES):
+                    x = column + STRIDE_PX * j
+                    scores[p, i, j] += along * u[y, x] + across * v[y, x]
