@@ -21,7 +21,7 @@ from edged.vision.flatness import form_of
 from edged.vision.geometry import apply, invert
 from edged.vision.job import Job, MeasurementSpec, nominal_size
 from edged.vision.measurement import Images, Measured
-from edged.vision.overlay import RED, draw_pair
+from edged.vision.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.vision.planefit import fit_plane
 from edged.vision.pointcloud import CONTOUR, FACE
 from edged.vision.shape.search import find_shapes
@@ -261,9 +261,11 @@ def test_what_only_one_camera_shows_is_dismissed_with_its_place() -> None:
         assert outcome.status is Status.NO_TARGET
         (missed,) = outcome.dismissed
         assert missed.reject is Reject.LEFT_RIGHT_MISMATCH
-        picture = draw_pair(left, blank, inspection.measured, inspection.dismissed, "NO_TARGET")
-        x, y = round(missed.match.x_px), round(missed.match.y_px)
-        assert tuple(picture[y, x]) == RED
+        seen = inspection.measured, inspection.dismissed
+        picture = draw_pair(left, blank, here.rig.rig, here.job, *seen, outcome.status)
+        scale = WIDTH_PX / left.shape[1]
+        x, y = (round((value + 0.5) * scale - 0.5) for value in (missed.match.x_px, missed.match.y_px))
+        assert tuple(picture[TITLE_HEIGHT_PX + y, x]) == RED
 
 
 def test_an_ambiguous_rotation_is_refused() -> None:

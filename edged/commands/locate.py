@@ -54,9 +54,9 @@ def locate(
     inspection = inspect(pair, taught, prepared, lap)
     outcome = judge(inspection)
     if overlay is not None:
-        picture = draw_pair(
-            pair.left.image, pair.right.image, inspection.measured, inspection.dismissed, str(outcome.status)
-        )
+        images = pair.left.image, pair.right.image
+        seen = inspection.measured, inspection.dismissed
+        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status)
         _write_picture(overlay, picture)
     if ply is not None or cloud is not None:
         points = point_cloud(pair, taught, prepared, inspection)

@@ -1,4 +1,4 @@
-"""Pictures for people: a stereo pair with what was measured in it, and what was not."""
+"""Pictures for people: a stereo pair with what was measured in it, what was not, and why."""
 
 from __future__ import annotations
 
@@ -6,120 +6,335 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain import Dismissed, FloatArray, Image, Reject, Target
+from edged.domain import Dismissed, FloatArray, Image, Status, Target
+from edged.vision.camera import StereoRig
+from edged.vision.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
+from edged.vision.evidence import (
+    GOLD,
+    GREEN,
+    GREY,
+    MAGENTA,
+    RED,
+    WHITE,
+    Feature,
+    Residuals,
+    draw_feature,
+    draw_missed,
+    draw_missing,
+    draw_name,
+    draw_number,
+    draw_pose,
+    draw_unrolled,
+    features_of,
+    keep_free,
+    magnification,
+    missing_outlines,
+    residuals,
+)
+from edged.vision.geometry import apply
+from edged.vision.job import Job
+from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, width_of, write, write_rimmed
 from edged.vision.measurement import Measured
+from edged.vision.pictureview import View, box_around, view_of, zoom_for
 
-Canvas = npt.NDArray[np.uint8]
-
-GREEN, RED, YELLOW, WHITE, CYAN = (80, 200, 60), (60, 60, 230), (40, 200, 240), (255, 255, 255), (220, 200, 0)
-BLACK = (0, 0, 0)
-FRACTION_BITS = 4  # cv2 draws with 1/16 px
-LINE_PX = 24
-MAX_LINES = 12
-"""Of one part: more would hide the picture."""
+WIDTH_PX = 1280
+"""Of either image in the picture, whatever the cameras': text is as large on every picture."""
+PAPER: Colour = (34, 30, 28)
+BADGES: dict[Status, tuple[str, Colour]] = {
+    Status.OK: ("OK", (60, 150, 40)),
+    Status.LOW_QUALITY: ("NOK", (50, 50, 215)),
+    Status.NO_TARGET: ("NO TARGET", (120, 110, 100)),
+    Status.CAPTURE_FAULT: ("CAPTURE FAULT", (50, 50, 215)),
+}
+TITLE_PX, TEXT_PX, LINE_PX, MARGIN_PX = 32, 22, 31, 28
+TITLE_HEIGHT_PX, LEGEND_HEIGHT_PX, COLUMN_PX = 72, 44, 530
+MAX_BLOCKS, MAX_FEATURES = 6, 9
+"""Parts, and features of one, that are written about; more are counted."""
+AXES_SHARE = 0.4
+"""Length of the part's axes, of the way to its farthest feature."""
 
 
 def draw_pair(
     left: Image,
     right: Image,
+    rig: StereoRig,
+    job: Job,
     measured: Sequence[Measured],
     dismissed: Sequence[Dismissed] = (),
-    status: str = "",
+    status: Status = Status.OK,
 ) -> Canvas:
-    """(H, 2 W, 3) BGR: both raw images with every measured edge point, and the figures.
+    """(H, 2 * WIDTH_PX, 3) BGR: a title, both images with the evidence, and the numbers of every part.
 
-    Circles' edges are green, other features' cyan, what does not agree with its curve red; a cross is on each
-    part, red with the reasons where it is not good, or could not be measured.
+    Good parts come first and have the lower numbers. Fitted curves are green, that of the reference gold;
+    across them, in magenta and magnified by a factor that is stated, edge minus curve; edges that do not
+    agree are red and where they are. Features that were not measured are dashed. A single part has its
+    reference's residuals as a chart, too.
     """
-    canvases = [
-        np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8) for image in (left, right)
+    parts = sorted(measured, key=lambda one: (bool(one.target.reject), -one.target.match.score))
+    features = [features_of(part) for part in parts]
+    views = _views((left, right), rig, _extents(rig, job, parts, features, dismissed))
+    found = [
+        [[residuals(view, one, side) for one in some] for some in features] for side, view in enumerate(views)
     ]
-    top = 16
-    if status:
-        top = _draw_lines(canvases[0], [status], top)
-    for one in measured:
-        for fit in one.fits:
-            _draw_points(canvases[0], fit.points_left, fit.weights_left, GREEN)
-            _draw_points(canvases[1], fit.points_right, fit.weights_right, GREEN)
-        for curve in one.curves:
-            for canvas, points, weights in zip(canvases, curve.points, curve.weights, strict=True):
-                _draw_points(canvas, points, weights, CYAN)
-            _draw_name(canvases[0], curve.curve.name, curve.points[0])
-        for fit in one.fits:
-            _draw_name(canvases[0], fit.circle.name, fit.points_left)
-        top = _draw_target(canvases[0], one, top)
-    for missed in dismissed:
-        place = (round(missed.match.x_px), round(missed.match.y_px))
-        cv2.drawMarker(canvases[0], place, RED, cv2.MARKER_TILTED_CROSS, 40, 2, cv2.LINE_AA)
-        reasons = f"score {missed.match.score:.2f}, not measured: {missed.reject.name}"
-        top = _draw_lines(canvases[0], [reasons], top)
-    return np.hstack(canvases)
+    factor = magnification([one for side in found for some in side for one in some], views[0].scale)
+    _draw_parts(views, job, parts, features, found, factor)
+    for number, missed in enumerate(dismissed, len(parts) + 1):
+        place = np.array([missed.match.x_px, missed.match.y_px])
+        draw_missed(views[0], place)
+        draw_number(views[0], number, views[0].place(place)[None] - 30, RED)
+    blocks = [_part_block(number, job, part) for number, part in enumerate(parts, 1)]
+    blocks += [_missed_block(number, one) for number, one in enumerate(dismissed, len(parts) + 1)]
+    if len(blocks) == 1 and any(features):
+        chart = _paper(blocks[0].shape[0], WIDTH_PX)
+        chosen = next((k for k, one in enumerate(features[0]) if one.is_reference), 0)
+        draw_unrolled(chart, features[0][chosen], [side[0][chosen] for side in found])
+        blocks.append(chart)
+    title = _title(headline(job, parts, dismissed), status, factor if any(features) else None, views[0].scale)
+    return np.vstack([title, _side_by_side(views), _in_rows(blocks)])
 
 
-def _draw_points(canvas: Canvas, points: FloatArray, weights: FloatArray, good: tuple[int, ...]) -> None:
-    known = np.isfinite(points).all(axis=1)
-    for (x, y), weight in zip(points[known], weights[known], strict=True):
-        place = (round(x * 2**FRACTION_BITS), round(y * 2**FRACTION_BITS))
-        cv2.circle(canvas, place, 20, good if weight > 0.1 else RED, -1, cv2.LINE_AA, FRACTION_BITS)
+def _extents(
+    rig: StereoRig,
+    job: Job,
+    parts: Sequence[Measured],
+    features: Sequence[Sequence[Feature]],
+    dismissed: Sequence[Dismissed],
+) -> tuple[FloatArray, FloatArray]:
+    """Raw px (N, 2) of the left and of the right image that the picture must show."""
+    outlines = [feature.outline_mm for some in features for feature in some]
+    outlines += [outline for part in parts for outline in missing_outlines(job, part.target).values()]
+    points = np.concatenate([*outlines, np.zeros((0, 3))])
+    missed = [(one.match.x_px, one.match.y_px) for one in dismissed]
+    left = np.concatenate([rig.left.project(points), np.reshape(missed, (-1, 2))])
+    # where the right camera would see what only the left one found is not known
+    right = np.zeros((0, 2)) if missed else rig.right.project(apply(rig.right_from_left, points))
+    return left, right
 
 
-def _draw_name(canvas: Canvas, name: str, points: FloatArray) -> None:
-    """The name of a curve, beside its first point."""
-    known = points[np.isfinite(points).all(axis=1)]
-    if len(known):
-        place = (round(float(known[0][0])) + 6, round(float(known[0][1])) - 6)
-        _text(canvas, name, place)
+def _views(
+    images: tuple[Image, Image], rig: StereoRig, extents: tuple[FloatArray, FloatArray]
+) -> tuple[View, View]:
+    """Both pictures, cut to what there is to see where that is small."""
+    sizes = [(image.shape[1], image.shape[0]) for image in images]
+    zoom = zoom_for(sizes, extents) if all(len(extent) for extent in extents) else 1.0
+    boxes = [box_around(size, extent, zoom) for size, extent in zip(sizes, extents, strict=True)]
+    return (
+        view_of(images[0], rig.left, np.eye(4), boxes[0], WIDTH_PX),
+        view_of(images[1], rig.right, rig.right_from_left, boxes[1], WIDTH_PX),
+    )
 
 
-def _draw_target(canvas: Canvas, one: Measured, top: int) -> int:
-    """A cross on the part, and its figures; returns where the next figures begin."""
-    target = one.target
-    x, y = round(target.match.x_px), round(target.match.y_px)
-    colour = YELLOW if target.reject == Reject.NONE else RED
-    cv2.drawMarker(canvas, (x, y), colour, cv2.MARKER_CROSS, 40, 2, cv2.LINE_AA)
-    lines = _figures(one, target)
-    cv2.line(canvas, (16, top + 10), (x, y), colour, 1, cv2.LINE_AA)
-    return _draw_lines(canvas, lines, top)
+def _side_by_side(views: tuple[View, View]) -> Canvas:
+    """Both canvases with the cameras' names."""
+    for view, name in zip(views, ("left", "right"), strict=True):
+        words = f"{name} image" if view.scale == 1 else f"{name} image, {view.scale:.2g} times as large"
+        write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
+    height = max(view.canvas.shape[0] for view in views)
+    images = np.hstack([_filled(view.canvas, height) for view in views])
+    cv2.line(images, (WIDTH_PX, 0), (WIDTH_PX, height), PAPER, 3)
+    return images
 
 
-def _figures(one: Measured, target: Target) -> list[str]:
-    lines = [
-        f"{target.job} {target.match.score:.2f}",
-        "xyz " + " ".join(f"{value:.3f}" for value in target.position_mm) + " mm",
-        "sigma " + " ".join(f"{value:.4f}" for value in target.sigma_mm) + " mm",
+def _draw_parts(
+    views: tuple[View, View],
+    job: Job,
+    parts: Sequence[Measured],
+    features: Sequence[Sequence[Feature]],
+    found: Sequence[Sequence[Sequence[Residuals]]],
+    factor: float,
+) -> None:
+    """Draw all evidence, then what is written beside it. found : of each side, part and feature."""
+    for view, of_parts in zip(views, found, strict=True):
+        for some, of_part in zip(features, of_parts, strict=True):
+            for feature, one in zip(some, of_part, strict=True):
+                draw_feature(view, feature, one, factor)
+        for number, (part, some) in enumerate(zip(parts, features, strict=True), 1):
+            _draw_names(view, job, part.target, some, number if len(parts) > 1 else None)
+
+
+def _draw_names(
+    view: View, job: Job, target: Target, features: Sequence[Feature], number: int | None
+) -> None:
+    """Pose, number and names of one part."""
+    missing = missing_outlines(job, target)
+    outlines = [view.place(view.raw(feature.outline_mm)) for feature in features]
+    dashed = [draw_missing(view, outline) for outline in missing.values()]
+    every = np.concatenate(
+        [target.position_mm[None], *(one.outline_mm for one in features), *missing.values()]
+    )
+    reach_mm = float(np.linalg.norm(every - target.position_mm, axis=1).max())
+    for line in (*outlines, *dashed):
+        keep_free(view, line)
+    draw_pose(view, target, AXES_SHARE * max(reach_mm, 1.0), RED if target.reject else GOLD)
+    seen = view.place(view.raw(every))
+    if number is not None:
+        draw_number(view, number, seen, RED if target.reject else BADGES[Status.OK][1])
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    for feature, outline in sorted(
+        zip(features, outlines, strict=True), key=lambda pair: float(np.ptp(pair[1], axis=0).max())
+    ):
+        name = f"{feature.name} (reference)" if feature.is_reference else feature.name
+        draw_name(view, name, outline, GOLD if feature.is_reference else WHITE, middle)
+    for name, line in zip(missing, dashed, strict=True):
+        draw_name(view, name, line, GREY, middle)
+    for corner in target.corners:
+        draw_name(view, corner.name, view.place(view.raw(corner.position_mm[None])), WHITE, middle)
+
+
+def _title(text: str, status: Status, factor: float | None, scale: float) -> Canvas:
+    """The verdict, and where anything was measured what the colours mean: beside it, or in a line below.
+
+    factor, scale : residuals are drawn factor times as long as they are, on images scaled by `scale`.
+    """
+    canvas = _paper(TITLE_HEIGHT_PX)
+    badge, colour = BADGES[status]
+    width = width_of(badge, TITLE_PX, BOLD) + 2 * MARGIN_PX
+    cv2.rectangle(canvas, (0, 0), (width, TITLE_HEIGHT_PX), colour, -1)
+    write(canvas, badge, (MARGIN_PX, 47), WHITE, TITLE_PX, BOLD)
+    write(canvas, text, (width + MARGIN_PX, 47), WHITE, TITLE_PX)
+    if factor is None:
+        return canvas
+    legend = _legend(factor, scale)
+    free = canvas.shape[1] - legend.shape[1]
+    if width + width_of(text, TITLE_PX) + 2 * MARGIN_PX > free:
+        return np.vstack([canvas, np.hstack([_paper(LEGEND_HEIGHT_PX, free), legend])])
+    top = (TITLE_HEIGHT_PX - LEGEND_HEIGHT_PX) // 2
+    canvas[top : top + LEGEND_HEIGHT_PX, free:] = legend
+    return canvas
+
+
+def _legend(factor: float, scale: float) -> Canvas:
+    """What the colours mean, with a bar as long as a stated residual is drawn."""
+    lengths = [step * decade for decade in (0.001, 0.01, 0.1, 1.0) for step in (1, 2, 5)]
+    bar_px = max(length for length in lengths if length * factor * scale <= 40)
+    entries = [
+        ("reference", GOLD, 28),
+        ("fitted", GREEN, 28),
+        ("not measured", WHITE, -28),
+        (f"{bar_px:g} px, edge minus fit ({factor:g} x)", MAGENTA, round(bar_px * factor * scale)),
+        ("edge of weight < 0.1", RED, 8),
     ]
-    if target.circles:
-        first = target.circles[0]
-        lines.append(f"r {first.radius_mm:.4f} +- {first.sigma_radius_mm:.4f} mm")
-    residuals = [(fit.circle.name, fit.rms_px) for fit in one.fits]
-    residuals += [(fit.curve.name, fit.rms_px) for fit in one.curves]
-    if residuals:
-        lines.append("rms px " + ", ".join(f"{name} {rms_px:.2f}" for name, rms_px in residuals[:6]))
-    for size in target.measurements:
-        verdict = {True: "ok", False: "NOT OK", None: ""}[size.ok]
-        lines.append(f"{size.name} {size.value:.4f} +- {size.sigma:.4f} {size.unit} {verdict}")
-    if target.free_axis is not None:
-        lines.append("rotation about its axis not known")
-    kept = lines[:MAX_LINES]
-    if target.reject:
-        kept.append(f"not good: {target.reject.name}")
-    return kept
+    canvas = _paper(LEGEND_HEIGHT_PX)
+    x = 0
+    for words, colour, length in entries:
+        if colour == RED:
+            cv2.circle(canvas, (x + 4, 22), 4, colour, -1, cv2.LINE_AA)
+        elif length > 0:
+            cv2.line(canvas, (x, 22), (x + length, 22), colour, 3, cv2.LINE_AA)
+        else:
+            for dash in range(x, x - length, 12):
+                cv2.line(canvas, (dash, 22), (dash + 5, 22), colour, 1, cv2.LINE_AA)
+        x += abs(length) + 12
+        x += _put(canvas, words, x, 30, GREY) + MARGIN_PX
+    return canvas[:, :x]
 
 
-def _draw_lines(canvas: Canvas, lines: Sequence[str], top: int) -> int:
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.6
-    width = max(cv2.getTextSize(line, font, scale, 1)[0][0] for line in lines)
-    bottom = top + LINE_PX * len(lines) + 2
-    cv2.rectangle(canvas, (10, top - 4), (22 + width, bottom), (0, 0, 0), -1)
-    for row, line in enumerate(lines):
-        _text(canvas, line, (16, top + 18 + LINE_PX * row), scale)
-    return bottom + 10
+def _in_rows(blocks: Sequence[Canvas]) -> Canvas:
+    """Blocks below the images, two in a row; what is too much is counted."""
+    rows = []
+    for start in range(0, min(len(blocks), MAX_BLOCKS), 2):
+        pair = blocks[start : start + 2]
+        height = max(block.shape[0] for block in pair)
+        filled = [_filled(block, height) for block in pair]
+        rows.append(np.hstack([*filled, *[_paper(height, WIDTH_PX)] * (2 - len(pair))]))
+    if len(blocks) > MAX_BLOCKS:
+        more = _paper(LINE_PX + 12)
+        write(more, f"and {len(blocks) - MAX_BLOCKS} more", (MARGIN_PX, LINE_PX - 4), GREY, TEXT_PX)
+        rows.append(more)
+    return np.vstack(rows) if rows else _paper(0)
 
 
-def _text(canvas: Canvas, text: str, place: tuple[int, int], scale: float = 0.5) -> None:
-    """White with a dark rim, to be read on any picture; a rim drawn as bolder text would be wider than it."""
-    x, y = place
-    for dx, dy, colour in ((-1, 0, BLACK), (1, 0, BLACK), (0, -1, BLACK), (0, 1, BLACK), (0, 0, WHITE)):
-        cv2.putText(canvas, text, (x + dx, y + dy), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+def _part_block(number: int, job: Job, part: Measured) -> Canvas:
+    """One part: verdict and reasons, its pose, its features, and the sizes that the job asks for."""
+    target = part.target
+    told = reasons(target.reject)
+    head = _paper(LINE_PX + 10, WIDTH_PX)
+    x = MARGIN_PX + _put(head, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16
+    x += _put(head, f"{target.job}, score {target.match.score:.2f}", x, LINE_PX, WHITE, BOLD) + 20
+    _put(head, "NOK" if told else "OK", x, LINE_PX, RED if told else GREEN, BOLD)
+    rows = [_row((words, MARGIN_PX, RED)) for words in told]
+    pose = [_row(("in the frame of the rig", MARGIN_PX, GREY), width=COLUMN_PX)]
+    for name, value, sigma in pose_lines(target):
+        spread = f"± {sigma}" if sigma[0].isdigit() else sigma
+        end = MARGIN_PX + 190 - width_of(value, TEXT_PX)
+        pose.append(
+            _row(
+                (name, MARGIN_PX, GREY),
+                (value, end, WHITE),
+                (spread, MARGIN_PX + 200, WHITE),
+                width=COLUMN_PX,
+            )
+        )
+    plain, judged = _size_rows(target)
+    pose += plain
+    features = _feature_rows(job, part)
+    height = LINE_PX * max(len(pose), len(features))
+    both = [_filled(np.vstack(column), height) for column in (pose, features)]
+    return np.vstack([head, *rows, np.hstack(both), *judged, _paper(18, WIDTH_PX)])
+
+
+def _feature_rows(job: Job, part: Measured) -> list[Canvas]:
+    """A table of the part's features."""
+    lines = feature_lines(job, part)
+    reference = reference_name(part.target)
+    columns = 0, 150, 440, 550
+
+    def row(words: Sequence[str], colour: Colour) -> Canvas:
+        entries = [(word, x, colour) for word, x in zip(words, columns, strict=True)]
+        return _row(*entries, width=WIDTH_PX - COLUMN_PX)
+
+    rows = [row(("feature", "size", "rms px", "seen left, right"), GREY)]
+    for line in lines[:MAX_FEATURES]:
+        colour = GOLD if line.name == reference else WHITE if line.seen else GREY
+        rows.append(row((line.name, line.size, line.rms_px, line.seen), colour))
+    if len(lines) > MAX_FEATURES:
+        rows.append(row((f"and {len(lines) - MAX_FEATURES} more", "", "", ""), GREY))
+    return rows
+
+
+def _size_rows(target: Target) -> tuple[list[Canvas], list[Canvas]]:
+    """The sizes that the job asks for: narrow rows of those without a tolerance; others with a verdict."""
+    plain, judged = [], []
+    for name, text, ok in size_lines(target.measurements):
+        if ok is None:
+            x = MARGIN_PX + 20 + width_of(name, TEXT_PX)
+            plain.append(_row((name, MARGIN_PX, GREY), (text, x, WHITE), width=COLUMN_PX))
+        else:
+            x = MARGIN_PX + 200
+            verdict, colour = ("OK", GREEN) if ok else ("NOK", RED)
+            after = x + width_of(text, TEXT_PX) + 20
+            judged.append(_row((name, MARGIN_PX, GREY), (text, x, WHITE), (verdict, after, colour)))
+    return plain, judged
+
+
+def _row(*entries: tuple[str, int, Colour], width: int = WIDTH_PX) -> Canvas:
+    """One line of a table: words, where they begin, and their colour."""
+    canvas = _paper(LINE_PX, width)
+    for words, x, colour in entries:
+        _put(canvas, words, x, LINE_PX - 8, colour)
+    return canvas
+
+
+def _missed_block(number: int, one: Dismissed) -> Canvas:
+    """What was found and could not be measured."""
+    canvas = _paper(2 * LINE_PX + 16, WIDTH_PX)
+    x = MARGIN_PX + _put(canvas, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16
+    text = f"score {one.match.score:.2f}, not measured: {', '.join(reasons(one.reject))}"
+    _put(canvas, text, x, LINE_PX, RED, BOLD)
+    return canvas
+
+
+def _put(canvas: Canvas, text: str, x: int, y: int, colour: Colour, weight: int = NORMAL) -> int:
+    """Write; returns the width."""
+    write(canvas, text, (x, y), colour, TEXT_PX, weight)
+    return width_of(text, TEXT_PX, weight)
+
+
+def _paper(height: int, width: int = 2 * WIDTH_PX) -> Canvas:
+    return np.full((height, width, 3), PAPER, np.uint8)
+
+
+def _filled(canvas: Canvas, height: int) -> Canvas:
+    """The canvas on paper of this height."""
+    return np.vstack([canvas, _paper(height - canvas.shape[0], canvas.shape[1])])

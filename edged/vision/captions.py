@@ -1,0 +1,163 @@
+"""What a result says in words and numbers, for pictures of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import Dismissed, FloatArray, Measurement, Reject, Target
+from edged.vision.job import Job
+from edged.vision.measurement import Measured
+
+REASONS = {
+    Reject.FEW_EDGES: "too few edges seen",
+    Reject.RESIDUAL: "edges do not lie on their curve",
+    Reject.SIGMA_LIMIT: "sigma over its limit",
+    Reject.LEFT_RIGHT_MISMATCH: "left and right image disagree",
+    Reject.OUT_OF_VOLUME: "out of the allowed depth",
+    Reject.TOLERANCE: "size out of tolerance",
+    Reject.AMBIGUOUS_ROTATION: "rotation in doubt",
+    Reject.LOW_SCORE: "score too low",
+    Reject.CALIBRATION: "calibration does not hold",
+}
+
+MAX_TOLD = 3
+"""Reasons in the headline; all are told with their part."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureLine:
+    """One feature as a row of a table: what it is, its size, the edges it stands on."""
+
+    name: str
+    size: str
+    rms_px: str
+    seen: str
+
+
+def reasons(reject: Reject) -> list[str]:
+    """Every reason of a rejection in words."""
+    return [words for bit, words in REASONS.items() if reject & bit]
+
+
+def headline(job: Job, measured: Sequence[Measured], dismissed: Sequence[Dismissed]) -> str:
+    """One line about the whole picture: the part, how many, score and place, or why there is none."""
+    targets = [one.target for one in measured]
+    good = [target for target in targets if not target.reject]
+    if not targets and not dismissed:
+        return f"{job.name}: nothing in the left image scores {job.search.min_score:.2f} or more"
+    if not targets:
+        told = sorted({word for one in dismissed for word in reasons(one.reject)})
+        return f"{job.name}: {len(dismissed)} seen, none measured: {', '.join(told)}"
+    scores = sorted({f"{target.match.score:.2f}" for target in good or targets})
+    score = f"score {scores[0]}" if len(scores) == 1 else f"scores {scores[0]} to {scores[-1]}"
+    if not good:
+        told = sorted({word for target in targets for word in reasons(target.reject)})
+        count = "" if len(targets) == 1 else f"{len(targets)} parts, "
+        more = f", and {len(told) - MAX_TOLD} more" if len(told) > MAX_TOLD else ""
+        return f"{job.name}: {count}{score}: {', '.join(told[:MAX_TOLD])}{more}"
+    bad = len(targets) - len(good) + len(dismissed)
+    more = f"; {bad} more not good" if bad else ""
+    if len(good) > 1:
+        return f"{job.name}: {len(good)} parts, {score}{more}"
+    place = "  ".join(f"{name} {value} ± {sigma}" for name, value, sigma in pose_lines(good[0])[:3])
+    return f"{job.name}: {score},  {place.replace(' mm', '')} mm{more}"
+
+
+def pose_lines(target: Target) -> list[tuple[str, str, str]]:
+    """Name, value and sigma of the six coordinates that people ask for; angles in degrees."""
+    lines = [
+        (name, f"{value:.4f}", f"{sigma:.4f} mm")
+        for name, value, sigma in zip("xyz", target.position_mm, target.sigma_mm, strict=True)
+    ]
+    rotation = target.rig_from_part[:3, :3]
+    normal = rotation[:, 2]
+    spread = target.covariance[3:, 3:]
+    tilt = math.degrees(math.acos(min(1.0, abs(float(normal[2])))))
+    lines.append(("tilt", f"{tilt:.3f}", f"{_degrees(_across(spread, normal)):.3f}°"))
+    if target.free_axis is None:
+        # part x against the rig's x axis as drawn on the face: 0 as it was taught
+        turn = math.degrees(math.atan2(-float(rotation[0, 1]), float(rotation[0, 0])))
+        lines.append(("turn", f"{turn:.3f}", f"{_degrees(float(normal @ spread @ normal)):.3f}°"))
+    else:
+        lines.append(("turn", "not known:", "round"))
+    return lines
+
+
+def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool | None]]:
+    """Name, what was measured against what is wanted, and whether it is in its tolerance."""
+    lines = []
+    for one in measurements:
+        text = "not seen" if math.isnan(one.value) else f"{one.value:.4f} ± {one.sigma:.4f} {one.unit}"
+        if one.tolerance is not None:
+            text += f", wanted {one.nominal or 0.0:g} ± {one.tolerance:g}"
+        lines.append((one.name, text, one.ok))
+    return lines
+
+
+def feature_lines(job: Job, measured: Measured) -> list[FeatureLine]:
+    """Every feature: circles first, as the job orders them; those that were not measured last."""
+    target = measured.target
+    fits = {fit.circle.name: fit for fit in measured.fits}
+    curves = {fit.curve.name: fit for fit in measured.curves}
+    lines = []
+    for circle in target.circles:
+        fit = fits.get(circle.name)
+        lines.append(
+            FeatureLine(
+                circle.name,
+                f"r {circle.radius_mm:.4f} ± {circle.sigma_radius_mm:.4f} mm",
+                "" if fit is None else f"{fit.rms_px:.2f}",
+                "" if fit is None else _seen(fit.support_left, fit.support_right),
+            )
+        )
+    sizes = {slot.name: f"{slot.length_mm:.4f} x {slot.width_mm:.4f} mm" for slot in target.slots}
+    sizes |= {edge.name: "straight edge" for edge in target.edges}
+    for name, size in sizes.items():
+        curve = curves.get(name)
+        lines.append(
+            FeatureLine(
+                name,
+                size,
+                "" if curve is None else f"{curve.rms_px:.2f}",
+                "" if curve is None else _seen(*curve.support),
+            )
+        )
+    known = measured_names(measured.target)
+    taught = (
+        [one.name for one in job.circles] + [one.name for one in job.slots] + [one.name for one in job.edges]
+    )
+    return lines + [FeatureLine(name, "not measured", "", "") for name in taught if name not in known]
+
+
+def measured_names(target: Target) -> set[str]:
+    """Of all features but corners, which follow from edges."""
+    names = [one.name for one in target.circles] + [one.name for one in target.slots]
+    return {*names, *(one.name for one in target.edges)}
+
+
+def reference_name(target: Target) -> str:
+    """The feature whose place is the reported position; empty where it was not measured itself."""
+    places = [(circle.name, circle.centre_mm) for circle in target.circles]
+    places += [(slot.name, slot.centre_mm) for slot in target.slots]
+    places += [(corner.name, corner.position_mm) for corner in target.corners]
+    near = [(float(np.linalg.norm(place - target.position_mm)), name) for name, place in places]
+    distance, name = min(near, default=(math.inf, ""))
+    return name if distance < 1e-3 else ""
+
+
+def _seen(left: float, right: float) -> str:
+    return f"{100 * left:.0f}, {100 * right:.0f} %"
+
+
+def _across(spread: FloatArray, normal: FloatArray) -> float:
+    """Largest variance of a rotation about an axis in the face."""
+    rest = np.eye(3) - np.outer(normal, normal)
+    return float(np.linalg.eigvalsh(rest @ spread @ rest)[-1])
+
+
+def _degrees(variance: float) -> float:
+    return math.degrees(math.sqrt(max(variance, 0.0)))

@@ -1,0 +1,42 @@
+"""Text in pictures: OpenCV's own TrueType face, so that σ, ± and ° look like themselves."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Canvas = npt.NDArray[np.uint8]
+Colour = tuple[int, int, int]
+"""Blue, green, red."""
+
+NORMAL, BOLD = 400, 650
+RIM: Colour = (16, 16, 16)
+_ROOM = 100_000  # px; getTextSize clips at the size it is told
+
+
+def width_of(text: str, size_px: int, weight: int = NORMAL) -> int:
+    """Width in px of a line of text."""
+    _, _, width, _ = cv2.getTextSize((_ROOM, _ROOM), text, (0, size_px), _face(), size_px, weight)
+    return int(width)
+
+
+def write(
+    canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
+) -> None:
+    """Write one line; place : left end of its base line, px."""
+    cv2.putText(canvas, text, place, colour, _face(), size_px, weight)
+
+
+def write_rimmed(
+    canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
+) -> None:
+    """The same with a dark rim, to be read on any picture."""
+    x, y = place
+    for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, -1), (-1, 1), (1, 1)):
+        write(canvas, text, (x + dx, y + dy), RIM, size_px, weight)
+    write(canvas, text, place, colour, size_px, weight)
+
+
+def _face() -> cv2.FontFace:
+    return cv2.FontFace("sans")

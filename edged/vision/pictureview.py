@@ -1,0 +1,106 @@
+"""One camera's picture to draw on: dimmed, in colour, and no larger a part of it than is worth looking at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.vision.camera import CameraModel
+from edged.vision.geometry import apply
+from edged.vision.lettering import Canvas, Colour
+
+DIMMED = 0.8
+"""Of the picture's brightness, so that colours stand out on a bright part, too."""
+ROOM = 1.35
+"""Size of what is shown, of the parts in it."""
+MAX_ZOOM, MIN_ZOOM = 4.0, 1.25
+INSET_SHARE = 0.16
+FRAME: Colour = (40, 200, 255)
+BORDER: Colour = (120, 120, 120)
+
+Box = tuple[int, int, int, int]
+"""x, y, width, height in px."""
+
+
+@dataclass(slots=True, eq=False)
+class View:
+    """A camera and its picture, or a box of it.
+
+    camera_from_rig (4, 4).  box : raw px, what is shown; scale : canvas px per raw px.
+    taken : boxes of the canvas that hold something which no name may cover.  names : boxes of names.
+    """
+
+    canvas: Canvas
+    camera: CameraModel
+    camera_from_rig: FloatArray
+    box: Box
+    scale: float
+    taken: list[Box] = field(default_factory=list)
+    names: list[Box] = field(default_factory=list)
+
+    def raw(self, points_mm: FloatArray) -> FloatArray:
+        """Raw px (N, 2) of points (N, 3) of the rig frame."""
+        return self.camera.project(apply(self.camera_from_rig, points_mm))
+
+    def place(self, raw_px: FloatArray) -> FloatArray:
+        """Where raw px are on the canvas; an integer is the middle of a pixel in both."""
+        return np.asarray((raw_px - self.box[:2] + 0.5) * self.scale - 0.5)
+
+
+def view_of(image: Image, camera: CameraModel, camera_from_rig: FloatArray, box: Box, width_px: int) -> View:
+    """A box of an image (H, W), width_px wide, with the whole of it small in the corner where that helps."""
+    x, y, width, height = box
+    scale = width_px / width
+    size = width_px, round(height * scale)
+    view = View(_dimmed(image[y : y + height, x : x + width], size), camera, camera_from_rig, box, scale)
+    if width < image.shape[1]:
+        _draw_inset(view, image)
+    return view
+
+
+def zoom_for(sizes: Sequence[tuple[int, int]], extents: Sequence[FloatArray]) -> float:
+    """How much larger the parts can be shown than in the whole pictures; 1 where it is not worth it.
+
+    sizes : (width, height) of each image.  extents : raw px (N, 2) in each that must be seen.
+    """
+    wanted = [
+        float(np.min(np.array(size) / (ROOM * np.ptp(points, axis=0) + 1)))
+        for size, points in zip(sizes, extents, strict=True)
+        if len(points)
+    ]
+    zoom = min([*wanted, MAX_ZOOM])
+    return zoom if wanted and zoom >= MIN_ZOOM else 1.0
+
+
+def box_around(size: tuple[int, int], points: FloatArray, zoom: float) -> Box:
+    """The box of an image of this size (width, height) that shows raw px (N, 2) in its middle, if it can."""
+    width, height = (round(length / zoom) for length in size)
+    if not len(points):
+        return 0, 0, *size
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    x, y = np.clip(np.rint(middle - (width / 2, height / 2)), 0, (size[0] - width, size[1] - height))
+    return int(x), int(y), width, height
+
+
+def _dimmed(image: Image, size: tuple[int, int]) -> Canvas:
+    shrinks = size[0] < image.shape[1]
+    scaled = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+    return np.asarray(cv2.cvtColor(np.asarray(scaled * DIMMED, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def _draw_inset(view: View, image: Image) -> None:
+    """The whole image in the lower right corner, with a frame round the box."""
+    rows, columns = view.canvas.shape[:2]
+    width = round(INSET_SHARE * columns)
+    share = width / image.shape[1]
+    height = round(image.shape[0] * share)
+    top, left = rows - height - 12, columns - width - 12
+    view.canvas[top : top + height, left : left + width] = _dimmed(image, (width, height))
+    cv2.rectangle(view.canvas, (left - 2, top - 2), (left + width + 1, top + height + 1), BORDER, 1)
+    x, y, w, h = (round(value * share) for value in view.box)
+    cv2.rectangle(view.canvas, (left + x, top + y), (left + x + w, top + y + h), FRAME, 1, cv2.LINE_AA)
+    view.taken.append((left, top, width, height))
