@@ -42,6 +42,7 @@ class Reject(enum.IntFlag):
     AMBIGUOUS_ROTATION = 1 << 6
     LOW_SCORE = 1 << 7
     CALIBRATION = 1 << 8
+    AMBIGUOUS_EDGE = 1 << 9
 
 
 class TimeBase(enum.StrEnum):

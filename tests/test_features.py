@@ -282,6 +282,22 @@ def test_an_ambiguous_rotation_is_refused() -> None:
         assert result.target.reject == expected
 
 
+@pytest.mark.parametrize("turn_deg", [12.0, 40.0])
+@pytest.mark.parametrize("across_mm", [0.2, 0.5])
+def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: float) -> None:
+    """A plate that moved across the rows by pixels before the right exposure: the edges that would tell are
+    not found in one place, and what the others say by themselves, 0.1 to 1 mm off, is no result."""
+    here = cell("plate")
+    where = pose((7.5, 1.0, 204.0), turn_deg, 3.0)
+    later = where.copy()
+    later[:3, 3] += across_mm * here.rig.rectification.rectified_from_left[1]
+    pair = frame_pair(here.see(where)[0], here.see(later, 8)[1])
+    outcome = locate(pair, here.job, here.rig)
+    assert outcome.status is not Status.OK
+    reasons = [one.reject for one in (*outcome.targets, *outcome.dismissed)]
+    assert all(reject & (Reject.LEFT_RIGHT_MISMATCH | Reject.FEW_EDGES) for reject in reasons)
+
+
 def test_a_hidden_part_shows_too_few_edges() -> None:
     """A third of the outline covered, where the job wants nine tenths: that reason, and a larger sigma.
 

@@ -30,6 +30,8 @@ from edged.vision.sizes import measure_sizes, place
 NEAR_PARAMS = PlaneFitParams(reach_px=(3.0, 2.0))
 FAR_PARAMS = PlaneFitParams(reach_px=(8.0, 5.0, 3.0, 2.0))
 """From a match's pose: a pixel of disparity is 1/500 of the depth, and moves both edges by half as much."""
+MIN_EDGES = 3
+"""Two edges of a part that has more fit any two that lie so in one image: no third one contradicts."""
 MIN_LEVEL = 0.7  # an edge less steep in the image has a row of its own
 UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
 CONCENTRIC = 0.15  # share of the reference radius within which a circle says nothing about the rotation
@@ -185,8 +187,11 @@ def _from_edges(
     if fit is None or motion is None:
         return Reject.FEW_EDGES
     target = _target_from(rectification, job, match, fit, motion)
-    if match.ambiguous:
-        target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
+    reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
+    if len(fit.fits) < min(MIN_EDGES, len(curves)) and not any(one.curve.kind == "slot" for one in fit.fits):
+        reject |= Reject.FEW_EDGES
+    if math.isnan(target.epipolar_rms_px) and _has_rows(rectification, job, fit.face, motion):
+        reject |= Reject.LEFT_RIGHT_MISMATCH
     evidence = Evidence(
         _mean_support(curves, fit),
         float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
@@ -194,7 +199,7 @@ def _from_edges(
         *find_growth(job, fit),
         form_mm(job, fit, motion),
     )
-    return Measured(target, evidence, (), fit.fits)
+    return Measured(replace(target, reject=reject), evidence, (), fit.fits)
 
 
 def _target_from(
@@ -247,9 +252,27 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
         if one.curve.kind != "edge":
             continue
         known = np.isfinite(one.points[0]).all(axis=1)
-        ends = rectification.rectify_points("left", one.points[0][known][[0, -1]])
-        along = ends[1] - ends[0]
-        level = abs(float(along[0])) / float(np.linalg.norm(along))
+        level = _level(rectification, one.points[0][known][[0, -1]])
         if level > MIN_LEVEL:
             differences.append(one.mismatch_px / level)
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
+
+
+def _has_rows(rectification: Rectification, job: Job, face: Face, motion: Motion) -> bool:
+    """Whether the part, as it lies, has an edge that should tell its row.
+
+    Where rows do not meet by more than the search reaches, it is just these edges that are not found, and the
+    others know of no contradiction.
+    """
+    for edge in job.edges:
+        ends = np.stack([motion.apply(edge.start_mm[:2]), motion.apply(edge.end_mm[:2])])
+        if _level(rectification, rectification.rig.left.project(face.to_rig(ends))) > MIN_LEVEL:
+            return True
+    return False
+
+
+def _level(rectification: Rectification, ends_px: FloatArray) -> float:
+    """Cosine of the angle between the rows and a line between two raw points (2, 2) of the left image."""
+    ends = rectification.rectify_points("left", ends_px)
+    along = ends[1] - ends[0]
+    return abs(float(along[0])) / float(np.linalg.norm(along))
