@@ -28,7 +28,7 @@ import numpy as np
 from edged.domain import Image
 from edged.errors import ListenError
 from edged.sim import genicam as g
-from edged.sim.clock import DeviceClock
+from edged.sim.clock import DeviceClock, utc_minus_monotonic_ns
 from edged.sim.exposure import ExposureRequest
 from edged.sim.faults import Faults, Quirk
 from edged.sim.gvcp import POLL_S, ControlChannel
@@ -307,7 +307,7 @@ class GigeCamera:
         registers, (width, height) = self.registers, self.registers.size
         request = ExposureRequest(
             frame_id=self._frame_id,
-            exposed_ns=at_ns + time.time_ns() - time.monotonic_ns(),
+            exposed_ns=at_ns + utc_minus_monotonic_ns(),
             device_ns=self.clock.at(at_ns),
             exposure_us=registers.number(g.EXPOSURE_TIME),
             gain_db=registers.number(g.GAIN),

@@ -231,8 +231,8 @@ def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
 
 
 def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
-    """50 ms ahead: both stamps are the same to the nanosecond of the clocks' own error."""
-    trigger = {**KEYS, "lead_ms": 50}
+    """Some time ahead, which a busy machine needs: both stamps are the same up to the clocks' own error."""
+    trigger = {**KEYS, "lead_ms": 400}
     head_ = head(trigger, ptp=True, max_skew_ms=0.2)
     pairs = pairs_of(cell, head_, 3)
 

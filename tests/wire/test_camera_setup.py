@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +17,7 @@ from edged.adapters.aravis.library import library
 from edged.capture import StereoHead
 from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
-from edged.errors import CameraSetupError, WrongCamera
+from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.head import camera_facts, camera_figures, head_of
 from edged.sim import genicam as g
 from edged.vision.pixelformats import FORMATS
@@ -268,7 +269,9 @@ def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
     async def script(head: StereoHead) -> list[FramePair]:
         pairs: list[FramePair] = []
         while len(pairs) < 8:
-            pairs.append(await head.listen())
+            # a camera that a busy machine holds up skips exposures: those of the other have no partner
+            with contextlib.suppress(FrameUnpaired, FrameIncomplete):
+                pairs.append(await head.listen())
         return pairs
 
     pairs = run(script, head)
