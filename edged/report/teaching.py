@@ -13,6 +13,8 @@ import numpy as np
 from edged import __version__
 from edged.domain import Image
 from edged.payload import Json
+from edged.report.charts import ACCENT, INK, Chart
+from edged.vision.evidence import taught_outlines
 from edged.vision.job import Job
 from edged.vision.shape.inspection import NOISE, Inspection
 
@@ -45,6 +47,7 @@ def teaching_report(job: Job, rectified_left: Image, inspection: Inspection) -> 
         "<h2>Rotation</h2>",
         _rotation(inspection),
         "<h2>Features</h2>",
+        _drawing(job),
         _features(job),
         f"<p>edged {__version__}, {when}</p>",
     ]
@@ -146,6 +149,33 @@ def _rotation(inspection: Inspection) -> str:
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals
     ]
     return _table(("turned by", "like itself"), rows)
+
+
+def _drawing(job: Job) -> str:
+    """The features with their names, to scale, as they lay at teaching; the reference blue."""
+    outlines = {name: points[:, :2] for name, points in taught_outlines(job).items()}
+    if not outlines:
+        return ""
+    every = np.concatenate(list(outlines.values()))
+    margin = 0.08 * float(np.ptp(every, axis=0).max())
+    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
+    chart = Chart((low[0], high[0]), (high[1], low[1]), "x, mm", "y, mm", equal=True)
+    middle = 0.5 * (low + high)
+    closed = {circle.name for circle in job.circles} | {slot.name for slot in job.slots}
+    for name, points in outlines.items():
+        colour = ACCENT if name == job.reference else INK
+        chart.line(np.vstack([points, points[:1]]) if name in closed else points, colour)
+        out = points.mean(axis=0) - middle
+        if name in closed:
+            way = out / np.linalg.norm(out) if np.linalg.norm(out) > margin else np.array([0.6, -0.8])
+            place = points[int(np.argmax(points @ way))]
+        else:
+            along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
+            way = np.array([-along[1], along[0]]) * (1 if along[0] * out[1] > along[1] * out[0] else -1)
+            place = points[len(points) // 2]
+        x, y = place + 0.5 * margin * way
+        chart.text(float(x), float(y), name, colour)
+    return chart.figure("features in the part frame; the reference is blue")
 
 
 def _features(job: Job) -> str:

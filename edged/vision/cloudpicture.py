@@ -6,12 +6,10 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from edged.domain import FloatArray
+from edged.vision.lettering import Canvas, write
 from edged.vision.pointcloud import CONTOUR, FACE, PointCloud
-
-Canvas = npt.NDArray[np.uint8]
 
 SIDE_PX = 720
 BORDER_PX = 70
@@ -19,6 +17,7 @@ BACKGROUND, INK = (250, 250, 250), (60, 60, 60)
 COLOURS = {CONTOUR: (0, 120, 255), FACE: (170, 110, 40)}  # BGR: orange, steel blue
 ELEVATION_RAD, AZIMUTH_RAD = np.radians(32.0), np.radians(-35.0)
 FRACTION_BITS = 4
+TEXT_PX = 18
 
 
 def cloud_picture(cloud: PointCloud, rig_from_part: FloatArray | None) -> Canvas:
@@ -48,7 +47,8 @@ def _oblique(points: FloatArray, cloud: PointCloud) -> Canvas:
         a, b = place(np.stack([corner, tip]) @ view.T)
         cv2.line(canvas, _whole(a), _whole(b), INK, 1, cv2.LINE_AA)
         _text(canvas, f"{name} {length:g}", b)
-    _text(canvas, _refusals(cloud), np.array([16.0, SIDE_PX - 14.0]))
+    for line, words in enumerate(_counts(cloud)):
+        _text(canvas, words, np.array([16.0, SIDE_PX - 38.0 + 24 * line]))
     return canvas
 
 
@@ -68,8 +68,8 @@ def _heights(points: FloatArray, cloud: PointCloud) -> Canvas:
     ramp = cv2.applyColorMap(np.arange(255, -1, -1, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
     top = (SIDE_PX - 256) // 2
     canvas[top : top + 256, SIDE_PX - 40 : SIDE_PX - 24] = ramp
-    _text(canvas, f"+{reach:.3f}", np.array([SIDE_PX - 62.0, top - 8.0]))
-    _text(canvas, f"-{reach:.3f}", np.array([SIDE_PX - 62.0, top + 274.0]))
+    _text(canvas, f"+{reach:.3f}", np.array([SIDE_PX - 66.0, top - 8.0]))
+    _text(canvas, f"-{reach:.3f}", np.array([SIDE_PX - 66.0, top + 276.0]))
     return canvas
 
 
@@ -92,13 +92,12 @@ def _round_length(length: float) -> float:
     return float(decade * max(step for step in (1, 2, 5) if step * decade <= length))
 
 
-def _refusals(cloud: PointCloud) -> str:
+def _counts(cloud: PointCloud) -> tuple[str, str]:
+    """How many points there are, and how many were refused for which reasons."""
     most = sorted(cloud.refused.items(), key=lambda item: (-item[1], item[0]))[:4]
     counts = ", ".join(f"{count} {name.lower()}" for name, count in most)
     faces = int(np.count_nonzero(cloud.kinds == FACE))
-    return f"{len(cloud.kinds) - faces} contour, {faces} face points" + (
-        f"; refused: {counts}" if counts else ""
-    )
+    return f"{len(cloud.kinds) - faces} contour, {faces} face points", f"refused: {counts}" if counts else ""
 
 
 def _whole(point: FloatArray) -> tuple[int, int]:
@@ -111,4 +110,4 @@ def _dot(canvas: Canvas, point: FloatArray, colour: tuple[int, ...]) -> None:
 
 
 def _text(canvas: Canvas, text: str, place: FloatArray) -> None:
-    cv2.putText(canvas, text, _whole(place), cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
+    write(canvas, text, _whole(place), INK, TEXT_PX)

@@ -35,7 +35,7 @@ CHUNK = 512
 DASH_PX = 7.0
 LINE_ROOM_PX = 12
 VERTEX_SPACING_PX = 3.0
-NAME_PX = 20
+NAME_PX, NAME_ROOM_PX = 20, 4
 CHART_LEFT_PX, CHART_TEXT_PX = 110, 22
 
 
@@ -109,22 +109,25 @@ def missing_outlines(job: Job, target: Target) -> dict[str, FloatArray]:
     """Where taught features that were not measured should be: name and outline (N, 3), rig frame."""
     rotation = target.rig_from_part[:3, :3]
     origin = target.position_mm - rotation @ job.place_of(job.reference)
-
-    def placed(points_mm: FloatArray) -> FloatArray:
-        return np.asarray(origin + points_mm @ rotation.T)
-
     known = measured_names(target)
-    outlines: dict[str, FloatArray] = {
-        circle.name: placed(circle_outline(circle.centre_mm, circle.radius_mm, np.eye(3)))
-        for circle in job.circles
+    return {
+        name: np.asarray(origin + outline @ rotation.T)
+        for name, outline in taught_outlines(job).items()
+        if name not in known
     }
+
+
+def taught_outlines(job: Job) -> dict[str, FloatArray]:
+    """Name and outline (N, 3) of every feature but corners, in the job's own coordinates."""
+    axes = np.eye(3)
+    outlines = {one.name: circle_outline(one.centre_mm, one.radius_mm, axes) for one in job.circles}
     for slot in job.slots:
         along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad), 0.0])
         size = slot.length_mm, slot.width_mm
-        outlines[slot.name] = placed(slot_outline(slot.centre_mm, size, along, np.eye(3)[2]))
+        outlines[slot.name] = slot_outline(slot.centre_mm, size, along, axes[2])
     for edge in job.edges:
-        outlines[edge.name] = placed(np.linspace(edge.start_mm, edge.end_mm, OUTLINE_POINTS))
-    return {name: outline for name, outline in outlines.items() if name not in known}
+        outlines[edge.name] = np.linspace(edge.start_mm, edge.end_mm, OUTLINE_POINTS)
+    return outlines
 
 
 def circle_outline(centre: FloatArray, radius: float, axes: FloatArray) -> FloatArray:
@@ -254,7 +257,9 @@ def draw_name(view: View, text: str, outline: FloatArray, colour: Colour, away_f
         for box in boxes:
             if not _overlaps(box, corners):
                 view.names.append(box)
-                write_rimmed(view.canvas, text, (box[0], box[1] + NAME_PX - 4), colour, NAME_PX)
+                write_rimmed(
+                    view.canvas, text, (box[0] + NAME_ROOM_PX, box[1] + NAME_PX - 4), colour, NAME_PX
+                )
                 return
 
 
@@ -270,7 +275,7 @@ def _boxes_beside(view: View, outline: FloatArray, long: int, away_from: FloatAr
             tip = outline[int(np.argmax(outline @ way))] + gap * way
             x, y = _whole(tip + (0.5 * way - 0.5) * (long, NAME_PX))
             if x > 0 and y > 0 and x + long < width and y + NAME_PX < height:
-                boxes.append((x, y, long, NAME_PX))
+                boxes.append((x - NAME_ROOM_PX, y, long + 2 * NAME_ROOM_PX, NAME_PX))
     return boxes
 
 

@@ -93,6 +93,8 @@ def test_teach_writes_the_page_and_the_facts(tmp_path: Path, capsys: pytest.Capt
     page, facts = (tmp_path / "flange.html").read_text(), json.loads(capsys.readouterr().out)
 
     assert page.count("data:image/png;base64,") == len(facts["levels"])
-    assert "http" not in page.replace("http-equiv", "")
+    assert "http" not in page.replace("http://www.w3.org/2000/svg", "")  # a name, not an address
+    drawing = page[page.index("<svg") : page.index("</svg>")]
+    assert all(f">{circle['name']}</text>" in drawing for circle in facts["circles"])
     assert facts["circles"][0]["radius_mm"] == pytest.approx(14.0, abs=0.01)
     assert facts["expected_sigma"]["x_px"] < 0.02
