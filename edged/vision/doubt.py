@@ -37,6 +37,8 @@ MIN_LEVEL = 0.2
 """Share of a shift across the rows that moves the edge along its normal; less is none."""
 MIN_POINTS = 8
 MIN_SIZES = 4
+MIN_SHARE = 1e-6
+"""Of a size: no machined part keeps more."""
 ARM = 0.15
 """Share of the reference radius from which on the place of a circle is a size."""
 
@@ -63,8 +65,8 @@ def row_shift_px(rectification: Rectification, fit: CircleFit) -> float:
 def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
     """By which share all circles are larger, and farther apart, than taught, and its sigma; NaN for too few.
 
-    The median by lengths: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma
-    comes from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
+    The median by weight: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma comes
+    from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
     """
     by_name = {circle.name: circle for circle in circles}
     seen = [(one, by_name[one.name]) for one in job.circles if one.name in by_name]
@@ -77,13 +79,14 @@ def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
     if len(rows) < MIN_SIZES:
         return math.nan, math.nan
     taught, sizes, sigmas = np.array(rows).T
-    excess, square = sizes - taught, float(np.sum(taught**2))
-    order = np.argsort(excess / taught)
-    half = np.searchsorted(np.cumsum(taught[order] ** 2), 0.5 * square)
-    growth = float((excess / taught)[order][half])
-    scatter = 1.4826 * float(np.median(np.abs(excess - growth * taught)))
-    alike = float(np.sum(taught * sigmas)) / square
-    return growth, math.hypot(math.sqrt(math.pi / 2 / square) * scatter, alike)
+    shares, errors = sizes / taught - 1, np.maximum(sigmas / taught, MIN_SHARE)
+    weights = errors**-2
+    order = np.argsort(shares)
+    half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
+    growth = float(shares[order][half])
+    scatter = 1.4826 * float(np.median(np.abs(shares - growth) / errors))
+    alike = float(np.sum(weights * errors) / weights.sum())
+    return growth, math.hypot(scatter * math.sqrt(math.pi / 2 / weights.sum()), alike)
 
 
 def _distance(one: Circle3D, two: Circle3D) -> tuple[float, float]:
@@ -121,9 +124,8 @@ def doubt_by_sizes(target: Target, growth: float, sigma: float) -> float:
 
 
 def _beyond(value: float, explained: float) -> float:
-    """What of a value is left over; 0 for one that is not known."""
-    excess = value**2 - explained**2
-    return math.sqrt(excess) if excess > 0 else 0.0
+    """The value where nothing explains it; then it is a contradiction as a whole. 0 for one not known."""
+    return abs(value) if abs(value) > explained else 0.0
 
 
 def doubted(target: Target, share: float) -> Target:
