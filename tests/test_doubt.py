@@ -72,12 +72,12 @@ def test_a_camera_knocked_askew(name: str, across_px: float) -> None:
     assert target.doubt_mm > 0.03
 
 
-@pytest.mark.parametrize("along_px", [0.5, -0.7, 2.0, -2.0])
+@pytest.mark.parametrize("along_px", [0.5, -0.5, 2.0, -2.0])
 def test_a_camera_knocked_along_the_rows(along_px: float) -> None:
     """No row tells; radii and places wrong by one factor do: a larger sigma, or out of tolerance."""
     left, right = seen("disc")
     target = only(located("disc", left, shifted(right, along_px, 0.0)))
-    assert abs(error("disc", target)[2]) > 0.15
+    assert abs(error("disc", target)[2]) > 0.1
     assert chi2(target, cell("disc").true_pose(PLACE)[:3, 3]) < HONEST
     assert bool(target.reject & Reject.TOLERANCE) == (abs(along_px) > 1)
 
