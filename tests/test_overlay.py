@@ -27,6 +27,7 @@ from edged.vision.evidence import (
     slot_outline,
 )
 from edged.vision.job import Job, MeasurementSpec
+from edged.vision.lettering import shortened, width_of
 from edged.vision.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.vision.pictureview import box_around, view_of, zoom_for
 from edged.vision.teaching import teach
@@ -107,11 +108,22 @@ def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
 
 
 def test_many_parts_are_counted_not_written_about_without_end() -> None:
-    """Twelve parts make a picture no taller than three rows of numbers."""
+    """Eight parts make a picture no taller than three rows of numbers."""
     _, job = taught()
     (one,) = seen()[2].measured
-    few, many = (drawn(job, Inspection((one,) * number, ())) for number in (6, 12))
+    few, many = (drawn(job, Inspection((one,) * number, ())) for number in (6, 8))
     assert few.shape[0] < many.shape[0] < few.shape[0] + 60
+
+
+def test_what_no_lens_shows_and_endless_names_do_no_harm() -> None:
+    """A taught circle half a kilometre away, and a name of a thousand letters: the picture is drawn."""
+    _, job = taught()
+    far = replace(job.circles[1], name="x" * 1000, centre_mm=np.array([5e5, 3e5, 0.0]))
+    strange = replace(job, circles=(*job.circles, far))
+    assert drawn(strange, seen()[2]).shape[1] == 2 * WIDTH_PX
+    assert shortened("x" * 1000, 100, 22).endswith("…")
+    assert width_of(shortened("x" * 1000, 100, 22), 22) <= 100
+    assert shortened("c0", 100, 22) == "c0"
 
 
 def test_residuals_are_edge_minus_projected_curve() -> None:

@@ -280,7 +280,8 @@ def report_sides(rows: list[dict[str, Any]]) -> None:
             f"{row['scene']} {row['part']}" for row, a, b in zip(both, ours, theirs, strict=True) if b < a
         ]
         sides = " | ".join(f"{np.median(side):.4f}, {side.max():.4f}" for side in (ours, theirs) if len(side))
-        print(f"| {name} | {sides} | {len(nearer)} of {len(both)}: {', '.join(nearer)} |")
+        where = f": {', '.join(nearer)}" if nearer else ""
+        print(f"| {name} | {sides} | {len(nearer)} of {len(both)}{where} |")
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ REASONS = {
     Reject.AMBIGUOUS_ROTATION: "rotation in doubt",
     Reject.LOW_SCORE: "score too low",
     Reject.CALIBRATION: "calibration does not hold",
+    Reject.AMBIGUOUS_EDGE: "the reference may be another edge",
 }
 
 MAX_TOLD = 3

@@ -21,6 +21,15 @@ def width_of(text: str, size_px: int, weight: int = NORMAL) -> int:
     return int(width)
 
 
+def shortened(text: str, width_px: int, size_px: int) -> str:
+    """The text, or as much of its beginning as is no wider than this, with an ellipsis."""
+    if width_of(text, size_px) <= width_px:
+        return text
+    while text and width_of(f"{text}…", size_px) > width_px:
+        text = text[:-1]
+    return f"{text}…"
+
+
 def write(
     canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
 ) -> None:

@@ -32,9 +32,8 @@ from edged.vision.evidence import (
     missing_outlines,
     residuals,
 )
-from edged.vision.geometry import apply
 from edged.vision.job import Job
-from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, width_of, write, write_rimmed
+from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
 from edged.vision.measurement import Measured
 from edged.vision.pictureview import View, box_around, view_of, zoom_for
 
@@ -73,7 +72,9 @@ def draw_pair(
     """
     parts = sorted(measured, key=lambda one: (bool(one.target.reject), -one.target.match.score))
     features = [features_of(part) for part in parts]
-    views = _views((left, right), rig, _extents(rig, job, parts, features, dismissed))
+    outlines = [feature.outline_mm for some in features for feature in some]
+    outlines += [outline for part in parts for outline in missing_outlines(job, part.target).values()]
+    views = _views((left, right), rig, outlines, dismissed)
     found = [
         [[residuals(view, one, side) for one in some] for some in features] for side, view in enumerate(views)
     ]
@@ -94,35 +95,26 @@ def draw_pair(
     return np.vstack([title, _side_by_side(views), _in_rows(blocks)])
 
 
-def _extents(
-    rig: StereoRig,
-    job: Job,
-    parts: Sequence[Measured],
-    features: Sequence[Sequence[Feature]],
-    dismissed: Sequence[Dismissed],
-) -> tuple[FloatArray, FloatArray]:
-    """Raw px (N, 2) of the left and of the right image that the picture must show."""
-    outlines = [feature.outline_mm for some in features for feature in some]
-    outlines += [outline for part in parts for outline in missing_outlines(job, part.target).values()]
-    points = np.concatenate([*outlines, np.zeros((0, 3))])
-    missed = [(one.match.x_px, one.match.y_px) for one in dismissed]
-    left = np.concatenate([rig.left.project(points), np.reshape(missed, (-1, 2))])
-    # where the right camera would see what only the left one found is not known
-    right = np.zeros((0, 2)) if missed else rig.right.project(apply(rig.right_from_left, points))
-    return left, right
-
-
 def _views(
-    images: tuple[Image, Image], rig: StereoRig, extents: tuple[FloatArray, FloatArray]
+    images: tuple[Image, Image],
+    rig: StereoRig,
+    outlines_mm: Sequence[FloatArray],
+    dismissed: Sequence[Dismissed],
 ) -> tuple[View, View]:
-    """Both pictures, cut to what there is to see where that is small."""
+    """Both pictures, cut to what there is to see where that is small.
+
+    Where the right camera would see what only the left one found is not known: then they are whole.
+    """
+    sides = list(zip(images, (rig.left, rig.right), (np.eye(4), rig.right_from_left), strict=True))
     sizes = [(image.shape[1], image.shape[0]) for image in images]
-    zoom = zoom_for(sizes, extents) if all(len(extent) for extent in extents) else 1.0
+    whole = [view_of(*side, (0, 0, *size), WIDTH_PX) for side, size in zip(sides, sizes, strict=True)]
+    if dismissed or not outlines_mm:
+        return whole[0], whole[1]
+    extents = [view.raw(np.concatenate(outlines_mm)) for view in whole]
+    zoom = zoom_for(sizes, extents)
     boxes = [box_around(size, extent, zoom) for size, extent in zip(sizes, extents, strict=True)]
-    return (
-        view_of(images[0], rig.left, np.eye(4), boxes[0], WIDTH_PX),
-        view_of(images[1], rig.right, rig.right_from_left, boxes[1], WIDTH_PX),
-    )
+    left, right = (view_of(*side, box, WIDTH_PX) for side, box in zip(sides, boxes, strict=True))
+    return left, right
 
 
 def _side_by_side(views: tuple[View, View]) -> Canvas:
@@ -282,6 +274,7 @@ def _feature_rows(job: Job, part: Measured) -> list[Canvas]:
 
     def row(words: Sequence[str], colour: Colour) -> Canvas:
         entries = [(word, x, colour) for word, x in zip(words, columns, strict=True)]
+        entries[0] = (shortened(words[0], columns[1] - 12, TEXT_PX), *entries[0][1:])
         return _row(*entries, width=WIDTH_PX - COLUMN_PX)
 
     rows = [row(("feature", "size", "rms px", "seen left, right"), GREY)]
@@ -296,7 +289,8 @@ def _feature_rows(job: Job, part: Measured) -> list[Canvas]:
 def _size_rows(target: Target) -> tuple[list[Canvas], list[Canvas]]:
     """The sizes that the job asks for: narrow rows of those without a tolerance; others with a verdict."""
     plain, judged = [], []
-    for name, text, ok in size_lines(target.measurements):
+    for whole, text, ok in size_lines(target.measurements):
+        name = shortened(whole, 180, TEXT_PX)
         if ok is None:
             x = MARGIN_PX + 20 + width_of(name, TEXT_PX)
             plain.append(_row((name, MARGIN_PX, GREY), (text, x, WHITE), width=COLUMN_PX))

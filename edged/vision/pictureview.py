@@ -19,6 +19,7 @@ ROOM = 1.35
 """Size of what is shown, of the parts in it."""
 MAX_ZOOM, MIN_ZOOM = 4.0, 1.25
 INSET_SHARE = 0.16
+OUTSIDE_PX = 1e5
 FRAME: Colour = (40, 200, 255)
 BORDER: Colour = (120, 120, 120)
 
@@ -43,8 +44,10 @@ class View:
     names: list[Box] = field(default_factory=list)
 
     def raw(self, points_mm: FloatArray) -> FloatArray:
-        """Raw px (N, 2) of points (N, 3) of the rig frame."""
-        return self.camera.project(apply(self.camera_from_rig, points_mm))
+        """Raw px (N, 2) of points (N, 3) of the rig frame; far outside the image for what no lens shows."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = self.camera.project(apply(self.camera_from_rig, points_mm))
+        return np.clip(np.nan_to_num(pixels, nan=OUTSIDE_PX), -OUTSIDE_PX, OUTSIDE_PX)
 
     def place(self, raw_px: FloatArray) -> FloatArray:
         """Where raw px are on the canvas; an integer is the middle of a pixel in both."""
@@ -65,10 +68,10 @@ def view_of(image: Image, camera: CameraModel, camera_from_rig: FloatArray, box:
 def zoom_for(sizes: Sequence[tuple[int, int]], extents: Sequence[FloatArray]) -> float:
     """How much larger the parts can be shown than in the whole pictures; 1 where it is not worth it.
 
-    sizes : (width, height) of each image.  extents : raw px (N, 2) in each that must be seen.
+    sizes : (width, height) of each image.  extents : raw px (N, 2) in each that should be seen.
     """
     wanted = [
-        float(np.min(np.array(size) / (ROOM * np.ptp(points, axis=0) + 1)))
+        float(np.min(np.array(size) / (ROOM * np.ptp(np.clip(points, 0, size), axis=0) + 1)))
         for size, points in zip(sizes, extents, strict=True)
         if len(points)
     ]
@@ -81,7 +84,8 @@ def box_around(size: tuple[int, int], points: FloatArray, zoom: float) -> Box:
     width, height = (round(length / zoom) for length in size)
     if not len(points):
         return 0, 0, *size
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    inside = np.clip(points, 0, size)
+    middle = 0.5 * (inside.min(axis=0) + inside.max(axis=0))
     x, y = np.clip(np.rint(middle - (width / 2, height / 2)), 0, (size[0] - width, size[1] - height))
     return int(x), int(y), width, height
 
