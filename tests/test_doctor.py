@@ -87,12 +87,25 @@ def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
 
 
 def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each is a finding; nothing else is looked at."""
-    path = edit(folder, 'job = "flange"', 'job = "flnge"')
+    """Each is a finding; of a file that cannot be understood nothing else is looked at."""
+    path = edit(folder, 'job = "flange"', 'jib = "flange"')
     assert command(path, False, Console(width=200), trigger=True) == 1
     out = capsys.readouterr().out
-    assert "BAD configuration: cell.job: no usable job 'flnge'" in " ".join(out.split())
-    assert "1 checks, 1 bad" in out
+    assert "BAD configuration: cell.jib: unknown key" in " ".join(out.split())
+    assert f"{out.count('BAD')} checks, {out.count('BAD')} bad" in out
+
+
+def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folder: Path) -> None:
+    """Machine, ports and cameras come before rig and jobs; pictures, which the rig judges, do not."""
+    (folder / "rig.json").unlink()
+    path = edit(folder, 'source = "virtual-inprocess"', 'source = "aravis"')
+    edit(folder, "[modbus]", '[cameras.left]\ndevice = "L"\n[cameras.right]\ndevice = "R"\n\n[modbus]')
+    found = checks(path, trigger=True)
+
+    assert "rig.json: cannot read a rig" in found["configuration"].finding
+    assert {"kernel cache", "Modbus port", "Zenoh port"} <= set(found)
+    assert ("left camera" in found) != bool(aravis_missing())
+    assert "test pictures" not in found
 
 
 def test_a_port_in_use_is_named(folder: Path) -> None:

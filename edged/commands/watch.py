@@ -203,7 +203,7 @@ def _line(news: News) -> str:
     frame, pose = _pose(document)
     place = ""
     if pose:
-        sigma = _triple(pose.get("sigma_mm"), "{:.3f}")
+        sigma = _triple(pose.get("sigma_mm"), "{:.4f}")
         place = f"  {_triple(pose.get('position_mm'), '{:9.3f}')} mm ({frame})  sigma {sigma}"
     cycle, status, job, error = (_text(document, name) for name in ("cycle", "status", "job", "error"))
     drift = _drift(document)
@@ -299,7 +299,7 @@ def _largest(values: object) -> str:
     """The largest of three sigmas: the one that decides whether a robot may grip."""
     numbers = [_number(value) for value in values] if isinstance(values, list) else []
     known = [number for number in numbers if number is not None]
-    return _shown(max(known), "{:.3f}") if numbers and len(known) == len(numbers) else ""
+    return _shown(max(known), "{:.4f}") if numbers and len(known) == len(numbers) else ""
 
 
 def _shown(value: object, form: str) -> str:

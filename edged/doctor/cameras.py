@@ -8,16 +8,16 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.adapters.aravis.library import control_state
-from edged.cellfiles import CellFiles
-from edged.config import CameraSection
+from edged.config import CameraSection, Config
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces
 from edged.doctor.network import Place, home, look_at_network
+from edged.vision.camera import StereoRig
 
 
-def look_at_cameras(cell: CellFiles) -> Iterator[Check]:
-    """Cameras of the configuration and the network that they are on."""
+def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
+    """Cameras of the configuration and their network; rig : tells how large the images are."""
     if missing := aravis_missing():
         yield Check(
             "Aravis",
@@ -27,7 +27,7 @@ def look_at_cameras(cell: CellFiles) -> Iterator[Check]:
             "apt install gir1.2-aravis-0.8 python3-gi",
         )
         return
-    config, discovered = cell.config, list_cameras()
+    discovered = list_cameras()
     yield from twins(discovered)
     ports = interfaces()
     if ports is None:
@@ -45,9 +45,11 @@ def look_at_cameras(cell: CellFiles) -> Iterator[Check]:
         yield camera(side, section, info, discovered, ports)
         yield where
         places.append(Place(side, info, interface))
-    rig = cell.rig
-    image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
-    yield from look_at_network(places, ports or (), image_bytes, config)
+    if rig is None:
+        yield Check("network", Verdict.SKIP, "how large images are is not known before the calibration")
+    else:
+        image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
+        yield from look_at_network(places, ports or (), image_bytes, config)
     seen = [(place.interface.name, place.info.address) for place in places]
     # behind a firewall a camera may not have been found: then every wire may be its own
     wires = [(port.name, str(one.network)) for port in ports or () if port.ethernet for one in port.networks]

@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator
 
-from edged.cellfiles import CellFiles
+from edged.config import Config
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
     CameraBusy,
@@ -22,6 +22,7 @@ from edged.errors import (
 )
 from edged.head import camera_facts, head_of
 from edged.sim.world import VirtualWorld
+from edged.vision.camera import StereoRig
 
 TRIGGERS = 5
 
@@ -37,26 +38,26 @@ REMEDIES: dict[type[EdgedError], str] = {
 """By what went wrong, the first that fits."""
 
 
-def take_pictures(cell: CellFiles) -> Iterator[Check]:
+def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
     """One check: open the cameras, take a few pairs, and see whether they fit the rig."""
-    source, mode = cell.config.cameras.source, cell.config.cameras.trigger.mode
-    if mode == "line" or cell.config.cycle.mode == "external" or cell.config.cameras.trigger.first_line:
+    source, mode = config.cameras.source, config.cameras.trigger.mode
+    if mode == "line" or config.cycle.mode == "external" or config.cameras.trigger.first_line:
         yield Check("test pictures", Verdict.SKIP, "somebody else triggers the cameras: run it and see")
         return
     try:
         if source.startswith("virtual"):
             with VirtualWorld(gige=source == "virtual") as world:
-                yield asyncio.run(_shoot(cell, world))
+                yield asyncio.run(_shoot(config, rig, world))
         else:
-            yield asyncio.run(_shoot(cell, None))
+            yield asyncio.run(_shoot(config, rig, None))
     except EdgedError as error:
         yield Check("test pictures", Verdict.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
 
 
-async def _shoot(cell: CellFiles, world: VirtualWorld | None) -> Check:
-    head = head_of(cell.config.cameras, world)
+async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> Check:
+    head = head_of(config.cameras, world)
     times_ms, skews_ms, faults = [], [], list[CaptureError]()
-    sizes = [(camera.height, camera.width) for camera in (cell.rig.left, cell.rig.right)]
+    sizes = [(camera.height, camera.width) for camera in (rig.left, rig.right)]
     try:
         await head.open()
         for _ in range(TRIGGERS):
