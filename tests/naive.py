@@ -494,22 +494,6 @@ def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
     return total
 
 
-def variance_of_mean(values: FloatArray, base: FloatArray, waves: FloatArray) -> tuple[float, float]:
-    """Variance of the mean around the waves, and the mean square of the waves."""
-    if (base > 0).sum() < 12:
-        return math.inf, 0.0
-    weights = base
-    slow = np.zeros_like(values)
-    for _ in range(4):
-        root = np.sqrt(weights)
-        slow = waves @ np.linalg.lstsq(waves * root[:, None], values * root, rcond=None)[0]
-        weights = base * tukey_weights((values - slow) / max(median_scale(values - slow, base), 1e-3))
-    total = float(weights.sum())
-    variance = max(float(np.sum(weights * (values - slow) ** 2)) / total, 0.02**2)
-    spread = correlation_length(values - slow, weights)
-    return variance * spread / total, float(np.sum(weights * slow**2)) / total
-
-
 def solve_groups(
     design: FloatArray,
     columns: npt.NDArray[np.int64],
@@ -633,6 +617,24 @@ def edge_weights(
     return base
 
 
+def variance_of_mean(
+    values: FloatArray, base: FloatArray, waves: FloatArray, rounds: int, shares: FloatArray
+) -> tuple[float, float, FloatArray]:
+    """Variance of the mean around the waves, the mean square of the waves, and the shares of the samples."""
+    if (base > 0).sum() < 12:
+        return math.inf, 0.0, shares
+    slow = np.zeros_like(values)
+    for _ in range(rounds):
+        root = np.sqrt(base * shares)
+        slow = waves @ np.linalg.lstsq(waves * root[:, None], values * root, rcond=None)[0]
+        shares = tukey_weights((values - slow) / max(median_scale(values - slow, base), 1e-3))
+    weights = base * shares
+    total = float(weights.sum())
+    variance = max(float(np.sum(weights * (values - slow) ** 2)) / total, 0.02**2)
+    spread = correlation_length(values - slow, weights)
+    return variance * spread / total, float(np.sum(weights * slow**2)) / total, shares
+
+
 def choose_width(
     offset: FloatArray,
     slope: FloatArray,
@@ -645,9 +647,13 @@ def choose_width(
     bases = [edge_weights(o, s, clipped, min_slope) for o, s in zip(offset, slope, strict=True)]
     values = [np.where(base > 0, o, 0.0) for o, base in zip(offset, bases, strict=True)]
     merits, squares = [], []
-    for value, base in zip(values, bases, strict=True):
-        variance, _ = variance_of_mean(value, base, waves)
-        doubt, slow = variance_of_mean(value - values[0], np.minimum(base, bases[0]), waves)
+    shares = alike = np.ones(len(waves))
+    for w, (value, base) in enumerate(zip(values, bases, strict=True)):
+        variance, _, shares = variance_of_mean(value, base, waves, 1 if w else 3, shares)
+        doubt = slow = 0.0
+        if w:
+            both = np.minimum(base, bases[0])
+            doubt, slow, alike = variance_of_mean(value - values[0], both, waves, 3 if w == 1 else 1, alike)
         chance = waves.shape[1] * doubt
         squares.append(slow - chance if slow > 1.6 * chance else 0.0)
         merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))

@@ -78,7 +78,7 @@ def test_the_solver_equals_its_twin(bias: float, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_small_kernels_equal_their_twins(seed: int) -> None:
-    """Scale, weight, correlation, variance and inverse, on smooth and on rough samples with gaps."""
+    """Scale, weight, correlation and inverse, on smooth and on rough samples with gaps."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(30, 200))
     rough = rng.normal(0, 0.1, count)
@@ -88,9 +88,6 @@ def test_small_kernels_equal_their_twins(seed: int) -> None:
         assert robust.robust_scale(values, base) == pytest.approx(naive.median_scale(values, base))
         assert robust.correlation_length(values, base) == pytest.approx(
             naive.correlation_length(values, base)
-        )
-        assert robust.variance_of_mean(values, base, ring(count).T.copy()) == pytest.approx(
-            naive.variance_of_mean(values, base, ring(count))
         )
     for ratio in (-6.0, -1.0, 0.0, 2.5, 4.684):
         assert robust.tukey_weight(ratio) == pytest.approx(float(naive.tukey_weights(np.array(ratio))))

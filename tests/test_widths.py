@@ -10,7 +10,7 @@ import pytest
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges import WIDTHS_PX, EdgeSamples, edges_at_widths
-from edged.vision.widths import ChosenEdges, choose_widths
+from edged.vision.widths import ChosenEdges, choose_widths, variance_of_mean
 
 SIZE = 200
 CENTRE = (SIZE - 1) / 2
@@ -49,6 +49,26 @@ def picked(edges: ChosenEdges, seen: EdgeSamples) -> int:
     """Index of the width whose offsets were taken."""
     known = edges.base > 0
     return int(np.argmin([np.abs(offset[known] - edges.offset_px[known]).max() for offset in seen.offset_px]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_variance_equals_its_twin(seed: int) -> None:
+    """Of white and of correlated samples with gaps and outliers, from scratch and from shares of before."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(40, 300))
+    waves = circle(count)[2]
+    base = np.where(rng.random(count) < 0.2, 0.0, 1.0)
+    rough = rng.normal(0, 0.1, count) + waves @ rng.normal(0, 0.1, 5) + 2.0 * (rng.random(count) < 0.05)
+    for values in (rough, np.convolve(np.tile(rough, 2), np.ones(5), "same")[:count]):
+        shares, expected_shares = np.ones(count), np.ones(count)
+        for rounds in (3, 1):
+            result = variance_of_mean(values, base, waves.T.copy(), rounds, shares)
+            *expected, expected_shares = naive.variance_of_mean(values, base, waves, rounds, expected_shares)
+            assert result == pytest.approx(tuple(expected))
+            np.testing.assert_allclose(shares, expected_shares, atol=1e-9)
+    few = np.zeros(count)
+    few[:11] = 1.0
+    assert variance_of_mean(rough, few, waves.T.copy(), 3, np.ones(count)) == (math.inf, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(6))

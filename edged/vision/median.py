@@ -13,49 +13,60 @@ from edged.vision.jit import kernel
 
 F64 = npt.NDArray[np.float64]
 
+I32 = npt.NDArray[np.int32]
+
 _BINS = 256
 _FEW = 16
+_SCOUTS = 64
+"""Values of which the range is taken for that of all: what lies outside is in the first bin or the last."""
 
 
-@kernel("f8(f8[::1], i8)")
-def _ranked(values: F64, rank: int) -> float:
-    """The value that `rank` others precede in order."""
+@kernel("void(f8[::1], i8, f8, f8, i4[::1])", any_order=True)
+def _sort_in(values: F64, count: int, low: float, scale: float, bins: I32) -> None:
+    for n in range(count):
+        bins[n] = min(max(np.int32((values[n] - low) * scale), np.int32(0)), np.int32(_BINS - 1))
+
+
+@kernel("UniTuple(f8, 2)(f8[::1], i8)")
+def _ranked(values: F64, rank: int) -> tuple[float, float]:
+    """The value that `rank` others precede in order, and the one before it, NaN where that was not met."""
     rest, count = values.copy(), len(values)
-    bins, tally = np.empty(count, np.int64), np.empty(_BINS, np.int64)
+    bins, tally = np.empty(count, np.int32), np.empty(_BINS, np.int64)
+    apart = max(count // _SCOUTS, 1)
     while count > _FEW:
         low, high = rest[0], rest[0]
-        for n in range(count):
+        for n in range(0, count, apart):
             low, high = min(low, rest[n]), max(high, rest[n])
-        scale = (_BINS - 1) / (high - low) if high > low else 0.0
+        _sort_in(rest, count, low, (_BINS - 1) / (high - low) if high > low else 0.0, bins)
         tally[:] = 0
         for n in range(count):
-            bins[n] = min(max(int((rest[n] - low) * scale), 0), _BINS - 1)
             tally[bins[n]] += 1
         chosen = 0
         while rank >= tally[chosen]:
             rank -= tally[chosen]
             chosen += 1
-        if tally[chosen] == count:  # all are equal
-            return float(low)
-        count = 0
-        for n in range(len(bins)):
-            rest[count] = rest[n]
-            count += bins[n] == chosen
-        bins = bins[:count]
+        if tally[chosen] == count and apart == 1:  # all are equal
+            return float(low), float(low) if rank > 0 else np.nan
+        apart = 1 if tally[chosen] > count // 2 else max(tally[chosen] // _SCOUTS, 1)
+        kept = 0
+        for n in range(count):
+            rest[kept] = rest[n]
+            kept += bins[n] == chosen
+        count = kept
     ordered = np.sort(rest[:count])
-    return float(ordered[rank])
+    return float(ordered[rank]), float(ordered[rank - 1]) if rank > 0 else np.nan
 
 
 @kernel("f8(f8[::1])")
 def median(values: F64) -> float:
     """As numpy's: of an even number of values the mean of both in the middle. At least one value, finite."""
     count = len(values)
-    upper = _ranked(values, count // 2)
+    upper, lower = _ranked(values, count // 2)
     if count % 2 == 1:
-        return float(upper)
-    lower, fewer = -np.inf, 0
-    for n in range(count):
-        less = values[n] < upper
-        fewer += less
-        lower = max(lower, values[n] if less else -np.inf)
-    return float(0.5 * (upper + (lower if fewer == count // 2 else upper)))
+        return upper
+    if np.isnan(lower):
+        lower = -np.inf
+        for n in range(count):
+            if values[n] < upper:
+                lower = max(lower, values[n])
+    return 0.5 * (upper + lower)

@@ -48,9 +48,8 @@ def robust_scale(residuals: F64, base: F64) -> float:
     count = 0
     kept = np.empty(len(residuals))
     for n in range(len(residuals)):
-        if base[n] > 0:
-            kept[count] = abs(residuals[n])
-            count += 1
+        kept[count] = abs(residuals[n])
+        count += base[n] > 0
     if count == 0:
         return 0.0
     return 1.4826 * median(kept[:count])
@@ -138,49 +137,6 @@ def weighted_moments(
     for i in range(size):
         for j in range(i):
             moments[j, i] = moments[i, j]
-
-
-@kernel("UniTuple(f8, 2)(f8[::1], f8[::1], f8[:, ::1])")
-def variance_of_mean(values: F64, base: F64, waves: F64) -> tuple[float, float]:
-    """Variance of the mean of samples around a curve, and the mean square of their slow changes.
-
-    Slow is what the waves (M, N) explain; it is no noise. (inf, 0) where there are too few samples.
-    """
-    many, count = waves.shape
-    known = 0
-    for n in range(count):
-        if base[n] > 0:
-            known += 1
-    if known < MIN_SAMPLES:
-        return np.inf, 0.0
-    weights = base.copy()
-    residuals = np.empty(count)
-    matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
-    total, all_used = 0.0, np.ones(many, np.bool_)
-    for _ in range(4):
-        weighted_moments(waves, all_used, values, weights, 1.0, matrix, right_side)
-        if not invert_spd(matrix, inverse):
-            return np.inf, 0.0
-        residuals[:] = values
-        for i in range(many):
-            wave, amplitude = waves[i], 0.0
-            for j in range(many):
-                amplitude += inverse[i, j] * right_side[j]
-            for n in range(count):
-                residuals[n] -= amplitude * wave[n]
-        scale = max(robust_scale(residuals, base), 1e-3)
-        total = 0.0
-        for n in range(count):
-            weights[n] = base[n] * tukey_weight(residuals[n] / scale)
-            total += weights[n]
-        if total <= 0:
-            return np.inf, 0.0
-    variance, square = 0.0, 0.0
-    for n in range(count):
-        variance += weights[n] * residuals[n] ** 2
-        square += weights[n] * (values[n] - residuals[n]) ** 2
-    variance = max(variance / total, MIN_SIGMA_PX**2)
-    return variance * correlation_length(residuals, weights) / total, square / total
 
 
 @kernel("b1(f8[:, ::1], f8[::1], i8[::1], i8, f8, f8[:, ::1], f8[::1])")

@@ -16,7 +16,15 @@ from edged.domain import FloatArray
 from edged.vision.edges import WIDTHS_PX, EdgeSamples
 from edged.vision.jit import kernel
 from edged.vision.median import median
-from edged.vision.robust import variance_of_mean
+from edged.vision.robust import (
+    MIN_SAMPLES,
+    MIN_SIGMA_PX,
+    correlation_length,
+    robust_scale,
+    tukey_weight,
+    weighted_moments,
+)
+from edged.vision.spd import invert_spd
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -37,6 +45,8 @@ START_WIDTH = 2
 """Index into `WIDTHS_PX` of the operator that finds an edge, before the others are compared."""
 NEIGHBOURS = 4  # on both sides, over which the contrast of an edge is averaged
 _OUTPUTS = 2
+FIRST_ROUNDS, NEXT_ROUNDS = 3, 1
+"""Of reweighting: what is no edge at one width is none at the next, which starts from what was found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,30 +104,71 @@ def _weigh(
         base[n] = 0.0
         if known:
             base[n] = CLIPPED_WEIGHT if clipped[n] else 1.0
-    around = np.zeros(count)
     beside = min(NEIGHBOURS, (count - 1) // 2)
-    for n in range(count):
-        if base[n] <= 0.0:
-            continue
-        total, many = 0.0, 0
-        for shift in range(-beside, beside + 1):
-            other = n + shift
-            if other < 0:
-                other += count
-            elif other >= count:
-                other -= count
-            if base[other] > 0.0:
-                total += abs(slope[other])
-                many += 1
-        around[n] = total / many
-        contrast[kept] = around[n]
-        kept += 1
+    around, total, many = np.zeros(count), 0.0, 0  # of the samples within reach, which moves along the curve
+    for n in range(-2 * beside, count):
+        ahead, behind = n + beside, n - beside - 1
+        ahead += count if ahead < 0 else (-count if ahead >= count else 0)
+        behind += count if behind < 0 else 0
+        if base[ahead] > 0.0:
+            total, many = total + abs(slope[ahead]), many + 1
+        if n > 0 and base[behind] > 0.0:
+            total, many = total - abs(slope[behind]), many - 1
+        if n >= 0 and base[n] > 0.0:
+            around[n] = contrast[kept] = total / many
+            kept += 1
     if kept == 0:
         return
     middle = median(contrast[:kept])
     for n in range(count):
         if around[n] < middle:
             base[n] *= (around[n] / middle) ** 2
+
+
+@kernel("UniTuple(f8, 2)(f8[::1], f8[::1], f8[:, ::1], i8, f8[::1])", any_order=True)
+def variance_of_mean(values: F64, base: F64, waves: F64, rounds: int, shares: F64) -> tuple[float, float]:
+    """Variance of the mean of samples around a curve, and the mean square of their slow changes.
+
+    Slow is what the waves (M, N) explain; it is no noise. (inf, 0) where there are too few samples.
+    shares (N,) : how far each sample is believed beyond its base, in [0, 1]; of the start, then as found.
+    """
+    many, count = waves.shape
+    known, total = 0, 0.0
+    for n in range(count):
+        known += base[n] > 0.0
+        total += base[n] * shares[n]
+    if known < MIN_SAMPLES or total <= 0.0:
+        return np.inf, 0.0
+    weights, residuals = np.empty(count), np.empty(count)
+    matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
+    all_used = np.ones(many, np.bool_)
+    for _ in range(rounds):
+        for n in range(count):
+            weights[n] = base[n] * shares[n]
+        weighted_moments(waves, all_used, values, weights, 1.0, matrix, right_side)
+        if not invert_spd(matrix, inverse):
+            return np.inf, 0.0
+        for n in range(count):
+            residuals[n] = values[n]
+        for i in range(many):
+            wave, amplitude = waves[i], 0.0
+            for j in range(many):
+                amplitude += inverse[i, j] * right_side[j]
+            for n in range(count):
+                residuals[n] -= amplitude * wave[n]
+        accuracy = 1.0 / max(robust_scale(residuals, base), 1e-3)
+        for n in range(count):
+            shares[n] = tukey_weight(residuals[n] * accuracy)
+    total, variance, square = 0.0, 0.0, 0.0
+    for n in range(count):
+        weights[n] = base[n] * shares[n]
+        total += weights[n]
+        variance += weights[n] * residuals[n] ** 2
+        square += weights[n] * (values[n] - residuals[n]) ** 2
+    if total <= 0.0:
+        return np.inf, 0.0
+    variance = max(variance / total, MIN_SIGMA_PX**2)
+    return variance * correlation_length(residuals, weights) / total, square / total
 
 
 @kernel("f8(f8[::1], f8[::1], f8[::1], f8[::1])")
@@ -157,13 +208,18 @@ def _choose(
         for w in range(many):
             _weigh(offset[w, a:b], slope[w, a:b], clipped[a:b], min_slope, values[w], base[w])
         best, best_merit, at_start = 0, np.inf, 0.0
+        shares, alike = np.ones(b - a), np.ones(b - a)
+        change, common = np.empty(b - a), np.empty(b - a)
         for w in range(many if many > 1 else 0):
-            variance, _ = variance_of_mean(values[w], base[w], slow_changes)
+            rounds = FIRST_ROUNDS if w == 0 else NEXT_ROUNDS
+            variance, _ = variance_of_mean(values[w], base[w], slow_changes, rounds, shares)
             doubt, slow = 0.0, 0.0
             if w > 0:
-                doubt, slow = variance_of_mean(
-                    values[w] - values[0], np.minimum(base[w], base[0]), slow_changes
-                )
+                for n in range(b - a):
+                    change[n] = values[w, n] - values[0, n]
+                    common[n] = min(base[w, n], base[0, n])
+                rounds = FIRST_ROUNDS if w == 1 else NEXT_ROUNDS
+                doubt, slow = variance_of_mean(change, common, slow_changes, rounds, alike)
             chance = modes * doubt  # what noise alone would make of the waves
             square = slow - chance if slow > SIGNIFICANT * chance else 0.0
             if w == START_WIDTH:
