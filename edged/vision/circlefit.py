@@ -13,6 +13,7 @@ from edged.vision.camera import StereoRig
 from edged.vision.circleprojection import project_samples
 
 SIDES = ("left", "right")
+_NO_MOTION = np.eye(4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +134,5 @@ def project_circles(
 ) -> ProjectedCircle:
     """`project_circle` for circles of one plane; the arguments are those of `project_samples`."""
     camera = rig.left if side == "left" else rig.right
-    pose = np.eye(4) if side == "left" else rig.right_from_left
-    found = project_samples(camera, pose, frame, centres, radii, index, phase)
-    return ProjectedCircle(
-        np.ascontiguousarray(found[:, :2]), np.ascontiguousarray(found[:, 2:4]), found[:, 4:]
-    )
+    pose = _NO_MOTION if side == "left" else rig.right_from_left
+    return ProjectedCircle(*project_samples(camera, pose, frame, centres, radii, index, phase))

@@ -16,8 +16,6 @@ from edged.vision.jit import kernel
 F64 = npt.NDArray[np.float64]
 
 _DIVISION, _BROWN = 0, 1
-OUTPUTS = 10
-"""Columns: pixel (2), outward unit normal (2), derivative along it by centre (3), tilts (2), radius."""
 
 
 def project_samples(
@@ -28,16 +26,19 @@ def project_samples(
     radii: FloatArray,
     index: npt.NDArray[np.int64],
     phase: FloatArray,
-) -> FloatArray:
-    """(N, OUTPUTS) of the points at angles `phase` (N,) of circles in one plane.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pixels, normals and derivatives of the points at angles `phase` (N,) of circles in one plane.
 
     frame (3, 3) : rows u, v, normal of the plane, rig frame.  centres (K, 3), radii (K,) : of the circles;
     index (N,) : which of them a point lies on.  camera_from_rig (4, 4).
-    Rows are NaN or infinite where the lens cannot show a point.
+    Returns pixels (N, 2); normals (N, 2), unit and outwards; jacobian (N, 6): derivative of the curve along
+    its normal by centre (3), tilts (2), radius. Rows are NaN or infinite where the lens cannot show a point.
     """
+    count = len(phase)
+    pixels, normals, jacobian = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 6))
     lens = np.zeros(5)
     lens[: len(camera.distortion)] = camera.distortion
-    return _project_samples(
+    _project_samples(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         lens,
         _DIVISION if camera.model == "division" else _BROWN,
@@ -47,10 +48,14 @@ def project_samples(
         np.require(radii, np.float64, ("C", "W")),
         np.require(index, np.int64, ("C", "W")),
         np.require(phase, np.float64, ("C", "W")),
+        pixels,
+        normals,
+        jacobian,
     )
+    return pixels, normals, jacobian
 
 
-@kernel("UniTuple(f8, 6)(f8, f8, f8[::1], i8)")
+@kernel("UniTuple(f8, 6)(f8, f8, f8[::1], i8)", any_order=True)
 def _distort(u: float, v: float, lens: F64, model: int) -> tuple[float, float, float, float, float, float]:
     """The distorted point and its derivatives: x, y, dx/du, dx/dv, dy/du, dy/dv."""
     r2 = u * u + v * v
@@ -74,7 +79,18 @@ def _distort(u: float, v: float, lens: F64, model: int) -> tuple[float, float, f
     )
 
 
-@kernel("f8[:, ::1](f8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8[::1], f8[::1])")
+@kernel("void(f8[:, ::1], f8[::1], f8[::1])")
+def _turn(pose: F64, vector: F64, turned: F64) -> None:
+    """The rotation of a pose (4, 4) on a vector."""
+    for i in range(3):
+        turned[i] = pose[i, 0] * vector[0] + pose[i, 1] * vector[1] + pose[i, 2] * vector[2]
+
+
+@kernel(
+    "void(f8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8[::1], f8[::1],"
+    " f8[:, ::1], f8[:, ::1], f8[:, ::1])",
+    any_order=True,
+)
 def _project_samples(
     pinhole: F64,
     lens: F64,
@@ -85,42 +101,43 @@ def _project_samples(
     radii: F64,
     index: npt.NDArray[np.int64],
     phase: F64,
-) -> F64:
-    count = len(phase)
-    found = np.empty((count, OUTPUTS))
-    radial, across, point, along = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    rows = np.empty((2, 3))  # d pixel / d point, rig frame
-    for n in range(count):
+    pixels: F64,
+    normals: F64,
+    jacobian: F64,
+) -> None:
+    """Fill the last three; all is reckoned in the camera's frame, but the derivatives by the centre."""
+    axes, middle = np.empty((3, 3)), np.empty((len(radii), 3))
+    for i in range(3):
+        _turn(pose, frame[i], axes[i])
+    for k in range(len(radii)):
+        _turn(pose, centres[k], middle[k])
+        for i in range(3):
+            middle[k, i] += pose[i, 3]
+    u0, u1, u2 = axes[0, 0], axes[0, 1], axes[0, 2]
+    v0, v1, v2 = axes[1, 0], axes[1, 1], axes[1, 2]
+    for n in range(len(phase)):
         cosine, sine = np.cos(phase[n]), np.sin(phase[n])
-        centre, radius = centres[index[n]], radii[index[n]]
-        for i in range(3):
-            radial[i] = cosine * frame[0, i] + sine * frame[1, i]
-            across[i] = cosine * frame[1, i] - sine * frame[0, i]
-        for i in range(3):
-            point[i] = pose[i, 3]
-            for j in range(3):
-                point[i] += pose[i, j] * (centre[j] + radius * radial[j])
-        u, v, depth = point[0] / point[2], point[1] / point[2], point[2]
+        radius, place = radii[index[n]], middle[index[n]]
+        radial0, radial1, radial2 = cosine * u0 + sine * v0, cosine * u1 + sine * v1, cosine * u2 + sine * v2
+        across0, across1, across2 = cosine * v0 - sine * u0, cosine * v1 - sine * u1, cosine * v2 - sine * u2
+        nearness = 1.0 / (place[2] + radius * radial2)
+        u, v = (place[0] + radius * radial0) * nearness, (place[1] + radius * radial1) * nearness
         x, y, xu, xv, yu, yv = _distort(u, v, lens, model)
-        for j in range(3):
-            du, dv = (pose[0, j] - u * pose[2, j]) / depth, (pose[1, j] - v * pose[2, j]) / depth
-            rows[0, j] = pinhole[0] * (xu * du + xv * dv)
-            rows[1, j] = pinhole[1] * (yu * du + yv * dv)
-        tx = rows[0, 0] * across[0] + rows[0, 1] * across[1] + rows[0, 2] * across[2]
-        ty = rows[1, 0] * across[0] + rows[1, 1] * across[1] + rows[1, 2] * across[2]
-        outward = ty * (rows[0, 0] * radial[0] + rows[0, 1] * radial[1] + rows[0, 2] * radial[2]) - tx * (
-            rows[1, 0] * radial[0] + rows[1, 1] * radial[1] + rows[1, 2] * radial[2]
-        )
-        length = np.sqrt(tx * tx + ty * ty) * (-1.0 if outward < 0 else 1.0)
-        nx, ny = ty / length, -tx / length
-        up, out = 0.0, 0.0
-        for j in range(3):
-            along[j] = nx * rows[0, j] + ny * rows[1, j]
-            up += along[j] * frame[2, j]
-            out += along[j] * radial[j]
-        found[n, 0], found[n, 1] = x * pinhole[0] + pinhole[2], y * pinhole[1] + pinhole[3]
-        found[n, 2], found[n, 3] = nx, ny
-        found[n, 4:7] = along
-        found[n, 7], found[n, 8] = up * radius * sine, up * radius * cosine
-        found[n, 9] = out
-    return found
+        # d pixel / d u and v, then along the circle and outwards
+        xu, xv = pinhole[0] * xu * nearness, pinhole[0] * xv * nearness
+        yu, yv = pinhole[1] * yu * nearness, pinhole[1] * yv * nearness
+        along_u, along_v = across0 - u * across2, across1 - v * across2
+        out_u, out_v = radial0 - u * radial2, radial1 - v * radial2
+        tx, ty = xu * along_u + xv * along_v, yu * along_u + yv * along_v
+        outward = ty * (xu * out_u + xv * out_v) - tx * (yu * out_u + yv * out_v)
+        shorten = (-1.0 if outward < 0 else 1.0) / np.sqrt(tx * tx + ty * ty)
+        nx, ny = ty * shorten, -tx * shorten
+        pixels[n, 0], pixels[n, 1] = x * pinhole[0] + pinhole[2], y * pinhole[1] + pinhole[3]
+        normals[n, 0], normals[n, 1] = nx, ny
+        du, dv = nx * xu + ny * yu, nx * xv + ny * yv
+        dw = -(u * du + v * dv)
+        for i in range(3):
+            jacobian[n, i] = pose[0, i] * du + pose[1, i] * dv + pose[2, i] * dw
+        up = (axes[2, 0] * du + axes[2, 1] * dv + axes[2, 2] * dw) * radius
+        jacobian[n, 3], jacobian[n, 4] = up * sine, up * cosine
+        jacobian[n, 5] = radial0 * du + radial1 * dv + radial2 * dw
