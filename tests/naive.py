@@ -5,8 +5,10 @@ A kernel is tested against its twin, the twin against the eye of the reader.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +16,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.sim import scene
 from edged.vision.camera import CameraModel
+from edged.vision.jointsolver import Samples
 from edged.vision.projection import project_with_jacobians
 
 # --- edged.sim.raster ------------------------------------------------------------------------
@@ -494,108 +497,105 @@ def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
     return total
 
 
-def solve_groups(
-    design: FloatArray,
-    columns: npt.NDArray[np.int64],
-    shared: npt.NDArray[np.int64],
-    starts: npt.NDArray[np.int64],
-    values: FloatArray,
-    base: FloatArray,
-    waves: FloatArray,
-    expected: FloatArray,
-    kinds: npt.NDArray[np.int64],
-    unknowns: int,
-    priors: int,
+# --- edged.vision.jointsolver -------------------------------------------------------------------
+
+
+def solve(
+    samples: Samples, unknowns: int, priors: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """(delta, covariance, weights, bias): every slow displacement is an unknown of its own with a prior."""
-    groups, many = len(expected), waves.shape[1]
-    size = unknowns + groups * many
+    curves, many, starts = len(samples.kinds), samples.waves.shape[1], samples.starts
+    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
+    shared = replace(samples, design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
+    size = unknowns + curves * many
     prior = np.zeros(size)
     prior[unknowns - priors :] = 1.0
-    bias = np.where(expected > 0, np.maximum(expected, 0.03), 0.0)
-    dense = _with_displacements(design, columns, shared, starts, waves, bias, unknowns)
-    weights, scale, spread = base.copy(), np.ones(groups), np.ones(groups)
+    bias = np.maximum(samples.expected, 0.03)
+    dense = _with_displacements(shared, bias, unknowns)
+    weights, scale, spread = samples.base.copy(), np.ones(len(parts)), np.ones(len(parts))
     delta, covariance = np.zeros(size), np.eye(size)
     for round_ in range(20):
-        group_of = np.repeat(np.arange(groups), np.diff(starts))
-        precision = weights / (scale**2 * spread)[group_of]
+        precision = weights / np.repeat(scale**2 * spread, np.diff(starts))
         covariance = np.linalg.inv((dense * precision[:, None]).T @ dense + np.diag(prior))
-        previous, delta = delta, covariance @ (dense.T @ (precision * values))
-        residuals = values - dense @ delta
-        for g in range(groups):
-            rows = slice(starts[g], starts[g + 1])
-            scale[g] = max(median_scale(residuals[rows], base[rows]), 0.02)
-            ratio = residuals[rows] / scale[g]
-            if round_ < 3:
-                weights[rows] = base[rows] / np.maximum(1.0, np.abs(ratio))
-                continue
-            weights[rows] = base[rows] * tukey_weights(ratio)
-            total = float(weights[rows].sum())
-            if total > 0:
-                mean_square = float(np.sum(weights[rows] * residuals[rows] ** 2)) / total
-                scale[g] = max(math.sqrt(mean_square) * 1.06, 0.02)
-            if round_ in (4, 6):
-                spread[g] = correlation_length(residuals[rows], weights[rows])
-        if 3 <= round_ <= 6:
-            bias = _learned_bias(shared, kinds, expected, bias, delta, covariance, unknowns, many)
-            dense = _with_displacements(design, columns, shared, starts, waves, bias, unknowns)
+        previous, delta = delta, covariance @ (dense.T @ (precision * samples.values))
+        residuals = samples.values - dense @ delta
+        for q, rows in enumerate(parts):
+            scale[q], weights[rows] = _weighed(residuals[rows], samples.base[rows], round_)
+        for k in np.flatnonzero(samples.paired) if round_ >= 3 else ():
+            first, second = parts[samples.parts[k]], parts[samples.parts[k] + 1]
+            base = samples.base[first]
+            both = np.where(base > 0, weights[first] * weights[second] / np.maximum(base, 1e-9), 0.0)
+            weights[first] = weights[second] = both
+        if round_ in (4, 6):
+            spread[:] = [correlation_length(residuals[rows], weights[rows]) for rows in parts]
+        if 3 <= round_ <= 6 and many:
+            bias = _learned_bias(shared, bias, delta, covariance, unknowns)
+            dense = _with_displacements(shared, bias, unknowns)
         if round_ > 6 and np.abs(delta - previous)[: unknowns - priors].max() < 1e-5:
             break
     return delta[:unknowns], covariance[:unknowns, :unknowns], weights, bias
 
 
-def _with_displacements(
-    design: FloatArray,
-    columns: npt.NDArray[np.int64],
-    shared: npt.NDArray[np.int64],
-    starts: npt.NDArray[np.int64],
-    waves: FloatArray,
-    bias: FloatArray,
-    unknowns: int,
-) -> FloatArray:
-    """The design with the displacements of each group as unknowns, in units of its bias."""
-    groups, many = len(bias), waves.shape[1]
-    dense = np.zeros((len(design), unknowns + groups * many))
-    for g in range(groups):
-        rows = slice(starts[g], starts[g + 1])
-        for c, column in enumerate(columns[g]):
+def _in_bins(rows: FloatArray, parts: list[slice]) -> FloatArray:
+    """Rows replaced by the mean of their neighbours where a part has enough of them."""
+    means = rows.copy()
+    for part in parts:
+        count = part.stop - part.start
+        together = max(1, min(4, count // 32))
+        for first in range(part.start, part.stop, together):
+            some = slice(first, min(first + together, part.stop))
+            means[some] = rows[some].mean(axis=0)
+    return means
+
+
+def _weighed(residuals: FloatArray, base: FloatArray, round_: int) -> tuple[float, FloatArray]:
+    """(scale, weights) of a part."""
+    scale = max(median_scale(residuals, base), 0.01)
+    ratio = residuals / scale
+    if round_ < 3:
+        return scale, base / np.maximum(1.0, np.abs(ratio))
+    weights = base * tukey_weights(ratio)
+    total = float(weights.sum())
+    if total > 0:
+        scale = max(math.sqrt(float(np.sum(weights * residuals**2)) / total) * 1.06, 0.01)
+    return scale, weights
+
+
+def _with_displacements(samples: Samples, bias: FloatArray, unknowns: int) -> FloatArray:
+    """The design with the displacements of each curve as unknowns, in units of their sigma."""
+    curves, many = len(samples.kinds), samples.waves.shape[1]
+    dense = np.zeros((len(samples.design), unknowns + curves * many))
+    for k in range(curves):
+        rows = slice(*samples.starts[samples.parts[k : k + 2]])
+        for c, column in enumerate(samples.columns[k]):
             if column >= 0:
-                dense[rows, column] += design[rows, c]
-        for first in (unknowns + g * many, shared[g]):
+                dense[rows, column] += samples.design[rows, c]
+        for first in (unknowns + k * many, samples.shared[k]):
             if first >= 0:
-                dense[rows, first : first + many] = waves[rows] * bias[g]
+                dense[rows, first : first + many] = samples.waves[rows] * bias[k][samples.families]
     return dense
 
 
 def _learned_bias(
-    shared: npt.NDArray[np.int64],
-    kinds: npt.NDArray[np.int64],
-    expected: FloatArray,
-    bias: FloatArray,
-    delta: FloatArray,
-    covariance: FloatArray,
-    unknowns: int,
-    many: int,
+    samples: Samples, bias: FloatArray, delta: FloatArray, covariance: FloatArray, unknowns: int
 ) -> FloatArray:
-    """The sigma of the displacements from what came out for each, all of them being unknowns here."""
-    variance = np.diag(covariance)
+    """The sigmas of the displacements from what came out for each, all of them being unknowns here."""
+    variance, many = np.diag(covariance), samples.waves.shape[1]
     learned = np.zeros_like(bias)
-    for kind in np.unique(kinds):
-        members = [int(g) for g in np.nonzero((kinds == kind) & (bias > 0))[0]]
-        if not members:
-            continue
-        firsts = [(unknowns + g * many, g) for g in members]
-        firsts += [(int(first), min(g for g in members if shared[g] == first))
-                   for first in {shared[g] for g in members} if first >= 0]  # fmt: skip
+    for kind, family in itertools.product(np.unique(samples.kinds), np.unique(samples.families)):
+        members = [int(k) for k in np.flatnonzero(samples.kinds == kind)]
+        firsts = [(unknowns + k * many, k) for k in members]
+        firsts += [(int(first), min(k for k in members if samples.shared[k] == first))
+                   for first in {samples.shared[k] for k in members} if first >= 0]  # fmt: skip
         square = known = chance = 0.0
-        for first, g in firsts:
-            rows = slice(first, first + many)
-            share, ratio = 1 - variance[rows], (bias[g] / expected[g]) ** 2
+        for first, k in firsts:
+            rows = first + np.flatnonzero(samples.families == family)
+            share, ratio = 1 - variance[rows], (bias[k, family] / samples.expected[k, family]) ** 2
             square += float(np.sum(delta[rows] ** 2)) * ratio
             known += float(np.sum(share**2))
             chance += float(np.sum(share * (1 - share))) * ratio
         excess = max(square - chance, 0.0)
-        learned[members] = expected[members] * math.sqrt((1 + excess) / (1 + known))
+        learned[members, family] = samples.expected[members, family] * math.sqrt((1 + excess) / (1 + known))
     return learned
 
 
@@ -630,7 +630,7 @@ def variance_of_mean(
         shares = tukey_weights((values - slow) / max(median_scale(values - slow, base), 1e-3))
     weights = base * shares
     total = float(weights.sum())
-    variance = max(float(np.sum(weights * (values - slow) ** 2)) / total, 0.02**2)
+    variance = max(float(np.sum(weights * (values - slow) ** 2)) / total, 0.01**2)
     spread = correlation_length(values - slow, weights)
     return variance * spread / total, float(np.sum(weights * slow**2)) / total, shares
 
@@ -658,7 +658,7 @@ def choose_width(
         squares.append(slow - chance if slow > 1.6 * chance else 0.0)
         merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))
     best = int(np.argmin(merits))
-    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.0005)
+    bias = max(1.3 * math.sqrt(squares[2] / waves.shape[1]), 0.0003)
     both = (bases[0] > 0) & (bases[2] > 0)
     if not both.any():
         return best, bases[best], bias, 0.0

@@ -146,7 +146,7 @@ def test_a_part_without_circles_is_located() -> None:
     target = only(found(here, with_sizes(here.job, *sizes), ELSEWHERE))
     truth = here.true_pose(ELSEWHERE)
     error = target.position_mm - truth[:3, 3]
-    assert np.abs(error).max() < 0.02
+    assert np.abs(error).max() < 0.025
     assert target.rig_from_part[:3, 2] @ ELSEWHERE[:3, 2] > math.cos(math.radians(0.1))
     assert turned_deg(target.rig_from_part, truth) < 0.3  # the teaching's own tilt is in it
     assert len(target.edges) == len(target.corners) == 5

@@ -194,14 +194,15 @@ class Seen:
     """Samples of a curve in one raw image.
 
     pixels (N, 2); normals (N, 2) unit, along the curve's normal; design (N, 3 + free): motion along the
-    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame; slant (N,) as
-    `displacements.displacements` wants it.
+    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame; gain (N,) :
+    motion along the image normal by motion along the curve's own; slant (N,) : see `displacements.slants`.
     """
 
     pixels: FloatArray
     normals: FloatArray
     design: FloatArray
     points_mm: FloatArray
+    gain: FloatArray
     slant: FloatArray
 
 
@@ -229,4 +230,4 @@ def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -
     design = np.column_stack(
         [up, up * outline.points[:, 0], up * outline.points[:, 1], out[:, None] * outline.speed]
     )
-    return Seen(pixels, normals, design, points, slants(points, across, n, pose))
+    return Seen(pixels, normals, design, points, out, slants(points, across, n, pose))

@@ -1,10 +1,11 @@
 """Slow displacements of edges along a curve: their shapes, and how large they are in this picture.
 
-What lies beside an edge displaces it over whole arcs, in both cameras and on all curves of one kind
-alike: the light comes from one side, and of a hole's wall, or of a disc's, each camera sees the side that is
-turned to it. A strip of wall that is narrower than the blur cannot be told from the edge, whatever the
-operator; it moves the edge by its share of the contrast times its width (0.03 to 0.2 px), and only along the
-arc where it is seen at a glancing angle. Where that is follows from the pose.
+What lies beside an edge displaces it over whole arcs, on all curves of one kind alike: texture, tool marks
+and round rims in space, so that both cameras see the same; gloss and shading for each camera in its own way;
+and of a hole's wall, or of a disc's, each camera sees the side that is turned to it. A strip of wall that is
+narrower than the blur cannot be told from the edge, whatever the operator; it moves the edge by its share of
+the contrast times its width (0.03 to 0.2 px), and only along the arc where it is seen at a glancing angle.
+Where that is follows from the pose.
 
 How large the displacements are is in the samples: two cameras see one circle under different angles, and
 several circles share one plane, so that most displacements contradict each other. Their variance is what
@@ -25,7 +26,6 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.jit import kernel
-from edged.vision.spd import invert_spd
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -41,7 +41,7 @@ DOUBT_PX = 0.03
 """What the search for the variance starts from: from above it settles within the rounds of the solver."""
 EXPECTED_WAVES = 1.0
 """Weight of what was expected, in waves: as weak as leaves an answer where no sample tells any."""
-ALIKE = 0.2
+ALIKE = 0.5
 """No curve is displaced by less than this share of what its kind is: one curve's expectation is vague."""
 
 
@@ -61,16 +61,28 @@ def slow_waves(normals: FloatArray) -> FloatArray:
     return waves
 
 
-def displacements(normals: FloatArray, slant: FloatArray) -> FloatArray:
-    """(N, 7): shapes of what displaces the edges of a curve, each with a sigma of about 1.
+def displacements(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N, 12) for the left and for the right image: shapes of what displaces a curve, each with a sigma of 1.
 
-    normals (N, 2) : outwards, in the image.  slant (N,) : tangent of the angle between the plane's normal and
-    the ray to each sample, positive where the ray runs outwards: a hole's wall is seen there, and a disc's
-    where it is negative.
+    First waves that displace the curve in space and hence in both images alike, then such as displace it
+    against each other, then the walls. `FAMILIES` numbers these.
+    normals (N, 2) : outwards, in the left image.  gain (2, N) : motion along the normals of both images per
+    motion of the curve along its own normal.
+    slant (2, N) : tangent of the angle between the plane's normal and the ray from each camera, positive
+    where the ray runs outwards: a hole's wall is seen there, and a disc's where it is negative.
     """
     waves = slow_waves(normals) * WAVE_SIGMAS
-    seen = np.maximum(np.stack([slant, -slant], axis=1) / WALL_SLANT, 0.0)
-    return np.hstack([waves, WALL_SIGMA * seen * np.exp(1.0 - seen)])
+    relative = gain / np.maximum(np.abs(gain.mean(axis=0)), 1e-9)
+    sides = []
+    for half, scale, tangent in zip((0.5, -0.5), relative, slant, strict=True):
+        seen = np.maximum(np.stack([tangent, -tangent], axis=1) / WALL_SLANT, 0.0)
+        wall = WALL_SIGMA * seen * np.exp(1.0 - seen)
+        sides.append(np.hstack([waves, half * waves, wall]) * scale[:, None])
+    return sides[0], sides[1]
+
+
+FAMILIES = np.repeat([0, 1], [2 * len(WAVE_SIGMAS), 2])
+"""Of the columns of `displacements`: waves, and walls; each is as large as it shows in the picture."""
 
 
 def evened(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
@@ -90,98 +102,105 @@ def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose
     return np.asarray(np.sum(rays * outwards, axis=1) / across)
 
 
-@kernel("UniTuple(f8, 3)(i8[::1], i8, f8, f8[:, ::1], f8[::1], f8[::1], f8[:, ::1])")
+@kernel(
+    "void(i8[::1], i8, i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])"
+)
 def displacement_of(
-    columns: I64, shared: int, bias: float, moments: F64, own_right: F64, delta: F64, covariance: F64
-) -> tuple[float, float, float]:
-    """What a group's own displacement came out as: its square in px², how much of it is known, and chance.
+    columns: I64,
+    shared: int,
+    families: I64,
+    bias: F64,
+    inverse: F64,
+    moments: F64,
+    own_right: F64,
+    delta: F64,
+    covariance: F64,
+    found: F64,
+) -> None:
+    """What a curve's own displacement came out as, added to found (F, 3).
 
     A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
     samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the
-    mean; returned are the sums of the squares, of g², and of g (1 - g) bias². The arguments are those of one
-    group in `robust`: moments and own_right of its design (C) and waves (M), the solution and its covariance.
+    mean; found are for each family the sums of the squares, of g², and of g (1 - g) bias². The arguments are
+    those of one curve in `jointsolver`: moments and own_right of its design (C) and waves (A), the covariance
+    (A, A) of the displacement if its unknowns were known, the solution and its covariance.
     """
-    wide, size = len(columns), len(own_right)
-    many = size - wide
-    inner, inverse = np.empty((many, many)), np.empty((many, many))
-    for m in range(many):
-        for k in range(many):
-            inner[m, k] = moments[wide + m, wide + k]
-        inner[m, m] += 1.0 / (bias * bias)
-    if not invert_spd(inner, inverse):
-        return 0.0, 0.0, 0.0
+    wide, size, many = len(columns), len(own_right), len(inverse)
     # displacement = inverse (own_right - moments x solution), so that both their errors are in its variance
     place, factor = np.full(size, -1), np.ones(size)
     for i in range(wide):
         place[i] = columns[i]
     for m in range(many if shared >= 0 else 0):
-        place[wide + m], factor[wide + m] = shared + m, bias
-    gain, spread = np.zeros((many, size)), np.empty(size)
-    square, known, chance = 0.0, 0.0, 0.0
+        place[wide + m], factor[wide + m] = shared + m, bias[families[m]]
+    gain, spread = np.zeros(size), 0.0
     for m in range(many):
+        sigma = bias[families[m]]
         value, variance = 0.0, inverse[m, m]
         for k in range(many):
             value += inverse[m, k] * own_right[wide + k]
         for i in range(size):
+            gain[i] = 0.0
             if place[i] >= 0:
                 for k in range(many):
-                    gain[m, i] -= inverse[m, k] * moments[wide + k, i] * factor[i]
-                value += gain[m, i] * delta[place[i]]
+                    gain[i] -= inverse[m, k] * moments[wide + k, i] * factor[i]
+                value += gain[i] * delta[place[i]]
         for i in range(size):
-            spread[i] = 0.0
             if place[i] >= 0:
+                spread = 0.0
                 for j in range(size):
                     if place[j] >= 0:
-                        spread[i] += covariance[place[i], place[j]] * gain[m, j]
-                variance += gain[m, i] * spread[i]
-        share = max(1.0 - variance / (bias * bias), 0.0)
-        square += value * value
-        known += share * share
-        chance += share * (1.0 - share) * bias * bias
-    return square, known, chance
+                        spread += covariance[place[i], place[j]] * gain[j]
+                variance += gain[i] * spread
+        share = max(1.0 - variance / (sigma * sigma), 0.0)
+        found[families[m], 0] += value * value
+        found[families[m], 1] += share * share
+        found[families[m], 2] += share * (1.0 - share) * sigma * sigma
 
 
 @kernel(
-    "void(i8[:, ::1], i8[::1], i8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])"
+    "void(i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1],"
+    " f8[::1], f8[:, ::1], f8[:, ::1])"
 )
 def learn_sizes(
     columns: I64,
     shared: I64,
     kinds: I64,
+    families: I64,
     expected: F64,
+    inverse: F64,
     moments: F64,
     own_right: F64,
     delta: F64,
     covariance: F64,
     bias: F64,
 ) -> None:
-    """Set the sigma of each group's displacements, bias (G,), to what all of its kind show beyond noise.
+    """Set the sigmas of each curve's displacements, bias (K, F), to what all of its kind show beyond noise.
 
-    expected (G,) : the sigma expected beforehand; within a kind the proportions stay.
+    expected (K, F) : the sigmas expected beforehand; within a kind the proportions stay.
     """
-    groups, many = len(bias), moments.shape[1] - columns.shape[1]
-    square, known, chance = np.zeros(groups), np.zeros(groups), np.zeros(groups)
-    for g in range(groups):
-        if bias[g] <= 0.0:
-            continue
-        kind, first = kinds[g], shared[g]
-        own, share, noise = displacement_of(
-            columns[g], first, bias[g], moments[g], own_right[g], delta, covariance
+    curves, many = len(kinds), len(families)
+    total, own = np.zeros((curves, expected.shape[1], 3)), np.zeros((expected.shape[1], 3))
+    for k in range(curves):
+        own[:] = 0.0
+        first = shared[k]
+        displacement_of(
+            columns[k], first, families, bias[k], inverse[k], moments[k], own_right[k], delta, covariance, own
         )
-        square[kind] += own / expected[g] ** 2
-        known[kind] += share
-        chance[kind] += noise / expected[g] ** 2
-        for other in range(g):
+        for other in range(k):
             if shared[other] == first:
                 first = -1  # counted with the other
-        if first >= 0:
-            for m in range(many):
-                share, ratio = max(1.0 - covariance[first + m, first + m], 0.0), (bias[g] / expected[g]) ** 2
-                square[kind] += ratio * delta[first + m] ** 2
-                known[kind] += share * share
-                chance[kind] += ratio * share * (1.0 - share)
-    for g in range(groups):
-        if bias[g] > 0.0:
-            kind = kinds[g]
-            excess = max(square[kind] - chance[kind], 0.0)
-            bias[g] = expected[g] * np.sqrt((EXPECTED_WAVES + excess) / (EXPECTED_WAVES + known[kind]))
+        for m in range(many if first >= 0 else 0):
+            f, square = families[m], bias[k, families[m]] ** 2
+            share = max(1.0 - covariance[first + m, first + m], 0.0)
+            own[f, 0] += square * delta[first + m] ** 2
+            own[f, 1] += share * share
+            own[f, 2] += square * share * (1.0 - share)
+        for f in range(len(own)):
+            total[kinds[k], f, 0] += own[f, 0] / expected[k, f] ** 2
+            total[kinds[k], f, 1] += own[f, 1]
+            total[kinds[k], f, 2] += own[f, 2] / expected[k, f] ** 2
+    for k in range(curves):
+        for f in range(expected.shape[1]):
+            square, known, chance = total[kinds[k], f]
+            excess = max(square - chance, 0.0)
+            bias[k, f] = expected[k, f] * np.sqrt((EXPECTED_WAVES + excess) / (EXPECTED_WAVES + known))

@@ -7,10 +7,10 @@ projected through lens and pose of each camera, edges are measured across the pr
 and their offsets along the normals are the residuals of one robust least-squares problem.
 Nothing is rectified, no ellipse is formed, no point needs a partner in the other image.
 
-Each curve in each image is a group (see `robust`) with a scatter, a correlation along the edge and
-an operator width of its own. Half of the variance of the slow displacements is each curve's own,
-half is shared by the curves of one kind in both images: five holes in one light are not five
-independent witnesses, nor are two cameras (see `displacements`).
+What both cameras say in common and what they say against each other are different witnesses (see `pairs`),
+each with a scatter and a correlation along the edge of its own. Half of the variance of the slow
+displacements is each curve's own, half is shared by the curves of one kind: five holes in one light are not
+five independent witnesses (see `displacements`).
 """
 
 from __future__ import annotations
@@ -35,10 +35,12 @@ from edged.vision.circlefit import (
     circle_axes,
     project_circles,
 )
-from edged.vision.displacements import displacements, evened, slants, slow_waves
+from edged.vision.displacements import FAMILIES, displacements, evened, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, propagate, solve
+from edged.vision.pairs import Pairs, pair
 from edged.vision.projection import project_with_jacobians
-from edged.vision.robust import MIN_SAMPLES, ROUGHLY, SETTLED, Groups, propagate, solve_groups
+from edged.vision.robust import MIN_SAMPLES
 from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
 AGREE_PX = 0.5
@@ -125,14 +127,14 @@ def fit_face(
 class _Edges:
     """What the circles show in both images.
 
-    offset_px (2, N), NaN where is no edge; base (2, N) prior weights; bias_px (2, K) the sigma to expect of
-    slow displacements; seen (K,) : whether both images show enough.
+    offset_px (2, N), NaN where is no edge; base (2, N) prior weights, 0 for circles of which one image shows
+    too little; bias_px (2, K) the sigma to expect of
+    slow displacements.
     """
 
     offset_px: FloatArray
     base: FloatArray
     bias_px: FloatArray
-    seen: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,13 +249,13 @@ class _Face:
         return lifts
 
     def design(self, curves: tuple[ProjectedCircle, ...]) -> FloatArray:
-        """(2 N, 8): derivative of each curve along its normal by the unknowns it depends on."""
-        count, lifts = len(self.index), self.lifts()
-        design = np.empty((2 * count, 8))
+        """(2, N, 8): derivative of each curve along its normal by the unknowns it depends on."""
+        lifts = self.lifts()
+        design = np.empty((2, len(self.index), 8))
         for side, curve in enumerate(curves):
             for k, lift in enumerate(lifts):
-                a, b = self.starts[k : k + 2]
-                np.matmul(curve.jacobian[a:b], lift, out=design[side * count + a : side * count + b])
+                rows = slice(*self.starts[k : k + 2])
+                np.matmul(curve.jacobian[rows], lift, out=design[side, rows])
         return design
 
     def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
@@ -297,30 +299,34 @@ class _Face:
         final : each curve chooses its width, and slow displacements are reckoned with.
         """
         curves, measured = self._measure(images, reach, params, final)
-        columns = np.tile(self.columns(measured.seen), (2, 1))
-        groups, priors = self._groups(curves, measured, columns, final)
-        if not measured.seen[0]:
+        gain = np.stack([curve.jacobian[:, -1] for curve in curves])
+        pairs = pair(measured.offset_px, measured.base, gain, self.starts, together=final)
+        seen = np.diff(pairs.parts) > 0
+        if not seen[0]:
             return None
+        columns = self.columns(seen)
+        samples, priors = self._samples(curves, measured, pairs, columns, final)
         # unknowns that are held leave no gap: the solver would find them undetermined
         used = np.unique(columns[columns >= 0])
         free = len(used)
         dense = replace(
-            groups,
+            samples,
             columns=np.where(columns < 0, -1, np.searchsorted(used, columns)),
-            shared=np.where(groups.shared < 0, -1, groups.shared - self.unknowns + free),
+            shared=np.where(samples.shared < 0, -1, samples.shared - self.unknowns + free),
         )
-        solution = solve_groups(dense, free + priors, priors, SETTLED if final else ROUGHLY)
+        solution = solve(dense, free + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
         delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
         delta[used] = solution.delta[:free]
         inverse = solution.covariance[:free, :free]
         if final and self.rig.covariance is not None:
-            gain = propagate(dense, solution, _calibration_causes(self.rig, self._points(), curves))[:free]
-            inverse = inverse + gain @ self.rig.covariance @ gain.T
+            causes = pairs.rows_of(*_calibration_causes(self.rig, self._points(), curves))
+            gains = propagate(dense, solution, causes)[:free]
+            inverse = inverse + gains @ self.rig.covariance @ gains.T
         covariance[np.ix_(used, used)] = inverse
-        by_group = np.append(delta, 0.0)[columns]  # -1: the zero at the end
-        moved = np.sum(groups.design * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
+        by_curve = np.append(delta, 0.0)[columns]  # -1: the zero at the end
+        moved = np.sum(samples.design * by_curve.repeat(_rows_of_curves(samples), axis=0), axis=1)
         found = [
             curve.pixels + curve.normals * offset[:, None]
             for curve, offset in zip(curves, measured.offset_px, strict=True)
@@ -329,9 +335,9 @@ class _Face:
             delta,
             covariance,
             float(np.abs(moved).max()),
-            np.stack([np.asarray(points) for points in found]),
-            solution.weights.reshape(2, -1),
-            solution.residuals.reshape(2, -1),
+            np.stack(found),
+            pairs.weights_by_camera(solution.weights),
+            pairs.by_camera(solution.residuals),
         )
 
     def _measure(
@@ -361,12 +367,11 @@ class _Face:
         curves, sides = tuple(curve for curve, _ in both), [chosen for _, chosen in both]
         base = np.stack([chosen.base for chosen in sides])
         counts = np.add.reduceat(base > 0, self.starts[:-1], axis=1)
-        enough: npt.NDArray[np.bool_] = np.all(counts >= MIN_SAMPLES, axis=0)
+        enough = np.all(counts >= MIN_SAMPLES, axis=0)
         return curves, _Edges(
             np.stack([chosen.offset_px for chosen in sides]),
-            base,
+            base * np.repeat(enough, np.diff(self.starts)),
             np.stack([chosen.bias_px for chosen in sides]),
-            enough,
         )
 
     def _curvature(self, curve: ProjectedCircle) -> FloatArray:
@@ -384,42 +389,51 @@ class _Face:
         way = np.linalg.norm(curve.pixels[after] - curve.pixels[before], axis=1)
         return np.asarray(np.abs(turn) / np.maximum(way, 1e-9))
 
-    def _groups(
+    def _samples(
         self,
         curves: tuple[ProjectedCircle, ...],
         edges: _Edges,
+        pairs: Pairs,
         columns: npt.NDArray[np.int64],
         final: bool,
-    ) -> tuple[Groups, int]:
-        """The samples of both images as groups, and the number of unknowns for shared displacements.
+    ) -> tuple[Samples, int]:
+        """The samples as the solver takes them, and the number of unknowns for shared displacements.
 
         What one kind of edge has in common, it has in both images: light and walls are the same.
         """
-        starts = np.concatenate([self.starts, self.starts[1:] + self.starts[-1]])
-        waves = self._displacements(curves) if final else np.zeros((2 * len(self.index), 0))
-        many = waves.shape[1]
-        design = self.design(curves)
-        seen = np.tile(edges.seen, 2)
-        kinds = np.tile((self.polarity > 0).astype(np.int64), 2)
-        bias = evened(edges.bias_px.ravel(), kinds) * np.sqrt(0.5)
-        common = np.unique(kinds[seen]) if final else kinds[:0]
-        shared = np.where(
-            seen & np.isin(kinds, common), self.unknowns + many * np.searchsorted(common, kinds), -1
+        count, seen = len(self.index), columns[:, 0] >= 0
+        _, kinds = np.unique(self.polarity > 0, return_inverse=True)
+        shared, priors = np.full(len(kinds), -1), 0
+        waves, families = (np.zeros((count, 0)),) * 2, FAMILIES[:0]
+        if final:
+            waves, families = self._displacements(curves), FAMILIES
+            common = np.unique(kinds[seen])
+            priors = len(families) * len(common)
+            shared = np.where(seen, self.unknowns + len(families) * np.searchsorted(common, kinds), -1)
+        expected = evened(np.sqrt(np.mean(edges.bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
+        samples = Samples(
+            pairs.rows_of(*self.design(curves)),
+            columns,
+            pairs.starts,
+            pairs.parts,
+            pairs.paired,
+            pairs.rows_of(*np.nan_to_num(edges.offset_px)),
+            pairs.base,
+            pairs.rows_of(*waves),
+            families,
+            np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
+            shared,
+            kinds,
         )
-        values = np.nan_to_num(edges.offset_px.ravel())
-        base = edges.base.ravel() * np.repeat(seen, np.diff(starts))
-        groups = Groups(design, columns, shared, kinds, starts, values, base, waves, bias)
-        return groups, many * len(common)
+        return samples, priors
 
-    def _displacements(self, curves: tuple[ProjectedCircle, ...]) -> FloatArray:
-        """(2 N, 7): the shapes of slow displacements, in both images."""
+    def _displacements(self, curves: tuple[ProjectedCircle, ...]) -> tuple[FloatArray, FloatArray]:
+        """(N, A) each: the shapes of slow displacements in both images."""
         points, radial = self._points(), self._radial()
-        return np.concatenate(
-            [
-                displacements(curve.normals, slants(points, radial, self.frame[2], pose))
-                for curve, pose in zip(curves, (np.eye(4), self.rig.right_from_left), strict=True)
-            ]
-        )
+        poses = (np.eye(4), self.rig.right_from_left)
+        slant = np.stack([slants(points, radial, self.frame[2], pose) for pose in poses])
+        gain = np.stack([curve.jacobian[:, -1] for curve in curves])
+        return displacements(curves[0].normals, gain, slant)
 
     def _radial(self) -> FloatArray:
         """(N, 3): direction of each sample from its circle's centre."""
@@ -493,10 +507,15 @@ class _Face:
         )
 
 
+def _rows_of_curves(samples: Samples) -> npt.NDArray[np.int64]:
+    """(K,) number of rows of each curve."""
+    return np.diff(samples.starts[samples.parts])
+
+
 def _calibration_causes(
     rig: StereoRig, points_mm: FloatArray, curves: tuple[ProjectedCircle, ...]
 ) -> FloatArray:
-    """(2 N, Q): shift of each edge against its projected curve per unit of `rig.parameter_names`."""
+    """(2, N, Q): shift of each edge against its projected curve per unit of `rig.parameter_names`."""
     rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
     turned = points_mm @ rotation.T
     _, _, by_left = project_with_jacobians(rig.left, points_mm)
@@ -509,7 +528,7 @@ def _calibration_causes(
     # a small rotation w on the left of R moves a point by w x (R X): a . (w x b) = w . (b x a)
     pose = np.hstack([np.cross(turned, along), along])
     count = len(points_mm)
-    causes = np.zeros((2 * count, left.shape[1] + right.shape[1] + 6))
-    causes[:count, : left.shape[1]] = left
-    causes[count:, left.shape[1] :] = np.hstack([right, pose])
+    causes = np.zeros((2, count, left.shape[1] + right.shape[1] + 6))
+    causes[0, :, : left.shape[1]] = left
+    causes[1, :, left.shape[1] :] = np.hstack([right, pose])
     return -causes

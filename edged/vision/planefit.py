@@ -20,10 +20,12 @@ from edged.domain import FloatArray, Image
 from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
-from edged.vision.displacements import displacements, evened, slow_waves
+from edged.vision.displacements import FAMILIES, displacements, evened, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
+from edged.vision.pairs import Pairs, pair
 from edged.vision.projection import shifts_by_calibration
-from edged.vision.robust import MIN_SAMPLES, ROUGHLY, SETTLED, Groups, Solution, propagate, solve_groups
+from edged.vision.robust import MIN_SAMPLES
 from edged.vision.widths import START_WIDTH, choose_widths
 
 AGREE_PX = 0.5
@@ -163,13 +165,14 @@ class _Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Samples:
+class _Side:
     """All curves of a state in one image; as `Seen`, with designs in columns of the widest curve."""
 
     pixels: FloatArray
     normals: FloatArray
     design: FloatArray
     points_mm: FloatArray
+    gain: FloatArray
     slant: FloatArray
 
 
@@ -195,17 +198,18 @@ class _State:
             outlines.append(curve.outline((np.arange(count) + 0.5) / count, MARGIN_PX / px_per_mm))
         return outlines
 
-    def _seen(self, outlines: list[Outline]) -> tuple[_Samples, _Samples]:
+    def _seen(self, outlines: list[Outline]) -> tuple[_Side, _Side]:
         sides = []
         for side in SIDES:
             seen = [see(self.rig, side, self.face, c, o) for c, o in zip(self.curves, outlines, strict=True)]
             width = max(one.design.shape[1] for one in seen)
             sides.append(
-                _Samples(
+                _Side(
                     np.concatenate([one.pixels for one in seen]),
                     np.concatenate([one.normals for one in seen]),
                     np.concatenate([_widened(one, width) for one in seen]),
                     np.concatenate([one.points_mm for one in seen]),
+                    np.concatenate([one.gain for one in seen]),
                     np.concatenate([one.slant for one in seen]),
                 )
             )
@@ -255,49 +259,68 @@ class _State:
         starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
         sides = self._seen(outlines)
         offsets, base, bias = self._measure(images, sides, starts, reach, params, final)
-        waves = np.concatenate([displacements(seen.normals, seen.slant) for seen in sides])
-        many = waves.shape[1] if final else 0
-        columns, priors = np.tile(self._columns(), (2, 1)), 0
-        shared = np.full(len(columns), -1)
-        kinds = np.tile([int(curve.polarity > 0) for curve in self.curves], 2)
-        if final:  # half of a slow displacement is the curve's own, half that of its kind
-            common = np.unique(kinds)
-            shared = self.unknowns + many * np.searchsorted(common, kinds)
-            priors = many * len(common)
-        groups = Groups(
-            np.concatenate([seen.design for seen in sides]),
-            columns,
-            shared,
-            kinds,
-            np.concatenate([starts, starts[1:] + starts[-1]]),
-            np.nan_to_num(offsets.ravel()),
-            base.ravel(),
-            waves[:, :many],
-            evened(bias.ravel(), kinds) * math.sqrt(0.5),
-        )
-        solution = solve_groups(groups, self.unknowns + priors, priors, SETTLED if final else ROUGHLY)
+        gain = np.stack([seen.gain for seen in sides])
+        pairs = pair(offsets, base, gain, starts, together=final)
+        samples, priors = self._samples(sides, pairs, offsets, bias, gain, final)
+        solution = solve(samples, self.unknowns + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
         delta = solution.delta[: self.unknowns]
-        by_group = np.append(delta, 0.0)[columns]  # -1: the zero at the end
-        moved = np.sum(groups.design * np.repeat(by_group, np.diff(groups.starts), axis=0), axis=1)
+        by_curve = np.append(delta, 0.0)[samples.columns]  # -1: the zero at the end
+        rows = np.diff(samples.starts[samples.parts])
+        moved = np.sum(samples.design * by_curve.repeat(rows, axis=0), axis=1)
         return _Step(
             delta,
-            self._covariance(groups, solution, sides) if final else solution.covariance,
+            self._covariance(samples, solution, pairs, sides) if final else solution.covariance,
             float(np.abs(moved).max()),
             starts,
             np.stack(
                 [s.pixels + s.normals * offset[:, None] for s, offset in zip(sides, offsets, strict=True)]
             ),
             offsets,
-            solution.weights.reshape(2, -1),
-            solution.residuals.reshape(2, -1),
+            pairs.weights_by_camera(solution.weights),
+            pairs.by_camera(solution.residuals),
         )
+
+    def _samples(
+        self,
+        sides: tuple[_Side, _Side],
+        pairs: Pairs,
+        offsets: FloatArray,
+        bias: FloatArray,
+        gain: FloatArray,
+        final: bool,
+    ) -> tuple[Samples, int]:
+        """The samples as the solver takes them, and the number of unknowns for shared displacements."""
+        _, kinds = np.unique([curve.polarity > 0 for curve in self.curves], return_inverse=True)
+        shared, priors = np.full(len(kinds), -1), 0
+        waves, families = (np.zeros((len(gain[0]), 0)),) * 2, FAMILIES[:0]
+        if final:  # half of a slow displacement is the curve's own, half that of its kind
+            slant = np.stack([seen.slant for seen in sides])
+            waves, families = displacements(sides[0].normals, gain, slant), FAMILIES
+            priors = len(families) * (int(kinds.max()) + 1)
+            shared = self.unknowns + len(families) * kinds
+        expected = evened(np.sqrt(np.mean(bias**2, axis=0)), kinds) * math.sqrt(0.5)
+        samples = Samples(
+            pairs.rows_of(*(seen.design for seen in sides)),
+            self._columns(),
+            pairs.starts,
+            pairs.parts,
+            pairs.paired,
+            pairs.rows_of(*np.nan_to_num(offsets)),
+            pairs.base,
+            pairs.rows_of(*waves),
+            families,
+            np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
+            shared,
+            kinds,
+        )
+        return samples, priors
 
     def _measure(
         self,
         images: tuple[Image, Image],
-        sides: tuple[_Samples, _Samples],
+        sides: tuple[_Side, _Side],
         starts: npt.NDArray[np.int64],
         reach: float,
         params: PlaneFitParams,
@@ -323,7 +346,7 @@ class _State:
         base[np.repeat(few, counts, axis=1)] = 0.0
         return np.stack(offsets), base, np.stack(biases)
 
-    def _slow_changes(self, seen: _Samples, starts: npt.NDArray[np.int64]) -> FloatArray:
+    def _slow_changes(self, seen: _Side, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N, 5): what tells a slow displacement from scatter; an edge, of one direction, has half waves."""
         waves = slow_waves(seen.normals)
         for k, curve in enumerate(self.curves):
@@ -331,7 +354,7 @@ class _State:
                 waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
         return waves
 
-    def _curvature(self, seen: _Samples, starts: npt.NDArray[np.int64]) -> FloatArray:
+    def _curvature(self, seen: _Side, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N,) of the projected curves, 1 / px: blur draws an edge to the centre of its bend."""
         curvature = np.zeros(len(seen.pixels))
         for k, curve in enumerate(self.curves):
@@ -345,13 +368,15 @@ class _State:
             curvature[rows] = np.abs(turn) / np.maximum(way, 1e-9)
         return curvature
 
-    def _covariance(self, groups: Groups, solution: Solution, sides: tuple[_Samples, _Samples]) -> FloatArray:
+    def _covariance(
+        self, samples: Samples, solution: Solution, pairs: Pairs, sides: tuple[_Side, _Side]
+    ) -> FloatArray:
         covariance = solution.covariance[: self.unknowns, : self.unknowns]
         if self.rig.covariance is None:
             return covariance
         left, right = sides
         causes = shifts_by_calibration(self.rig, left.points_mm, left.normals, right.normals)
-        gain = propagate(groups, solution, causes)[: self.unknowns]
+        gain = propagate(samples, solution, pairs.rows_of(*np.split(causes, 2)))[: self.unknowns]
         return np.asarray(covariance + gain @ self.rig.covariance @ gain.T)
 
     def moved(self, delta: FloatArray) -> _State | None:

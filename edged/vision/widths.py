@@ -37,7 +37,7 @@ BIAS_SHARE = 1.3
 than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
 0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
 1.2 and 0.6, for each kind of edge."""
-MIN_BIAS_PX = 0.0005
+MIN_BIAS_PX = 0.0003
 """What interpolation and 8 bits leave of a good edge: 0.0007 px and more on rendered discs without noise."""
 SIGNIFICANT = 1.6  # chi² of 5 over 5 that noise alone exceeds in one case of six: counts as a bias
 CERTAIN = 3.0  # ... in one of a hundred: speaks against a width

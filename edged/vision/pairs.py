@@ -1,0 +1,152 @@
+"""Edges of one curve in both cameras, as what they say in common and what they say against each other.
+
+Both images are sampled at the same points of a curve. Whatever displaces its edge in space, the texture and
+the tool marks of the part, the roundness of the rim, displaces it in both images alike: the edges of machined
+parts correlate by 0.2 to 0.7. That says nothing about depth and tilt, which follow from the difference of the
+images, and about centre and radius it speaks as one witness, not as two. So the offsets of a point that both
+cameras see are turned into their mean and their difference; the mean is weighted so that the scatter of each
+camera alone makes them independent. A point that one camera sees alone stays as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.vision.jit import kernel
+from edged.vision.robust import MIN_SAMPLES, robust_scale
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+_APART = 8
+"""Samples: what is farther apart along an edge is independent but for slow displacements."""
+_CLIP = 2.5
+_MIN_SHARE = 0.1  # of either camera in the mean
+_MIN_RATIO = 0.2  # of the prior weights: a saturated edge would spoil the good one of the other camera
+_MIN_GAIN = 0.05  # of the largest: where a camera looks along the plane, it tells nothing of the curve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """How the rows of the left and of the right image (N each) become parts of K curves.
+
+    both (N,) bool : seen by both cameras.  share (N,) : of the left one in the mean.  gain (2, N) : as `pair`
+    has it.
+    rows (M,) : which of the 4 N rows (means, differences, left alone, right alone) are used, curve by curve.
+    starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `jointsolver.Samples` has them.
+    """
+
+    both: npt.NDArray[np.bool_]
+    share: FloatArray
+    gain: FloatArray
+    rows: npt.NDArray[np.int64]
+    starts: npt.NDArray[np.int64]
+    parts: npt.NDArray[np.int64]
+    paired: npt.NDArray[np.bool_]
+    base: FloatArray
+
+    def rows_of(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """(M, ...) from what both images have: (N, ...) each."""
+        shape = (-1, *([1] * (left.ndim - 1)))
+        scale = self.gain.mean(axis=0)
+        a = left * (scale / self.gain[0]).reshape(shape)
+        b = right * (scale / self.gain[1]).reshape(shape)
+        share = self.share.reshape(shape)
+        return np.asarray(np.concatenate([share * a + (1 - share) * b, a - b, left, right])[self.rows])
+
+    def by_camera(self, rows: FloatArray) -> FloatArray:
+        """(2, N) residuals in the images from those of the rows (M,); 0 where there is none."""
+        means, differences, left, right = self._spread(rows)
+        scale = self.gain / self.gain.mean(axis=0)
+        a = (means + (1 - self.share) * differences) * scale[0]
+        b = (means - self.share * differences) * scale[1]
+        return np.stack([np.where(self.both, a, left), np.where(self.both, b, right)])
+
+    def weights_by_camera(self, weights: FloatArray) -> FloatArray:
+        """(2, N) : of a pair the lower one of both."""
+        means, differences, left, right = self._spread(weights)
+        pair = np.minimum(means, differences)
+        return np.stack([np.where(self.both, pair, left), np.where(self.both, pair, right)])
+
+    def _spread(self, rows: FloatArray) -> FloatArray:
+        full = np.zeros(4 * len(self.both))
+        full[self.rows] = rows
+        return full.reshape(4, -1)
+
+
+def pair(
+    offset_px: FloatArray, base: FloatArray, gain: FloatArray, starts: npt.NDArray[np.int64], together: bool
+) -> Pairs:
+    """Pair the edges of K curves.
+
+    offset_px, base (2, N) : along the normals, left and right, and prior weights, 0 where there is no edge.
+    gain (2, N) : motion along the normals of the images per motion of the curve along its own, px/mm.
+    starts (K + 1,).  together : False keeps all edges as they are, for curves not yet in their place.
+    """
+    gain = np.where(np.abs(gain) > 1e-9, gain, 1e-9)
+    usable = np.abs(gain).min(axis=0) > _MIN_GAIN * np.abs(gain).max()
+    usable &= base.min(axis=0) > _MIN_RATIO * base.max(axis=0)
+    both = usable if together else np.zeros(len(gain[0]), bool)
+    share = _shares(np.nan_to_num(offset_px) / gain, both, starts) if together else np.full(len(both), 0.5)
+    with np.errstate(divide="ignore"):
+        paired = np.where(both, 2.0 / np.sum(1.0 / base, axis=0), 0.0)
+    weights = np.stack([paired, paired, *np.where(both, 0.0, base)])
+    counts = np.add.reduceat(weights > 0, starts[:-1], axis=1)
+    rows, lengths, parts = [], [0], [0]
+    for k in range(len(starts) - 1):
+        for kind in np.flatnonzero(counts[:, k] >= MIN_SAMPLES):
+            rows.append(kind * len(both) + np.arange(starts[k], starts[k + 1]))
+            lengths.append(len(rows[-1]))
+        parts.append(len(rows))
+    chosen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
+    return Pairs(
+        both,
+        share,
+        gain,
+        chosen,
+        np.cumsum(lengths),
+        np.array(parts),
+        counts[0] >= MIN_SAMPLES,
+        weights.ravel()[chosen],
+    )
+
+
+@kernel("f8(f8[::1])")
+def _clipped_square(values: F64) -> float:
+    """Mean square, no value counted for more than _CLIP sigmas: steadier than a median."""
+    limit, total = _CLIP * robust_scale(values, np.ones(len(values))), 0.0
+    for n in range(len(values)):
+        total += min(abs(values[n]), limit) ** 2
+    return total / len(values)
+
+
+@kernel("f8[::1](f8[:, ::1], b1[::1], i8[::1])")
+def _shares(places: F64, both: npt.NDArray[np.bool_], starts: I64) -> F64:
+    """(N,) share of the left camera in the mean: the more, the less it scatters by itself.
+
+    Of offsets that both cameras have in common and of their own scatter, the variances of left, right and
+    difference tell the latter: (difference + left - right) / 2 is the left one's.
+    """
+    share = np.full(len(both), 0.5)
+    for k in range(len(starts) - 1):
+        a, b = starts[k], starts[k + 1]
+        count = 0
+        left, right, apart = np.empty(b - a), np.empty(b - a), np.empty(b - a)
+        for n in range(a, b - _APART):
+            if both[n] and both[n + _APART]:
+                left[count] = places[0, n + _APART] - places[0, n]
+                right[count] = places[1, n + _APART] - places[1, n]
+                apart[count] = left[count] - right[count]
+                count += 1
+        if count < MIN_SAMPLES:
+            continue
+        difference = _clipped_square(apart[:count])
+        of_left, of_right = _clipped_square(left[:count]), _clipped_square(right[:count])
+        if difference > 0.0:
+            of_right_alone = 0.5 * (difference + of_right - of_left) / difference
+            share[a:b] = min(max(of_right_alone, _MIN_SHARE), 1.0 - _MIN_SHARE)
+    return share

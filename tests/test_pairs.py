@@ -1,0 +1,88 @@
+"""Pairs of edges: what both cameras say in common and against each other, and nothing is lost by it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edged.domain import FloatArray
+from edged.vision.pairs import Pairs, pair
+
+STARTS = np.array([0, 400, 640])
+
+
+def edges(seed: int, of_left: float, of_right: float, common: float) -> tuple[FloatArray, FloatArray]:
+    """Offsets (2, 640) of two curves, in mm and in px: scatter of each camera, and one in space."""
+    rng = np.random.default_rng(seed)
+    gain = np.stack([12.0 + np.sin(np.arange(640) / 40), 9.0 + np.cos(np.arange(640) / 50)])
+    space = rng.normal(0, common, 640)
+    scatter = np.stack([rng.normal(0, of_left, 640), rng.normal(0, of_right, 640)])
+    return gain, (space + scatter) * gain
+
+
+def paired(seed: int = 0, of_left: float = 0.01, of_right: float = 0.01, common: float = 0.01) -> Pairs:
+    """Two curves of which all edges are seen."""
+    gain, offset = edges(seed, of_left, of_right, common)
+    return pair(offset, np.ones((2, 640)), gain, STARTS, together=True)
+
+
+def test_there_and_back() -> None:
+    """From rows, what each camera saw comes back, pairs and lonely edges alike."""
+    gain, offset = edges(1, 0.01, 0.02, 0.01)
+    base = np.ones((2, 640))
+    base[0, 50:100] = base[1, 200:260] = 0.0
+    pairs = pair(offset, base, gain, STARTS, together=True)
+    assert pairs.paired.all()
+    assert list(pairs.parts) == [0, 4, 6]
+    back = pairs.by_camera(pairs.rows_of(*offset))
+    np.testing.assert_allclose(back[base > 0], offset[base > 0])
+    assert (pairs.weights_by_camera(pairs.base) > 0)[base > 0].all()
+    assert not pairs.weights_by_camera(pairs.base)[base == 0].any()
+
+
+@pytest.mark.parametrize(("of_left", "of_right"), [(0.01, 0.01), (0.01, 0.02), (0.02, 0.01)])
+def test_mean_and_difference_are_independent(of_left: float, of_right: float) -> None:
+    """Whatever each camera scatters by itself and both in common: the correlation is chance."""
+    together = []
+    for seed in range(40):
+        gain, offset = edges(seed, of_left, of_right, 0.015)
+        pairs = pair(offset, np.ones((2, 640)), gain, STARTS, together=True)
+        means, differences = pairs.rows_of(*offset)[:800].reshape(2, 400)
+        together.append(np.corrcoef(means, differences)[0, 1])
+        assert pairs.share[0] == pytest.approx(of_right**2 / (of_left**2 + of_right**2), abs=0.25)
+    assert abs(np.mean(together)) < 4 / np.sqrt(40 * 400)
+    assert np.std(together) < 0.12
+
+
+def test_what_moves_in_space_is_no_difference() -> None:
+    """A displacement of the curve itself moves the mean by as much and leaves the difference alone."""
+    pairs = paired()
+    rows = pairs.rows_of(*pairs.gain)
+    scale = pairs.gain.mean(axis=0)
+    np.testing.assert_allclose(rows[:400], scale[:400])
+    np.testing.assert_allclose(rows[400:800], 0.0, atol=1e-12)
+
+
+def test_a_spoilt_edge_is_not_paired() -> None:
+    """One that is saturated in one image must not spoil the other camera's; too few edges are no part."""
+    gain, offset = edges(2, 0.01, 0.01, 0.01)
+    base = np.ones((2, 640))
+    base[1, :400] = 0.02
+    base[:, 408:] = 0.0
+    pairs = pair(offset, base, gain, STARTS, together=True)
+    assert not pairs.both[:400].any()
+    assert list(pairs.parts) == [0, 2, 2]
+    assert not pairs.paired.any()
+    assert list(pairs.base[[0, 400]]) == [1.0, 0.02]
+
+
+def test_what_is_not_in_place_is_not_paired() -> None:
+    """Curves that still move keep the edges of each camera; where nothing is seen, there is no row."""
+    gain, offset = edges(3, 0.01, 0.01, 0.01)
+    apart = pair(offset, np.ones((2, 640)), gain, STARTS, together=False)
+    np.testing.assert_array_equal(
+        apart.rows_of(*offset), np.concatenate([offset[:, :400].ravel(), offset[:, 400:].ravel()])
+    )
+    nothing = pair(np.full((2, 640), np.nan), np.zeros((2, 640)), gain, STARTS, together=True)
+    assert list(nothing.parts) == [0, 0, 0]
+    assert nothing.rows_of(*offset).shape == (0,)
