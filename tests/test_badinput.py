@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import PLACE_MM, frame_pair, pictures, pose, scene
+from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
 from test_features import METAL, cell, only
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
@@ -14,6 +14,7 @@ from edged.errors import ImageError
 from edged.pipeline import locate
 from edged.sim.scene import Box, Disc, Part, Surface
 from edged.vision.job import Job
+from edged.vision.teaching import teach
 
 HONEST = 25.0
 """Squared error in units of sigma, three degrees of freedom: exceeded by chance in one of 65,000 cases."""
@@ -99,6 +100,23 @@ def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:
         assert only(outcome).reject & (Reject.TOLERANCE | Reject.AMBIGUOUS_EDGE | Reject.LEFT_RIGHT_MISMATCH)
     if chamfer_mm > 0.3:
         assert only(outcome).reject & Reject.AMBIGUOUS_EDGE
+
+
+def test_a_second_edge_beside_a_lone_circle() -> None:
+    """A bevel of 0.5 mm in similar contrast, nothing else on the part: refused, unless it was taught so."""
+    here = cell("round")
+    foot = pose()
+    foot[:3, 3] += 0.5 * foot[:3, 2]
+    body = Part("body", Disc(0, 0, 12), replace(METAL, albedo=0.45))
+    top = replace(here.part, outline=Disc(0, 0, 11.5))
+    images = pictures(here.rig.rig, scene((body, foot), (top, pose())), 7)
+    assert not here.job.reference_circle.double
+    assert only(locate(frame_pair(*images), here.job, here.rig)).reject == Reject.AMBIGUOUS_EDGE
+    region = region_around(here.rig.rig, pose()[:3, 3], 15.0)
+    bevelled = teach(*images, here.rig.rectification, region, "bevelled")
+    assert bevelled.reference_circle.double
+    again = pictures(here.rig.rig, scene((body, foot), (top, pose())), 8)
+    assert only(locate(frame_pair(*again), bevelled, here.rig)).reject is Reject.NONE
 
 
 def test_a_saturated_highlight_along_the_edge() -> None:

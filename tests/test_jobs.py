@@ -63,7 +63,7 @@ def make_job(
         ShapeModel(levels, np.array([640.25, 1 / 7]), radius, 12.5),
         (
             CircleFeature("c0", np.zeros(3), 13.999787267214886, -1),
-            CircleFeature("c1", np.array([0.1, 1e-17, -1 / 3]), 4.0, 1),
+            CircleFeature("c1", np.array([0.1, 1e-17, -1 / 3]), 4.0, 1, double=True),
         ),
         "c0",
         rig_from_part,
@@ -82,7 +82,7 @@ def assert_same(one: Job, two: Job) -> None:
     )
     assert np.array_equal(one.rig_from_part, two.rig_from_part)
     for a, b in zip(one.circles, two.circles, strict=True):
-        assert (a.name, a.radius_mm, a.polarity) == (b.name, b.radius_mm, b.polarity)
+        assert (a.name, a.radius_mm, a.polarity, a.double) == (b.name, b.radius_mm, b.polarity, b.double)
         assert np.array_equal(a.centre_mm, b.centre_mm)
     arrays = two.shape.to_arrays()
     assert one.shape.to_arrays().keys() == arrays.keys()

@@ -99,9 +99,10 @@ class _Circle(_Section):
     centre_mm: Vector
     radius_mm: float = Field(gt=0)
     polarity: Literal[-1, 1]
+    double: bool = False
 
     def feature(self) -> CircleFeature:
-        return CircleFeature(self.name, np.array(self.centre_mm), self.radius_mm, self.polarity)
+        return CircleFeature(self.name, np.array(self.centre_mm), self.radius_mm, self.polarity, self.double)
 
 
 class _Edge(_Section):

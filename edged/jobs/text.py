@@ -82,6 +82,7 @@ def _features_to_toml(job: Job) -> list[str]:
             f"centre_mm = {_numbers(circle.centre_mm)}",
             f"radius_mm = {circle.radius_mm!r}",
             f"polarity = {circle.polarity}",
+            *(["double = true   # a second edge runs beside it: a chamfer"] if circle.double else []),
         ]
     for slot in job.slots:
         lines += [

@@ -2,7 +2,8 @@
 
 The drawing is painted as the left camera would see it, and the shape model is learnt from that picture with
 the operator that will measure the real ones; circles, edges and corners come from the drawing itself. Which
-side of an edge is brighter is not in a drawing: such a job looks for each edge with either contrast.
+side of an edge is brighter is not in a drawing, nor whether it is chamfered: such a job looks for each edge
+with either contrast, and does not mind a second one beside it.
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ def teach_drawing(
         name=name,
         number=number,
         shape=shape,
-        circles=tuple(CircleFeature(c.name, c.centre_mm + shift, c.radius_mm, c.polarity) for c in circles),
+        circles=tuple(
+            CircleFeature(c.name, c.centre_mm + shift, c.radius_mm, c.polarity, c.double) for c in circles
+        ),
         reference=reference,
         rig_from_part=rig_from_part,
         limits=usual_limits(depth_mm, depth_mm / rectification.focal_px, shape, circles, reference),
@@ -159,7 +162,7 @@ def _features(
         key=lambda found: (-round(found[0][2], 6), found[0][1], found[0][0]),
     )
     circles = [
-        CircleFeature(f"c{index}", np.array([x, y, 0.0]), radius, 1 if hole else -1)
+        CircleFeature(f"c{index}", np.array([x, y, 0.0]), radius, 1 if hole else -1, double=True)
         for index, ((x, y, radius), hole) in enumerate(rounds)
     ]
     if circles:

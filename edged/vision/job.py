@@ -20,12 +20,14 @@ class CircleFeature:
 
     centre_mm (3,) : in the part frame.  radius_mm.
     polarity : +1 brighter outside than inside (a hole), -1 darker outside (a disc), as taught.
+    double : a second edge ran beside it at teaching, as of a chamfer: only its radius tells which one it is.
     """
 
     name: str
     centre_mm: FloatArray
     radius_mm: float
     polarity: int
+    double: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from edged.vision.quality import Evidence
 from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import Plane, find_plane
-from edged.vision.wrongedge import stands_off
+from edged.vision.wrongedge import is_doubtful
 
 DEPTH_MARGIN = 0.05
 """The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
@@ -101,7 +101,7 @@ def measure(images: Images, rectification: Rectification, job: Job, match: Shape
         epipolar_rms_px=_epipolar_rms(rectification, main),
         reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,
     )
-    if stands_off((images.left, images.right), rectification, job, main, fits[1:], rotation):
+    if is_doubtful((images.left, images.right), rectification, job, main, fits[1:], rotation):
         target = replace(target, reject=target.reject | Reject.AMBIGUOUS_EDGE)
     evidence = Evidence(
         min(main.support_left, main.support_right),

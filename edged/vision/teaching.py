@@ -30,6 +30,7 @@ from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.startplane import Plane, find_plane
 from edged.vision.teachingregion import Area, painted_region
+from edged.vision.wrongedge import is_double
 
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
@@ -91,6 +92,7 @@ def teach(
             apply(invert(rig_from_part), fit.circle.centre_mm),
             fit.circle.radius_mm,
             fit.polarity,
+            is_double((left, right), rectification, fit),
         )
         for fit in circles
     )

@@ -1,8 +1,9 @@
-"""Whether the reference circle was found on another edge than the taught one: the others' heights tell.
+"""Whether the reference circle was found on another edge than the taught one.
 
 A chamfer, a step or a burr has two edges, and the farther one may have just the radius that was taught. Both
-cameras agree on it, and its residuals are small; but the other circles of the face then lie off its plane, in
-their own size and at their own places.
+cameras agree on it, and its residuals are small. But the other circles of the face then lie off its plane, in
+their own size and at their own places; and where there are none, a second edge runs beside it that was not
+there at teaching.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.circlefit import SIDES, CircleFit, CircleFitParams, CircleGuess, project_circle
+from edged.vision.edges import edge_profiles
 from edged.vision.facefit import fit_circle
 from edged.vision.job import CircleFeature, Job
 from edged.vision.rectification import Rectification
@@ -25,6 +28,76 @@ CERTAIN = 5.0
 """Sigmas of its height: single holes are displaced by light and walls."""
 OFF_FACE_PX = 1.0
 """Of disparity: half in each image, by which edges may scatter and still be those of one plane."""
+SECTORS, SPOKES = 24, 15
+"""Around a circle, and profiles in each: their mean has no texture."""
+RIVAL_REACH = 0.1
+"""Share of the radius: farther off no edge is taken for the reference."""
+MIN_REACH_PX, MAX_REACH_PX = 6.0, 24.0
+STEP_PX = 0.5
+OWN_PX, APART_PX = 1.5, 2.5
+"""Within the first it is the edge itself, from the second on another one; between them both are one."""
+RIVAL_SLOPE = 0.4
+MIN_SLOPE = 2.0
+RIVAL_SHARE, LEAST_SHARE = 0.6, 0.35
+"""Of the circle: of both images in the mean, and of each. Where a camera looks along a chamfer both edges are
+one; the wall of a part, or its shadow, is seen on one side only.
+"""
+
+
+def is_doubtful(
+    images: tuple[Image, Image],
+    rectification: Rectification,
+    job: Job,
+    main: CircleFit,
+    others: Sequence[CircleFit],
+    rotation: FloatArray,
+) -> bool:
+    """Whether the reference circle, measured as `main`, may be another edge. Arguments as in `stands_off`."""
+    if stands_off(images, rectification, job, main, others, rotation):
+        return True
+    alone = not others and not job.reference_circle.double
+    return alone and is_double(images, rectification, main)
+
+
+def is_double(images: tuple[Image, Image], rectification: Rectification, circle: CircleFit) -> bool:
+    """Whether a second edge of the same sign runs beside a circle, around most of it and in both images."""
+    shares = []
+    phase = np.linspace(0, 2 * np.pi, SECTORS * SPOKES, endpoint=False, dtype=np.float64)
+    for side, image in zip(SIDES, images, strict=True):
+        measured = circle.circle
+        seen = project_circle(
+            rectification.rig, side, measured.centre_mm, measured.normal, measured.radius_mm, phase
+        )
+        size_px = 0.25 * float(np.ptp(seen.pixels, axis=0).sum())
+        half_px = float(np.clip(RIVAL_REACH * size_px, MIN_REACH_PX, MAX_REACH_PX))
+        profiles, places = edge_profiles(image, seen.pixels, seen.normals, half_px, STEP_PX)
+        means = profiles.reshape(SECTORS, SPOKES, -1).mean(axis=1)
+        shares.append(_rival_share(circle.polarity * np.gradient(means, STEP_PX, axis=1), places))
+    return float(np.mean(shares)) >= RIVAL_SHARE and min(shares) >= LEAST_SHARE
+
+
+def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
+    """Share of the sectors, rows of slopes (K, S), with a second maximum on one common curve.
+
+    One plane lies over the other: the distance varies around the circle as a shift does.
+    """
+    own = np.where(np.abs(places) <= OWN_PX, slopes, -np.inf).max(axis=1)
+    peak = np.zeros(slopes.shape, bool)
+    peak[:, 1:-1] = (slopes[:, 1:-1] >= slopes[:, :-2]) & (slopes[:, 1:-1] > slopes[:, 2:])
+    rival = np.where(peak & (np.abs(places) >= APART_PX), slopes, -np.inf)
+    strong = rival.max(axis=1) >= np.maximum(RIVAL_SLOPE * own, MIN_SLOPE)
+    if strong.mean() < LEAST_SHARE:
+        return 0.0
+    angle = (np.arange(len(slopes)) + 0.5) * (2 * np.pi / len(slopes))
+    design = np.column_stack([np.ones(len(slopes)), np.cos(angle), np.sin(angle)])
+    found = places[np.argmax(rival, axis=1)]
+    near: npt.NDArray[np.bool_] = strong
+    for _ in range(3):
+        shape = np.linalg.lstsq(design[near], found[near], rcond=None)[0]
+        near = strong & (np.abs(found - design @ shape) < OWN_PX)
+        if near.sum() < len(shape):
+            return 0.0
+    return float(near.mean())
 
 
 def stands_off(
