@@ -245,6 +245,7 @@ def _wrong(report: Report) -> str:
 
 def starting(folder: Path, runs: int) -> None:
     """From the start of the process to READY=1, and from SIGTERM to its end; kernels are cached."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what is installed has its bytecode
     cell = SmallCell(folder)
     ready_s, busy_s, stop_s, memory, floor_s = [], [], [], [], []
     for _ in range(runs):
