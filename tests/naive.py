@@ -765,6 +765,13 @@ def circle_samples(
     return np.array(rows)
 
 
+def bends(pixels: FloatArray, normals: FloatArray) -> FloatArray:
+    """(N,) turn of the normal from each sample's predecessor to its successor, per way, around one curve."""
+    angles = np.arctan2(normals[:, 1], normals[:, 0])
+    turn = np.abs(np.angle(np.exp(1j * (np.roll(angles, -1) - np.roll(angles, 1)))))
+    return turn / np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
+
+
 def clock_extremes(
     gates: list[tuple[int, int, int]], drift: float, wander: float, step_ns: int
 ) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from rigs import make_rig
 
 from edged.vision.camera import LensModel
 from edged.vision.circlefit import circle_axes
-from edged.vision.circleprojection import project_samples
+from edged.vision.circleprojection import bends, project_samples
 from edged.vision.geometry import rotation_matrix
 
 
@@ -30,6 +30,22 @@ def test_the_kernel_equals_its_plain_twin(model: LensModel, side: str) -> None:
     expected = naive.circle_samples(camera, pose, frame, centres[index], radii[index], phase)
     assert [one.shape for one in found] == [(17, 2), (17, 2), (17, 6)]
     np.testing.assert_allclose(np.hstack(found), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_bends_equal_their_twin() -> None:
+    """The curvature of two circles seen at a slant; one seen straight on bends by 1 / radius everywhere."""
+    rig = make_rig("division")
+    normal = rotation_matrix(np.array([0.3, -0.2, 0.0])) @ np.array([0.0, 0.0, -1.0])
+    frame = np.vstack([circle_axes(normal), normal])
+    centres, radii = np.array([[20.0, 3.0, 230.0], [-5.0, 8.0, 250.0]]), np.array([9.0, 2.0])
+    phase = np.concatenate([np.arange(count) * (2 * np.pi / count) for count in (60, 48)])
+    index = np.repeat([0, 1], [60, 48])
+    pixels, normals, _ = project_samples(rig.left, np.eye(4), frame, centres, radii, index, phase)
+    expected = [naive.bends(pixels[rows], normals[rows]) for rows in (slice(0, 60), slice(60, 108))]
+    found = bends(pixels, normals, np.array([0, 60, 108]))
+    np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
+    ring = np.column_stack([np.cos(phase[:60]), np.sin(phase[:60])])
+    np.testing.assert_allclose(bends(40.0 * ring, ring, np.array([0, 60])), 1 / 40.0, rtol=0.002)
 
 
 def test_a_point_that_the_lens_cannot_show_is_nan() -> None:

@@ -11,6 +11,7 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.geometry import (
     apply,
+    cross,
     fit_rigid,
     invert,
     nearest_rotation,
@@ -18,6 +19,7 @@ from edged.vision.geometry import (
     rotation_vector,
     skew,
     transform,
+    unit,
 )
 
 component = st.floats(-1, 1, allow_nan=False)
@@ -31,6 +33,14 @@ angles = st.one_of(st.floats(0, np.pi), st.floats(0, 1e-6), st.floats(0, 1e-6).m
 rotations = st.builds(lambda axis, angle: rotation_matrix(axis * angle), unit_vectors, angles)
 points = st.tuples(*[st.floats(-500, 500)] * 3).map(lambda p: np.array(p))
 transforms = st.builds(transform, rotations, points)
+
+
+@given(points, points)
+def test_products_of_two_vectors_are_numpys(a: FloatArray, b: FloatArray) -> None:
+    """The cross product of any two vectors, and the direction of one that has any."""
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+    if a @ a > 1e-12:
+        np.testing.assert_allclose(unit(a), a / np.linalg.norm(a), rtol=1e-14)
 
 
 @given(unit_vectors, angles)

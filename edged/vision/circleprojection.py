@@ -141,3 +141,22 @@ def _project_samples(
         up = (axes[2, 0] * du + axes[2, 1] * dv + axes[2, 2] * dw) * radius
         jacobian[n, 3], jacobian[n, 4] = up * sine, up * cosine
         jacobian[n, 5] = radial0 * du + radial1 * dv + radial2 * dw
+
+
+@kernel("f8[::1](f8[:, ::1], f8[:, ::1], i8[::1])")
+def bends(pixels: F64, normals: F64, starts: npt.NDArray[np.int64]) -> F64:
+    """Curvature (N,), 1 / px, of closed curves in the image from their samples and unit normals (N, 2).
+
+    starts (K + 1,) : where the samples of each curve begin.
+    """
+    found = np.empty(len(pixels))
+    for k in range(len(starts) - 1):
+        first, last = starts[k], starts[k + 1] - 1
+        for n in range(first, last + 1):
+            a, b = n - 1 if n > first else last, n + 1 if n < last else first
+            turn = np.arcsin(
+                min(max(normals[a, 0] * normals[b, 1] - normals[a, 1] * normals[b, 0], -1.0), 1.0)
+            )
+            x, y = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
+            found[n] = abs(turn) / max(np.sqrt(x * x + y * y), 1e-9)
+    return found

@@ -35,8 +35,10 @@ from edged.vision.circlefit import (
     circle_axes,
     project_circles,
 )
+from edged.vision.circleprojection import bends
 from edged.vision.displacements import FAMILIES, displacements, evened, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.geometry import cross, unit
 from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, propagate, solve
 from edged.vision.pairs import Pairs, pair
 from edged.vision.projection import project_with_jacobians
@@ -359,8 +361,10 @@ class _Face:
             slow = slow_waves(curve.normals) if final else nothing
             chosen = choose_widths(seen, self.starts, slow, params.min_slope)
             if final:
+                # blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to
+                # the centre of the bend by blur² x curvature / 2
                 blur2 = np.repeat(chosen.blur2_px2, np.diff(self.starts))
-                chosen.offset_px[:] += 0.5 * blur2 * self._curvature(curve)
+                chosen.offset_px[:] += 0.5 * blur2 * bends(curve.pixels, curve.normals, self.starts)
             return curve, chosen
 
         both = for_both(side)
@@ -373,21 +377,6 @@ class _Face:
             base * np.repeat(enough, np.diff(self.starts)),
             np.stack([chosen.bias_px for chosen in sides]),
         )
-
-    def _curvature(self, curve: ProjectedCircle) -> FloatArray:
-        """(N,) of the projected curves, 1 / px.
-
-        Blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to the centre
-        of the bend by blur² x curvature / 2.
-        """
-        count = np.arange(len(self.index))
-        first, last = self.starts[:-1][self.index], self.starts[1:][self.index] - 1
-        before = np.where(count == first, last, count - 1)
-        after = np.where(count == last, first, count + 1)
-        n, m = curve.normals[before], curve.normals[after]
-        turn = np.arcsin(np.clip(n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0], -1, 1))
-        way = np.linalg.norm(curve.pixels[after] - curve.pixels[before], axis=1)
-        return np.asarray(np.abs(turn) / np.maximum(way, 1e-9))
 
     def _samples(
         self,
@@ -448,9 +437,11 @@ class _Face:
         """The state after a step; None when it has run away."""
         if not np.isfinite(delta).all() or np.abs(delta[:3]).max() > 0.2 * self.origin[2]:
             return None
+        # the axes tilted, and the new ones: those differ by a turn about the normal
         u, v, n = self.frame
-        turned = np.cross(u + delta[4] * n, v + delta[3] * n)
-        turned = turned / np.linalg.norm(turned) * np.sign(turned @ n)
+        tilted = np.stack([unit(u + delta[4] * n), unit(v + delta[3] * n)])
+        turned = unit(cross(tilted[0], tilted[1]))
+        fresh = circle_axes(turned)
         places, radii = self.places.copy(), self.radii.copy()
         radii[0] += delta[5]
         further = delta[_FIRST:].reshape(-1, 3)
@@ -461,11 +452,7 @@ class _Face:
         origin = self.origin + delta[:3]
         if (radii <= 0).any() or origin[2] <= 0:
             return None
-        # the new axes differ from the tilted old ones by a turn about the normal: keep the centres in space
-        fresh = circle_axes(turned)
-        tilted = np.stack([u + delta[4] * n, v + delta[3] * n])
-        tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-        places[:, :2] = places[:, :2] @ tilted @ fresh.T
+        places[:, :2] = places[:, :2] @ tilted @ fresh.T  # the centres stay in space
         return replace(self, origin=origin, frame=np.vstack([fresh, turned]), places=places, radii=radii)
 
     def result(self, step: _Step) -> FaceFit | None:

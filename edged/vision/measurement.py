@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from statistics import median
 
 import cv2
 import numpy as np
@@ -14,7 +16,7 @@ from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, Face
 from edged.vision.doubt import growth_of, row_shift_px
 from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
-from edged.vision.geometry import apply, rotation_matrix, transform
+from edged.vision.geometry import apply, cross, rotation_matrix, transform, unit
 from edged.vision.job import CircleFeature, Job
 from edged.vision.planefit import CurveFit
 from edged.vision.quality import Evidence
@@ -404,10 +406,9 @@ def _start_rotation(rectification: Rectification, job: Job, match: ShapeMatch, m
 def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
     """Columns x, y, z with z away from the cameras and x as both directions in the face want it."""
     z = -normal
-    x = along_x / np.linalg.norm(along_x) + np.cross(along_y / np.linalg.norm(along_y), z)
-    x = x - (x @ z) * z
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    x = unit(along_x) + cross(unit(along_y), z)
+    x = unit(x - (x @ z) * z)
+    return np.column_stack([x, cross(z, x), z])
 
 
 def _rotation(
@@ -427,7 +428,7 @@ def _rotation(
         if lever < 0.15 * job.reference_circle.radius_mm:
             continue
         seen = (start.T @ (fit.circle.centre_mm - main.circle.centre_mm))[:2]
-        angles.append(float(np.arctan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen)))
+        angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
         in_face = (
             start[:, :2].T @ (fit.circle.covariance[:3, :3] + main.circle.covariance[:3, :3]) @ start[:, :2]
         )
@@ -439,8 +440,8 @@ def _rotation(
         # the shape's own precision: a few hundredths of a pixel at the rim
         return start, 0.05 * job.reference_circle.radius_mm / job.shape.radius_px, concentric
     values, weights = np.array(angles), 1 / np.maximum(np.array(variances), 1e-10)
-    middle = float(np.median(values))
-    spread = max(1.4826 * float(np.median(np.abs(values - middle))), 2e-4)
+    middle = median(angles)
+    spread = max(1.4826 * median(abs(angle - middle) for angle in angles), 2e-4)
     good = np.abs(values - middle) < 4 * spread
     turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
     chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
@@ -452,7 +453,7 @@ def _rotation(
 def _pose_covariance(main: CircleFit, sigma_turn: float) -> FloatArray:
     """(6, 6) of position (mm) and rotation vector (rad, rig axes)."""
     u, v = main.axes
-    normal = np.cross(u, v)
+    normal = cross(u, v)
     # a tilt about u moves the point at v up the normal: rotation vector +u; about v, the point at u: -v
     spread = np.zeros((6, 6))
     spread[:3, :3] = np.eye(3)
