@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import functools
+import shutil
 import sys
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +15,7 @@ import pytest
 from boards import board_poses, draw_board, right_pose
 from cells import small_rig
 
+from edged.commands.calibrate import ImagePair
 from edged.vision.boards import Chessboard
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
@@ -23,8 +27,17 @@ REAL = Path(__file__).resolve().parent / "data" / "stereo-chessboard"
 
 @functools.cache
 def real() -> bench_boards.Folder:
-    """The real pairs, found and measured once."""
-    return bench_boards.read_folder(REAL, "chessboard:9x6:1", "brown")
+    """Eight of the real pairs, found and measured once."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("01", "04", "05", "08", "09", "11", "13", "14"):
+            for path in REAL.glob(f"{name}_*.jpg"):
+                shutil.copy(path, folder)
+        found = bench_boards.read_folder(Path(folder), "chessboard:9x6:1", "brown")
+    pairs = {
+        name: ImagePair(name, REAL / pair.left.name, REAL / pair.right.name)
+        for name, pair in found.pairs.items()
+    }
+    return replace(found, pairs=pairs)
 
 
 @pytest.mark.parametrize("name", ["08", "14"])
@@ -59,11 +72,11 @@ def drawn(folder: Path, count: int) -> None:
 
 def test_pictures_that_are_right_have_the_stated_sigma(tmp_path: Path) -> None:
     """Drawn pairs: normalised residuals and flatness are those predicted, sizes within their sigma."""
-    drawn(tmp_path, 6)
+    drawn(tmp_path, 5)
     folder = bench_boards.read_folder(tmp_path, "chessboard:9x6:3.5", "division")
     rows = [row for name in folder.pairs for row in bench_boards.held_out(folder, name)]
 
-    assert len(rows) == 12
+    assert len(rows) == 10
     for kind in ("fit", "edges"):
         chosen = [row for row in rows if row.corners == kind]
         assert 0.5 < np.mean([row.chi2_per_dof for row in chosen]) < 1.6

@@ -18,6 +18,7 @@ from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
 from edged.ply import save_ply
 from edged.store import load_image, load_rig, write_atomically
+from edged.vision.captions import reasons
 from edged.vision.cloudpicture import cloud_picture
 from edged.vision.overlay import draw_pair
 
@@ -113,10 +114,11 @@ def _print(outcome: Outcome, console: Console) -> None:
         if target.free_axis is not None:
             console.print("  looks the same from all sides: its rotation about its axis is not known")
         if target.reject:
-            console.print(f"  not good: {target.reject.name}")
+            console.print(f"  not good: {', '.join(reasons(target.reject))} ({target.reject.name})")
     for one in outcome.dismissed:
         console.print(
-            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px, not measured: {one.reject.name}"
+            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px, not measured: "
+            f"{', '.join(reasons(one.reject))} ({one.reject.name})"
         )
 
 
