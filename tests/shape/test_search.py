@@ -113,6 +113,19 @@ def test_the_shadow_is_not_taken_for_the_part(bracket: ShapeModel, angle: float)
     assert _turn(match.angle_rad, angle) < math.radians(0.3)
 
 
+def test_an_edge_belongs_to_one_part() -> None:
+    """No second angle iron is made of one arm of the first and clutter; two that touch are both found."""
+    outline = np.array([(-60, -45), (-35, -45), (-35, 25), (55, 25), (55, 50), (-60, 50)], float)
+    iron = ((outline, 200.0),)
+    model = _teach(iron)
+    params = SearchParams(scale_min=0.89, scale_max=1.13, min_score=0.45, max_matches=4)
+    alone = _one(find_shapes(draw(iron, (190.0, 150.0, 0.4, 1, 1), noise=14), model, params))
+    assert math.hypot(alone.x_px - 190.0, alone.y_px - 150.0) < 0.3
+    first = draw(iron, (120.0, 150.0, 0.0, 1, 1), noise=0)
+    both = find_shapes(draw(iron, (236.0, 150.0, math.pi, 1, 1), background=first), model, params)
+    assert sorted(round(match.x_px) for match in both) == [120, 236]
+
+
 def test_local_inversion(bracket: ShapeModel) -> None:
     """On a background half darker, half brighter than the part only "local" sees all of it."""
     background = np.full((320, 400), 20, np.uint8)

@@ -62,7 +62,7 @@ def look(image: Image, model: ShapeModel, pose: FloatArray, sign: int) -> Sight:
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
     scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
-    return Sight(placed, np.where(there, np.abs(slopes), 0.0), beside, _inward(model), scale * _gap_px(model))
+    return Sight(placed, np.where(there, np.abs(slopes), 0.0), beside, _inward(model), scale * gap_px(model))
 
 
 def evidence(one: Sight, other: Sight, min_contrast: float) -> tuple[bool, bool]:
@@ -73,7 +73,8 @@ def evidence(one: Sight, other: Sight, min_contrast: float) -> tuple[bool, bool]
     of the part where the other has an edge of its own, and not so for this one: that decides, because no
     score counts an edge that is not there against a pose.
     """
-    only_one, only_other = ~_lies_on(one, other), ~_lies_on(other, one)
+    only_one = ~lies_on(one.placed, other.placed, other.gap_px)
+    only_other = ~lies_on(other.placed, one.placed, one.gap_px)
     if min(only_one.sum(), only_other.sum()) < MIN_APART:
         return True, False
     seen = one.slope[one.slope > 0]
@@ -110,11 +111,14 @@ def _is_bare(sight: Sight, surface: tuple[float, float], strong: float) -> npt.N
     return (sight.slope < strong) & (np.abs(sight.beside - level) < vary).all(axis=1)
 
 
-def _lies_on(one: Sight, other: Sight) -> npt.NDArray[np.bool_]:
-    """Which points (N,) of one lie on the outline that the other's points sample sparsely."""
-    found = np.empty(len(one.placed), np.bool_)
-    outline = other.placed[np.argsort(other.placed[:, 0], kind="stable")]
-    lie_on(one.placed, outline, APART_PX, 3.0 * max(one.gap_px, 1.0), ALIKE, found)
+def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> npt.NDArray[np.bool_]:
+    """Which of placed points (N, 4), x, y, nx, ny, lie on the outline that `other` (M, 4) samples sparsely.
+
+    gap_px : between neighbours on that outline.
+    """
+    found = np.empty(len(placed), np.bool_)
+    outline = other[np.argsort(other[:, 0], kind="stable")]
+    lie_on(placed, outline, APART_PX, 3.0 * max(gap_px, 1.0), ALIKE, found)
     return found
 
 
@@ -131,7 +135,7 @@ def _inward(model: ShapeModel) -> npt.NDArray[np.int64]:
 
 
 @lru_cache(maxsize=16)
-def _gap_px(model: ShapeModel) -> float:
+def gap_px(model: ShapeModel) -> float:
     """Median distance of a model point to its nearest neighbour."""
     points = model.levels[0].points
     gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))

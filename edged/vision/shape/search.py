@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,6 +19,7 @@ from edged.vision.edges import edges_along_normals
 from edged.vision.shape import nearby, refine, rivals
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.overlap import Placed, disc_overlap, without_overlap
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
 
@@ -53,8 +54,6 @@ STRETCHES = 4
 """Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
 FIRST = 128
 """Points of the first step on the finest level: enough to come near, as they are in random order."""
-SAME_PLACE = 0.25
-"""Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
 DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
@@ -90,26 +89,13 @@ def find_shapes(
     work = workspace or Workspace()
     work.load(image, max((len(model.levels) for model in listed), default=1))
     over = deadline or _never
-    matches: list[_Placed] = []
+    matches: list[Placed] = []
     for index, model in enumerate(listed):
         if over():
             break
         search = _Search(work, model, params, over)
-        matches += [
-            _Placed(match, match.apply(model.centre_px[None])[0], model.radius_px)
-            for match in search.run(index, valid)
-        ]
-    matches.sort(key=lambda one: (-one.match.score, one.match.model, one.match.x_px, one.match.y_px))
-    return _without_overlap(matches, params)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Placed:
-    """A match with the centre (2,) about which its shape could be turned by mistake, and its radius in px."""
-
-    match: ShapeMatch
-    centre_px: FloatArray
-    radius_px: float
+        matches += [Placed(match, model) for match in search.run(index, valid)]
+    return without_overlap(matches, params)
 
 
 def _never() -> bool:
@@ -289,7 +275,7 @@ class _Search:
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
-            if h.score < better.score - margin and _overlap(distance, radius) > self.params.max_overlap:
+            if h.score < better.score - margin and disc_overlap(distance, radius) > self.params.max_overlap:
                 return True
         return False
 
@@ -430,40 +416,3 @@ def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:
 
 def _turn(one: float, other: float) -> float:
     return abs((one - other + math.pi) % (2 * math.pi) - math.pi)
-
-
-def _overlap(distance: float, radius: float) -> float:
-    """Share of the area of two discs of one radius that both cover."""
-    half = distance / (2 * radius)
-    if half >= 1:
-        return 0.0
-    return 2 / math.pi * (math.acos(half) - half * math.sqrt(1 - half**2))
-
-
-def _without_overlap(matches: list[_Placed], params: SearchParams) -> list[ShapeMatch]:
-    """Best first; a worse one at the same place is dropped, and makes the better one ambiguous if close."""
-    kept: list[_Placed] = []
-    for one in matches:
-        rival = next((k for k, better in enumerate(kept) if _share(one, better) > params.max_overlap), None)
-        if rival is None:
-            kept.append(one)
-        elif _as_good(one, kept[rival]):
-            kept[rival] = replace(kept[rival], match=replace(kept[rival].match, ambiguous=True))
-    return [one.match for one in kept[: params.max_matches]]
-
-
-def _share(one: _Placed, other: _Placed) -> float:
-    """Share of their area, taken as discs about the origins, that two matches have in common."""
-    distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
-    return _overlap(float(distance), 0.5 * (one.radius_px + other.radius_px))
-
-
-def _as_good(one: _Placed, better: _Placed) -> bool:
-    """Whether a match is the better one's part, turned, and explains the image nearly as well."""
-    return (
-        one.match.model == better.match.model
-        and not better.match.symmetric
-        and one.match.score > better.match.score - 0.01
-        and _turn(one.match.angle_rad, better.match.angle_rad) > 0.1
-        and float(np.linalg.norm(one.centre_px - better.centre_px)) < SAME_PLACE * better.radius_px
-    )
