@@ -19,10 +19,8 @@ from edged.vision.shape import refine
 REACH_PX, STRIDE_PX = 6, 2
 """How far, px of the level, the place may be off along x and y, in steps that the refinement bridges."""
 PLACES = 2 * REACH_PX // STRIDE_PX + 1
-STEP_PX = 1.5
-"""Motion of the farthest point from one angle or size to the next."""
-TURNS, SIZES = 1, 3
-"""Steps to both sides."""
+STEP_PX, SIZES = 1.5, 3
+"""Motion of the farthest point from one size to the next; steps to both sides."""
 POINTS = 120
 """Enough to rank poses; they are in random order."""
 
@@ -43,7 +41,7 @@ def best_nearby(
 
     gx, gy : Sobel (H, W) int16.  points, normals (N, 2) : of the model on this level.  sign, minimum : as
     in `refine.gradient_edges`.  stretched : keep the sizes along x and y apart, where they are looked for.
-    Only place, angle and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
+    Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
     they are what a fit to half of two outlines shows.
     """
     points, normals = points[:POINTS], normals[:POINTS]
@@ -58,7 +56,7 @@ def best_nearby(
 
 
 def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray:
-    """Poses (P, 8) with other angles and sizes about the middle of the model's points."""
+    """Poses (P, 8) of other sizes about the middle of the model's points."""
     a, b, c, d = pose[2:6].tolist()
     size_x, size_y = np.hypot(a, c), np.hypot(b, d)
     if not stretched:
@@ -66,11 +64,10 @@ def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray
     middle = points.mean(axis=0)
     place = pose[:2] + pose[2:6].reshape(2, 2) @ middle
     radius = float(np.sqrt(size_x * size_y) * np.linalg.norm(points - middle, axis=1).max())
-    step = STEP_PX / max(radius, 1.0)
-    angles = np.arctan2(c - b, a + d) + step * np.repeat(np.arange(-TURNS, TURNS + 1), 2 * SIZES + 1)
-    sizes = 1 + step * np.tile(np.arange(-SIZES, SIZES + 1), 2 * TURNS + 1)
-    cosines, sines = sizes * np.cos(angles), sizes * np.sin(angles)
-    poses = np.zeros((len(angles), 8))
+    angle = np.arctan2(c - b, a + d)
+    sizes = 1 + STEP_PX / max(radius, 1.0) * np.arange(-SIZES, SIZES + 1)
+    cosines, sines = sizes * np.cos(angle), sizes * np.sin(angle)
+    poses = np.zeros((len(sizes), 8))
     poses[:, 2], poses[:, 3] = cosines * size_x, -sines * size_y
     poses[:, 4], poses[:, 5] = sines * size_x, cosines * size_y
     poses[:, 0] = place[0] - poses[:, 2:4] @ middle

@@ -172,12 +172,13 @@ class _Search:
         ):
             return None
         score = float(summary[0])
-        if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.06):
+        share = COARSE_SHARE if first or level > 1 else NEARLY_SHARE
+        if score < share * self.params.min_score or not self._plausible(pose, 0.06):
             return None
         return Hypothesis(pose, hypothesis.sign, score)
 
-    def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis | None:
-        """A pose that explains a coarse level badly, or a better one beside it; None if both are hopeless."""
+    def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis:
+        """A pose that explains a coarse level badly, or a better one beside it."""
         shape = self.model.levels[level]
         place = nearby.best_nearby(
             *self.work.gradient(level),
@@ -189,8 +190,7 @@ class _Search:
             self._stretches(),
         )
         other = self._on_level(hypothesis.at(place), level, first=True)
-        best = hypothesis if other is None or other.score < hypothesis.score else other
-        return None if level == 1 and best.score < NEARLY_SHARE * self.params.min_score else best
+        return hypothesis if other is None or other.score < hypothesis.score else other
 
     def _finest(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis | None:
         """Robust steps on edges measured in the image itself, with the operator that measured the model."""
