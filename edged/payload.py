@@ -62,6 +62,7 @@ def target_to_json(
         "epipolar_rms_px": _number(target.epipolar_rms_px),
         "doubt_mm": _number(target.doubt_mm),
         "reject": reject_names(target.reject),
+        "reject_bits": int(target.reject),
     }
     if robot_from_rig is not None:
         document["pose_robot"] = _pose(
@@ -300,6 +301,7 @@ def _dismissed(one: Dismissed) -> Json:
         "match": _match(one.match),
         "score": _number(one.match.score),
         "reject": reject_names(one.reject),
+        "reject_bits": int(one.reject),
     }
 
 

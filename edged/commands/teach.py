@@ -139,6 +139,12 @@ def teach(
             f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm "
             f"at ({cx:.3f}, {cy:.3f}) mm in the part frame"
         )
+    limits = job.limits
+    kind, tolerance_mm = "radius", limits.radius_tolerance_mm
+    if tolerance_mm is None:
+        kind, tolerance_mm = "form", limits.form_tolerance_mm
+    if tolerance_mm is not None:
+        console.print(f"  {kind}_tolerance_mm {tolerance_mm:.3f}: a part beyond it is refused; see job.toml")
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
