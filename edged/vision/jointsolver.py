@@ -155,20 +155,25 @@ def _neighbours(count: int) -> int:
     return max(1, min(_NEIGHBOURS, count // _MIN_BINS))
 
 
+@kernel("f8[:, ::1](f8[::1], i8[::1], i8)")
+def _terms_of(memory: F64, bins: I64, part: int) -> F64:
+    """(T, B) : the terms of one part."""
+    each, first, last = len(memory) // bins[-1], bins[part], bins[part + 1]
+    return memory[each * first : each * last].reshape((each, last - first))
+
+
 @kernel("void(f8[:, ::1], f8[:, ::1], i8, f8[:, ::1])")
 def _shared_terms(design: F64, waves: F64, together: int, terms: F64) -> None:
-    """Fill terms (B, T): design, then waves, each the mean of so many samples; the last bin may be short."""
+    """Fill terms (T, B): design, then waves, each the mean of so many samples; the last bin may be short."""
     count, wide, many = len(design), design.shape[1], waves.shape[1]
-    for b in range(len(terms)):
+    for b in range(terms.shape[1]):
         first, last = b * together, min((b + 1) * together, count)
         share = 1.0 / (last - first)
         for i in range(wide + many):
-            terms[b, i] = 0.0
-        for n in range(first, last):
-            for i in range(wide):
-                terms[b, i] += share * design[n, i]
-            for m in range(many):
-                terms[b, wide + m] += share * waves[n, m]
+            total = 0.0
+            for n in range(first, last):
+                total += design[n, i] if i < wide else waves[n, i - wide]
+            terms[i, b] = share * total
 
 
 @kernel("void(f8[:, ::1], i8, f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
@@ -176,22 +181,23 @@ def _add_part(
     terms: F64, together: int, values: F64, weights: F64, precision: float, moments: F64, right_side: F64
 ) -> None:
     """Add a part's weighted products of terms with themselves (upper half) and with the values."""
-    count, size = len(values), terms.shape[1]
-    for b in range(len(terms)):
-        weight, value = 0.0, 0.0
+    (size, bins), count = terms.shape, len(values)
+    weight, value, heavy = np.zeros(bins), np.zeros(bins), np.empty(bins)
+    for b in range(bins):
         for n in range(b * together, min((b + 1) * together, count)):
-            weight += weights[n]
-            value += weights[n] * values[n]
-        if weight == 0.0:
-            continue
-        weight *= precision
-        value *= precision
-        term = terms[b]
-        for i in range(size):
-            heavy, row = weight * term[i], moments[i]
-            right_side[i] += value * term[i]
-            for j in range(i, size):
-                row[j] += heavy * term[j]
+            weight[b] += precision * weights[n]
+            value[b] += precision * weights[n] * values[n]
+    for i in range(size):
+        term, total = terms[i], 0.0
+        for b in range(bins):
+            heavy[b] = weight[b] * term[b]
+            total += value[b] * term[b]
+        right_side[i] += total
+        for j in range(i, size):
+            other, total = terms[j], 0.0
+            for b in range(bins):
+                total += heavy[b] * other[b]
+            moments[i, j] += total
 
 
 @kernel("b1(f8[:, ::1], i8, f8[::1], f8[:, ::1])")
@@ -206,7 +212,7 @@ def _inverse_of_own(moments: F64, wide: int, sigma: F64, inverse: F64) -> bool:
     return bool(invert_spd(inner, inverse))
 
 
-@kernel("void(f8[:, ::1], f8[::1], i8[::1], i8, f8[::1], f8[:, ::1], f8[:, ::1], f8[::1])")
+@kernel("void(f8[:, ::1], f8[::1], i8[::1], i8, f8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", any_order=True)
 def _add_curve(
     moments: F64,
     own_right: F64,
@@ -233,14 +239,14 @@ def _add_curve(
     for i in range(size):
         if place[i] < 0:
             continue
-        row[:], right = moments[i], own_right[i]
+        row[:], right, link = moments[i], own_right[i], moments[i, wide:]
         for m in range(many):
-            gain = 0.0
+            gain, own, among = 0.0, inverse[m], moments[wide + m]
             for k in range(many):
-                gain += moments[i, wide + k] * inverse[k, m]
+                gain += link[k] * own[k]
             right -= gain * own_right[wide + m]
             for j in range(size):
-                row[j] -= gain * moments[wide + m, j]
+                row[j] -= gain * among[j]
         right_side[place[i]] += factor[i] * right
         for j in range(size):
             if place[j] >= 0:
@@ -277,13 +283,15 @@ def _step_of(
 @kernel("void(f8[:, ::1], i8, f8[::1], f8[::1], f8[::1])")
 def _residuals(terms: F64, together: int, step: F64, values: F64, residuals: F64) -> None:
     """Fill residuals: what a step leaves of the values."""
-    count, size = len(values), terms.shape[1]
-    for b in range(len(terms)):
-        explained = 0.0
-        for i in range(size):
-            explained += terms[b, i] * step[i]
+    (size, bins), count = terms.shape, len(values)
+    explained = np.zeros(bins)
+    for i in range(size):
+        term, factor = terms[i], step[i]
+        for b in range(bins):
+            explained[b] += factor * term[b]
+    for b in range(bins):
         for n in range(b * together, min((b + 1) * together, count)):
-            residuals[n] = values[n] - explained
+            residuals[n] = values[n] - explained[b]
 
 
 @kernel("f8(f8[::1], f8[::1], i8, f8[::1])")
@@ -347,10 +355,10 @@ def _solve(
     for q in range(len(starts) - 1):
         together[q] = _neighbours(starts[q + 1] - starts[q])
         bins[q + 1] = bins[q] + (starts[q + 1] - starts[q] + together[q] - 1) // together[q]
-    terms = np.empty((bins[-1], each))
+    memory = np.empty(bins[-1] * each)  # of each part (T, B), so that sums run along its samples
     for q in range(len(starts) - 1):
         a, b = starts[q], starts[q + 1]
-        _shared_terms(design[a:b], waves[a:b], together[q], terms[bins[q] : bins[q + 1]])
+        _shared_terms(design[a:b], waves[a:b], together[q], _terms_of(memory, bins, q))
     matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
     moments, own_right = np.empty((curves, each, each)), np.empty((curves, each))
     sigma, inverse, step = np.empty((curves, many)), np.empty((curves, many, many)), np.empty(each)
@@ -367,7 +375,7 @@ def _solve(
             for q in range(parts[k], parts[k + 1]):
                 a, b = starts[q], starts[q + 1]
                 precision[q] = 1.0 / (scale[q] ** 2 * spread[q])
-                some = terms[bins[q] : bins[q + 1]]
+                some = _terms_of(memory, bins, q)
                 _add_part(
                     some, together[q], values[a:b], weights[a:b], precision[q], moments[k], own_right[k]
                 )
@@ -395,7 +403,7 @@ def _solve(
             _step_of(columns[k], shared[k], sigma[k], inverse[k], moments[k], own_right[k], delta, step)
             for q in range(parts[k], parts[k + 1]):
                 a, b = starts[q], starts[q + 1]
-                _residuals(terms[bins[q] : bins[q + 1]], together[q], step, values[a:b], residuals[a:b])
+                _residuals(_terms_of(memory, bins, q), together[q], step, values[a:b], residuals[a:b])
                 scale[q] = _weigh(residuals[a:b], base[a:b], round_, weights[a:b])
             if paired[k] and round_ >= MEDIAN_ROUNDS:
                 a, b = starts[parts[k]], starts[parts[k] + 1]
@@ -418,6 +426,6 @@ def _solve(
                 covariance,
                 bias,
             )
-        if round_ > SPREAD_ROUNDS[1] and moved < settled:
+        if round_ > (SPREAD_ROUNDS[1] if many > 0 else MEDIAN_ROUNDS) and moved < settled:
             break
     return rounds
