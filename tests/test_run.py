@@ -6,10 +6,15 @@ import asyncio
 import gc
 import subprocess
 import sys
+from pathlib import Path
 from typing import cast
 
+import cv2
+
 from edged.app import Daemon
+from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.run import serve
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
 class _Daemon:
@@ -69,3 +74,35 @@ def test_a_check_and_a_status_need_no_compiler() -> None:
     assert "edged.cellfiles" in loaded
     others = ("numba", "llvmlite", "zenoh", "pymodbus", "aiohttp", "gi", "edged.adapters")
     assert [] == [name for name in loaded if name.startswith(others)]
+
+
+FIRST_CYCLE = """
+import sys
+from pathlib import Path
+from numba.core import event
+from edged.app import load_cell, warm_up
+from edged.domain import Frame, FramePair
+from edged.store import load_image
+
+folder = Path(sys.argv[1])
+loaded = load_cell(folder / "cell.toml")
+warm_up(loaded)
+(job,) = loaded.setup.jobs.values()
+pair = FramePair(*(Frame(side, 0, load_image(folder / f"{side}.png"), 0, 0) for side in ("left", "right")))
+with event.install_recorder("numba:compile") as recorder:
+    outcome = job.locate(pair, lambda stage: None)
+print(outcome.status, len(recorder.buffer))
+"""
+
+
+def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> None:
+    """READY means that every kernel is there, also those that an empty picture does not need."""
+    cell = VirtualCell(demo_rig(), demo_part())
+    prepare_cell(tmp_path, cell, DemoOptions(), gige=False)
+    left, right, _ = cell.teach_pair()
+    cv2.imwrite(str(tmp_path / "left.png"), left)
+    cv2.imwrite(str(tmp_path / "right.png"), right)
+    run = subprocess.run(
+        [sys.executable, "-c", FIRST_CYCLE, tmp_path], capture_output=True, text=True, check=True
+    )
+    assert ["OK", "0"] == run.stdout.split()
