@@ -103,7 +103,8 @@ def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose
 
 
 @kernel(
-    "void(i8[::1], i8, i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])"
+    "void(i8[::1], i8, i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
+    any_order=True,
 )
 def displacement_of(
     columns: I64,
@@ -132,25 +133,30 @@ def displacement_of(
         place[i] = columns[i]
     for m in range(many if shared >= 0 else 0):
         place[wide + m], factor[wide + m] = shared + m, bias[families[m]]
-    gain, spread = np.zeros(size), 0.0
+    step, known = np.zeros(size), np.zeros((size, size))  # of its unknowns, 0 where there is none
+    for i in range(size):
+        if place[i] < 0:
+            continue
+        step[i] = factor[i] * delta[place[i]]
+        for j in range(size):
+            if place[j] >= 0:
+                known[i, j] = factor[i] * factor[j] * covariance[place[i], place[j]]
+    gain = np.empty(size)
     for m in range(many):
         sigma = bias[families[m]]
         value, variance = 0.0, inverse[m, m]
+        gain[:] = 0.0
         for k in range(many):
-            value += inverse[m, k] * own_right[wide + k]
+            part, row = inverse[m, k], moments[wide + k]
+            value += part * own_right[wide + k]
+            for i in range(size):
+                gain[i] -= part * row[i]
         for i in range(size):
-            gain[i] = 0.0
-            if place[i] >= 0:
-                for k in range(many):
-                    gain[i] -= inverse[m, k] * moments[wide + k, i] * factor[i]
-                value += gain[i] * delta[place[i]]
-        for i in range(size):
-            if place[i] >= 0:
-                spread = 0.0
-                for j in range(size):
-                    if place[j] >= 0:
-                        spread += covariance[place[i], place[j]] * gain[j]
-                variance += gain[i] * spread
+            row, spread = known[i], 0.0
+            for j in range(size):
+                spread += row[j] * gain[j]
+            variance += gain[i] * spread
+            value += gain[i] * step[i]
         share = max(1.0 - variance / (sigma * sigma), 0.0)
         found[families[m], 0] += value * value
         found[families[m], 1] += share * share
