@@ -51,12 +51,16 @@ class Pairs:
 
     def rows_of(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """(M, ...) from what both images have: (N, ...) each."""
-        shape = (-1, *([1] * (left.ndim - 1)))
-        scale = self.gain.mean(axis=0)
-        a = left * (scale / self.gain[0]).reshape(shape)
-        b = right * (scale / self.gain[1]).reshape(shape)
-        share = self.share.reshape(shape)
-        return np.asarray(np.concatenate([share * a + (1 - share) * b, a - b, left, right])[self.rows])
+        shape = (len(self.both), -1)
+        scale = self.gain.mean(axis=0) / self.gain
+        rows = _rows_of(
+            np.ascontiguousarray(left.reshape(shape)),
+            np.ascontiguousarray(right.reshape(shape)),
+            self.share,
+            scale,
+            self.rows,
+        )
+        return rows.reshape(len(self.rows), *left.shape[1:])
 
     def by_camera(self, rows: FloatArray) -> FloatArray:
         """(2, N) residuals in the images from those of the rows (M,); 0 where there is none."""
@@ -113,6 +117,27 @@ def pair(
         counts[0] >= MIN_SAMPLES,
         weights.ravel()[chosen],
     )
+
+
+@kernel("f8[:, ::1](f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
+def _rows_of(left: F64, right: F64, share: F64, scale: F64, rows: I64) -> F64:
+    """Those of the means, differences, left and right rows that are wanted (see `Pairs`)."""
+    count, columns = left.shape
+    found = np.empty((len(rows), columns))
+    for m in range(len(rows)):
+        kind, n = rows[m] // count, rows[m] % count
+        of_left, of_right = 0.0, 0.0
+        if kind == 0:
+            of_left, of_right = share[n] * scale[0, n], (1.0 - share[n]) * scale[1, n]
+        elif kind == 1:
+            of_left, of_right = scale[0, n], -scale[1, n]
+        elif kind == 2:
+            of_left = 1.0
+        else:
+            of_right = 1.0
+        for c in range(columns):
+            found[m, c] = of_left * left[n, c] + of_right * right[n, c]
+    return found
 
 
 @kernel("f8(f8[::1])")
