@@ -48,7 +48,7 @@ from edged.vision.boards import Chessboard, Detection, Missed, StereoView, parse
 from edged.vision.calibration import Calibration, calibrate_stereo, epipolar_errors_px, marks_in_both
 from edged.vision.camera import CameraModel, LensModel
 from edged.vision.chessboard import remeasure_chessboard
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.geometry import apply, fit_rigid, skew
 from edged.vision.plate import nominal
 from edged.vision.triangulation import raw_covariance, triangulate_raw
@@ -224,7 +224,9 @@ def _line(
         return 0.5 * (ahead + behind), np.column_stack([-tangent[:, 1], tangent[:, 0]])
 
     pixels, normals = seen((points[:, None] + t[:, None] * axis).reshape(-1, 3))
-    offsets = edges_along_normals(image, pixels, normals, reach_px, 0)[0].reshape(len(points), -1)
+    # in fine steps: a grid of 1 px lies alike to a whole line, and so would its error of 0.02 px
+    found = edges_at_widths(image, pixels, normals, reach_px, 0, (EDGE_SIGMA_PX,))
+    offsets = found.offset_px[0].reshape(len(points), -1)
     shift, variance = np.full((2, len(points)), np.nan)
     for index, offset in enumerate(offsets):
         fit = _at_zero(t, offset)
