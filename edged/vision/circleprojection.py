@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.camera import CameraModel
-from edged.vision.jit import kernel
+from edged.vision.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 
@@ -42,12 +42,12 @@ def project_samples(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         lens,
         _DIVISION if camera.model == "division" else _BROWN,
-        np.require(camera_from_rig, np.float64, ("C", "W")),
-        np.require(frame, np.float64, ("C", "W")),
-        np.require(centres, np.float64, ("C", "W")),
-        np.require(radii, np.float64, ("C", "W")),
-        np.require(index, np.int64, ("C", "W")),
-        np.require(phase, np.float64, ("C", "W")),
+        for_kernel(camera_from_rig, np.float64),
+        for_kernel(frame, np.float64),
+        for_kernel(centres, np.float64),
+        for_kernel(radii, np.float64),
+        for_kernel(index, np.int64),
+        for_kernel(phase, np.float64),
         pixels,
         normals,
         jacobian,

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.jit import kernel
+from edged.vision.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
@@ -121,12 +121,12 @@ def _measured(
 
 
 def _columns(points: FloatArray) -> FloatArray:
-    return np.require(points, np.float64, ("C", "W"))
+    return for_kernel(points, np.float64)
 
 
 def _pixels(image: Image) -> Image:
     """As the kernels take it: a copy of what is a view or read-only."""
-    return np.require(image, np.uint8, ("C", "W"))
+    return for_kernel(image, np.uint8)
 
 
 @kernel(inline=True)

@@ -406,7 +406,7 @@ class _Face:
             pairs.starts,
             pairs.parts,
             pairs.paired,
-            pairs.rows_of(*np.nan_to_num(edges.offset_px)),
+            pairs.rows_of(*np.where(np.isnan(edges.offset_px), 0.0, edges.offset_px)),
             pairs.base,
             pairs.rows_of(*waves),
             families,

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+import numpy.typing as npt
 
 from edged.vision.jitcache import QuickCache, load_quickly
 
@@ -43,6 +45,12 @@ def kernel(*signatures: str, inline: bool = False, any_order: bool = False) -> C
         return cast(F, dispatcher)
 
     return compile_it
+
+
+def for_kernel(array: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
+    """The array as kernels take it: a copy of what is a view or read-only. `np.require` takes far longer."""
+    plain = np.ascontiguousarray(array, dtype)
+    return plain if plain.flags.writeable else plain.copy()
 
 
 def _cache_is_usable() -> bool:

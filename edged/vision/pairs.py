@@ -92,13 +92,15 @@ def pair(
     starts (K + 1,).  together : False keeps all edges as they are, for curves not yet in their place.
     """
     gain = np.where(np.abs(gain) > 1e-9, gain, 1e-9)
-    usable = np.abs(gain).min(axis=0) > _MIN_GAIN * np.abs(gain).max()
-    usable &= base.min(axis=0) > _MIN_RATIO * base.max(axis=0)
-    both = usable if together else np.zeros(len(gain[0]), bool)
-    share = _shares(np.nan_to_num(offset_px) / gain, both, starts) if together else np.full(len(both), 0.5)
-    with np.errstate(divide="ignore"):
-        paired = np.where(both, 2.0 / np.sum(1.0 / base, axis=0), 0.0)
-    weights = np.stack([paired, paired, *np.where(both, 0.0, base)])
+    both, share, paired, alone = np.zeros(len(gain[0]), bool), np.full(len(gain[0]), 0.5), 0.0 * base[0], base
+    if together:
+        both = np.abs(gain).min(axis=0) > _MIN_GAIN * np.abs(gain).max()
+        both &= base.min(axis=0) > _MIN_RATIO * base.max(axis=0)
+        share = _shares(np.where(np.isnan(offset_px), 0.0, offset_px) / gain, both, starts)
+        with np.errstate(divide="ignore"):
+            paired = np.where(both, 2.0 / np.sum(1.0 / base, axis=0), 0.0)
+        alone = np.where(both, 0.0, base)
+    weights = np.stack([paired, paired, *alone])
     counts = np.add.reduceat(weights > 0, starts[:-1], axis=1)
     rows, lengths, parts = [], [0], [0]
     for k in range(len(starts) - 1):

@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges import edges_along_normals
-from edged.vision.jit import kernel
+from edged.vision.jit import for_kernel, kernel
 from edged.vision.rectification import Rectification
 from edged.vision.triangulation import triangulate
 
@@ -84,7 +84,7 @@ def _rivals(
     right: Image, points: FloatArray, sign: FloatArray, low: float, high: float, min_slope: float
 ) -> FloatArray:
     """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
-    image = np.require(right, np.uint8, ("C", "W"))
+    image = for_kernel(right, np.uint8)
     return _row_edges(
         image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
     )
