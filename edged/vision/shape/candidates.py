@@ -90,7 +90,7 @@ def scan_top(
 class _Plan:
     """What a scan needs and no image changes.
 
-    points (N, 2), directions (N,) rad; poses (P, 3), steps (3,): see `pose_grid`; sectors (P,) of 45°;
+    points (N, 2), directions (N,) rad; poses (P, 3), steps (3,): see `pose_grid`; sectors (P,);
     offsets (P, N) of the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
     """
 

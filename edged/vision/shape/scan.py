@@ -19,7 +19,7 @@ from edged.vision.shape.simd import GROUP, LANES, add_vectors
 
 ORIENTATIONS = 16
 PEAK = 7  # response of full agreement: 16 points fit into a signed byte
-SECTORS = 8  # rivals of another 45° sector never hide a pose
+SECTORS = 12  # rivals of another 30° sector, as far apart as the hours of a clock face, never hide a pose
 TOP_POINTS = 96  # a multiple of GROUP
 STEP_PX = 2.0
 """Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
@@ -140,7 +140,7 @@ def scan(
     best: Array,
     pose: Array,
 ) -> None:
-    """Best score and pose per position, sign and 45° sector.
+    """Best score and pose per position, sign and sector.
 
     maps : flat response maps.  offsets : (P, N) where in `maps` each point of each pose begins.
     best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
