@@ -649,11 +649,11 @@ def choose_width(
     merits, squares = [], []
     shares = alike = np.ones(len(waves))
     for w, (value, base) in enumerate(zip(values, bases, strict=True)):
-        variance, _, shares = variance_of_mean(value, base, waves, 1 if w else 3, shares)
+        variance, _, shares = variance_of_mean(value, base, waves, 2 if w else 4, shares)
         doubt = slow = 0.0
         if w:
             both = np.minimum(base, bases[0])
-            doubt, slow, alike = variance_of_mean(value - values[0], both, waves, 3 if w == 1 else 1, alike)
+            doubt, slow, alike = variance_of_mean(value - values[0], both, waves, 4 if w == 1 else 2, alike)
         chance = waves.shape[1] * doubt
         squares.append(slow - chance if slow > 1.6 * chance else 0.0)
         merits.append(variance + (squares[-1] if slow > 3 * chance else 0.0))

@@ -45,7 +45,7 @@ START_WIDTH = 2
 """Index into `WIDTHS_PX` of the operator that finds an edge, before the others are compared."""
 NEIGHBOURS = 4  # on both sides, over which the contrast of an edge is averaged
 _OUTPUTS = 2
-FIRST_ROUNDS, NEXT_ROUNDS = 3, 1
+FIRST_ROUNDS, NEXT_ROUNDS = 4, 2
 """Of reweighting: what is no edge at one width is none at the next, which starts from what was found."""
 
 
