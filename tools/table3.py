@@ -225,16 +225,18 @@ def compare(
     x_axis = turned @ (x_axis / np.linalg.norm(x_axis))
     angle = np.arctan2(rotation[:, 1] @ x_axis, rotation[:, 0] @ x_axis)
     covariance = np.array(target["covariance_6x6"])[:3, :3]
+    radius_error = target["circles"][0]["radius_mm"] - part["circles"][0]["radius_mm"]
     return {
         "truth": part,
         "scene": scene,
         "part": design,
         "error_mm": error.tolist(),
         "sigma_mm": target["sigma_mm"],
-        "radius_error_mm": target["circles"][0]["radius_mm"] - part["circles"][0]["radius_mm"],
+        "radius_error_mm": radius_error,
         "normal_deg": float(np.degrees(np.arccos(normal))),
         "rotation_deg": float(np.degrees(angle)),
         "chi2_per_dof": float(error @ np.linalg.solve(covariance, error) / 3),
+        "chi2_radius": (radius_error / target["circles"][0]["sigma_radius_mm"]) ** 2,
     }
 
 
@@ -261,6 +263,8 @@ def report(rows: list[dict[str, Any]]) -> None:
         )
     if rows:
         report_sides(rows)
+    position, radius = (np.mean([row[key] for row in rows]) for key in ("chi2_per_dof", "chi2_radius"))
+    print(f"\nχ²/dof in the mean: position {position:.2f}, radius {radius:.2f}")
 
 
 def report_sides(rows: list[dict[str, Any]]) -> None:
