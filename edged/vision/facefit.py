@@ -36,12 +36,12 @@ from edged.vision.circlefit import (
     project_circles,
 )
 from edged.vision.circleprojection import bends
-from edged.vision.displacements import FAMILIES, displacements, evened, slants, slow_waves
+from edged.vision.displacements import displacements, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry import cross, unit
-from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, propagate, solve
-from edged.vision.pairs import Pairs, pair
-from edged.vision.projection import project_with_jacobians
+from edged.vision.jointsolver import ROUGHLY, SETTLED, propagate, solve
+from edged.vision.pairs import pair, samples_of
+from edged.vision.projection import shifts_by_calibration
 from edged.vision.robust import MIN_SAMPLES
 from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
@@ -130,8 +130,7 @@ class _Edges:
     """What the circles show in both images.
 
     offset_px (2, N), NaN where is no edge; base (2, N) prior weights, 0 for circles of which one image shows
-    too little; bias_px (2, K) the sigma to expect of
-    slow displacements.
+    too little; bias_px (2, K) the sigma to expect of slow displacements.
     """
 
     offset_px: FloatArray
@@ -307,7 +306,16 @@ class _Face:
         if not seen[0]:
             return None
         columns = self.columns(seen)
-        samples, priors = self._samples(curves, measured, pairs, columns, final)
+        samples, priors = samples_of(
+            pairs,
+            self.design(curves),
+            columns,
+            measured.offset_px,
+            measured.bias_px,
+            self.polarity,
+            self._displacements(curves, gain) if final else None,
+            self.unknowns,
+        )
         # unknowns that are held leave no gap: the solver would find them undetermined
         used = np.unique(columns[columns >= 0])
         free = len(used)
@@ -323,12 +331,11 @@ class _Face:
         delta[used] = solution.delta[:free]
         inverse = solution.covariance[:free, :free]
         if final and self.rig.covariance is not None:
-            causes = pairs.rows_of(*_calibration_causes(self.rig, self._points(), curves))
+            normals = (curve.normals for curve in curves)
+            causes = pairs.rows_of(*shifts_by_calibration(self.rig, self._points(), *normals))
             gains = propagate(dense, solution, causes)[:free]
             inverse = inverse + gains @ self.rig.covariance @ gains.T
         covariance[np.ix_(used, used)] = inverse
-        by_curve = np.append(delta, 0.0)[columns]  # -1: the zero at the end
-        moved = np.sum(samples.design * by_curve.repeat(_rows_of_curves(samples), axis=0), axis=1)
         found = [
             curve.pixels + curve.normals * offset[:, None]
             for curve, offset in zip(curves, measured.offset_px, strict=True)
@@ -336,7 +343,7 @@ class _Face:
         return _Step(
             delta,
             covariance,
-            float(np.abs(moved).max()),
+            float(np.abs(samples.motion(delta)).max()),
             np.stack(found),
             pairs.weights_by_camera(solution.weights),
             pairs.by_camera(solution.residuals),
@@ -378,50 +385,13 @@ class _Face:
             np.stack([chosen.bias_px for chosen in sides]),
         )
 
-    def _samples(
-        self,
-        curves: tuple[ProjectedCircle, ...],
-        edges: _Edges,
-        pairs: Pairs,
-        columns: npt.NDArray[np.int64],
-        final: bool,
-    ) -> tuple[Samples, int]:
-        """The samples as the solver takes them, and the number of unknowns for shared displacements.
-
-        What one kind of edge has in common, it has in both images: light and walls are the same.
-        """
-        count, seen = len(self.index), columns[:, 0] >= 0
-        _, kinds = np.unique(self.polarity > 0, return_inverse=True)
-        shared, priors = np.full(len(kinds), -1), 0
-        waves, families = (np.zeros((count, 0)),) * 2, FAMILIES[:0]
-        if final:
-            waves, families = self._displacements(curves), FAMILIES
-            common = np.unique(kinds[seen])
-            priors = len(families) * len(common)
-            shared = np.where(seen, self.unknowns + len(families) * np.searchsorted(common, kinds), -1)
-        expected = evened(np.sqrt(np.mean(edges.bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
-        samples = Samples(
-            pairs.rows_of(*self.design(curves)),
-            columns,
-            pairs.starts,
-            pairs.parts,
-            pairs.paired,
-            pairs.rows_of(*np.where(np.isnan(edges.offset_px), 0.0, edges.offset_px)),
-            pairs.base,
-            pairs.rows_of(*waves),
-            families,
-            np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
-            shared,
-            kinds,
-        )
-        return samples, priors
-
-    def _displacements(self, curves: tuple[ProjectedCircle, ...]) -> tuple[FloatArray, FloatArray]:
+    def _displacements(
+        self, curves: tuple[ProjectedCircle, ...], gain: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """(N, A) each: the shapes of slow displacements in both images."""
         points, radial = self._points(), self._radial()
         poses = (np.eye(4), self.rig.right_from_left)
         slant = np.stack([slants(points, radial, self.frame[2], pose) for pose in poses])
-        gain = np.stack([curve.jacobian[:, -1] for curve in curves])
         return displacements(curves[0].normals, gain, slant)
 
     def _radial(self) -> FloatArray:
@@ -492,30 +462,3 @@ class _Face:
             weights[1],
             int(self.polarity[k]),
         )
-
-
-def _rows_of_curves(samples: Samples) -> npt.NDArray[np.int64]:
-    """(K,) number of rows of each curve."""
-    return np.diff(samples.starts[samples.parts])
-
-
-def _calibration_causes(
-    rig: StereoRig, points_mm: FloatArray, curves: tuple[ProjectedCircle, ...]
-) -> FloatArray:
-    """(2, N, Q): shift of each edge against its projected curve per unit of `rig.parameter_names`."""
-    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
-    turned = points_mm @ rotation.T
-    _, _, by_left = project_with_jacobians(rig.left, points_mm)
-    _, by_point, by_right = project_with_jacobians(rig.right, turned + translation)
-    left, right = (
-        np.einsum("ni,niq->nq", curve.normals, by)
-        for curve, by in zip(curves, (by_left, by_right), strict=True)
-    )
-    along = np.einsum("ni,nij->nj", curves[1].normals, by_point)
-    # a small rotation w on the left of R moves a point by w x (R X): a . (w x b) = w . (b x a)
-    pose = np.hstack([np.cross(turned, along), along])
-    count = len(points_mm)
-    causes = np.zeros((2, count, left.shape[1] + right.shape[1] + 6))
-    causes[0, :, : left.shape[1]] = left
-    causes[1, :, left.shape[1] :] = np.hstack([right, pose])
-    return -causes

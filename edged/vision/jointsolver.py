@@ -69,6 +69,13 @@ class Samples:
     shared: npt.NDArray[np.int64]
     kinds: npt.NDArray[np.int64]
 
+    def motion(self, delta: FloatArray) -> FloatArray:
+        """(N,) by how much a step of the unknowns moves each sample."""
+        by_curve = np.append(delta, 0.0)[self.columns]  # -1: the zero at the end
+        return np.asarray(
+            np.sum(self.design * by_curve.repeat(np.diff(self.starts[self.parts]), axis=0), axis=1)
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:

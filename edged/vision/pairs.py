@@ -10,13 +10,17 @@ camera alone makes them independent. A point that one camera sees alone stays as
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
+from edged.vision.displacements import FAMILIES, evened
 from edged.vision.jit import kernel
+from edged.vision.jointsolver import Samples
 from edged.vision.robust import MIN_SAMPLES, robust_scale
 
 F64 = npt.NDArray[np.float64]
@@ -119,6 +123,51 @@ def pair(
         counts[0] >= MIN_SAMPLES,
         weights.ravel()[chosen],
     )
+
+
+def samples_of(
+    pairs: Pairs,
+    design: Sequence[FloatArray] | FloatArray,
+    columns: npt.NDArray[np.int64],
+    offset_px: FloatArray,
+    bias_px: FloatArray,
+    polarity: npt.NDArray[np.int64],
+    displaced: tuple[FloatArray, FloatArray] | None,
+    unknowns: int,
+) -> tuple[Samples, int]:
+    """The samples of K curves as the solver takes them, and how many unknowns of shared displacements follow.
+
+    design : (N, C) for each camera; columns (K, C), all -1 for a curve not seen.  offset_px (2, N), NaN
+    where there is no edge.  bias_px (2, K) : sigma to expect of slow displacements.  displaced : their shapes
+    (N, A) for each camera, None for curves not yet in their place.
+    Half of a slow displacement is the curve's own, half that of its kind, the polarity: what one kind of edge
+    has in common, it has in both images, for light and walls are the same.
+    """
+    seen = columns[:, 0] >= 0
+    _, kinds = np.unique(polarity > 0, return_inverse=True)
+    shared, priors = np.full(len(kinds), -1), 0
+    waves, families = (np.zeros((len(pairs.both), 0)),) * 2, FAMILIES[:0]
+    if displaced is not None:
+        waves, families = displaced, FAMILIES
+        common = np.unique(kinds[seen])
+        priors = len(families) * len(common)
+        shared = np.where(seen, unknowns + len(families) * np.searchsorted(common, kinds), -1)
+    expected = evened(np.sqrt(np.mean(bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
+    samples = Samples(
+        pairs.rows_of(*design),
+        columns,
+        pairs.starts,
+        pairs.parts,
+        pairs.paired,
+        pairs.rows_of(*np.where(np.isnan(offset_px), 0.0, offset_px)),
+        pairs.base,
+        pairs.rows_of(*waves),
+        families,
+        np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
+        shared,
+        kinds,
+    )
+    return samples, priors
 
 
 @kernel("f8[:, ::1](f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")

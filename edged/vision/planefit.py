@@ -19,11 +19,12 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES
+from edged.vision.circleprojection import bends
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
-from edged.vision.displacements import FAMILIES, displacements, evened, slow_waves
+from edged.vision.displacements import displacements, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
-from edged.vision.pairs import Pairs, pair
+from edged.vision.pairs import Pairs, pair, samples_of
 from edged.vision.projection import shifts_by_calibration
 from edged.vision.robust import MIN_SAMPLES
 from edged.vision.widths import START_WIDTH, choose_widths
@@ -261,18 +262,25 @@ class _State:
         offsets, base, bias = self._measure(images, sides, starts, reach, params, final)
         gain = np.stack([seen.gain for seen in sides])
         pairs = pair(offsets, base, gain, starts, together=final)
-        samples, priors = self._samples(sides, pairs, offsets, bias, gain, final)
+        slant = np.stack([seen.slant for seen in sides])
+        samples, priors = samples_of(
+            pairs,
+            tuple(seen.design for seen in sides),
+            self._columns(),
+            offsets,
+            bias,
+            np.array([curve.polarity for curve in self.curves]),
+            displacements(sides[0].normals, gain, slant) if final else None,
+            self.unknowns,
+        )
         solution = solve(samples, self.unknowns + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
         delta = solution.delta[: self.unknowns]
-        by_curve = np.append(delta, 0.0)[samples.columns]  # -1: the zero at the end
-        rows = np.diff(samples.starts[samples.parts])
-        moved = np.sum(samples.design * by_curve.repeat(rows, axis=0), axis=1)
         return _Step(
             delta,
             self._covariance(samples, solution, pairs, sides) if final else solution.covariance,
-            float(np.abs(moved).max()),
+            float(np.abs(samples.motion(delta)).max()),
             starts,
             np.stack(
                 [s.pixels + s.normals * offset[:, None] for s, offset in zip(sides, offsets, strict=True)]
@@ -281,41 +289,6 @@ class _State:
             pairs.weights_by_camera(solution.weights),
             pairs.by_camera(solution.residuals),
         )
-
-    def _samples(
-        self,
-        sides: tuple[_Side, _Side],
-        pairs: Pairs,
-        offsets: FloatArray,
-        bias: FloatArray,
-        gain: FloatArray,
-        final: bool,
-    ) -> tuple[Samples, int]:
-        """The samples as the solver takes them, and the number of unknowns for shared displacements."""
-        _, kinds = np.unique([curve.polarity > 0 for curve in self.curves], return_inverse=True)
-        shared, priors = np.full(len(kinds), -1), 0
-        waves, families = (np.zeros((len(gain[0]), 0)),) * 2, FAMILIES[:0]
-        if final:  # half of a slow displacement is the curve's own, half that of its kind
-            slant = np.stack([seen.slant for seen in sides])
-            waves, families = displacements(sides[0].normals, gain, slant), FAMILIES
-            priors = len(families) * (int(kinds.max()) + 1)
-            shared = self.unknowns + len(families) * kinds
-        expected = evened(np.sqrt(np.mean(bias**2, axis=0)), kinds) * math.sqrt(0.5)
-        samples = Samples(
-            pairs.rows_of(*(seen.design for seen in sides)),
-            self._columns(),
-            pairs.starts,
-            pairs.parts,
-            pairs.paired,
-            pairs.rows_of(*np.nan_to_num(offsets)),
-            pairs.base,
-            pairs.rows_of(*waves),
-            families,
-            np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
-            shared,
-            kinds,
-        )
-        return samples, priors
 
     def _measure(
         self,
@@ -356,17 +329,8 @@ class _State:
 
     def _curvature(self, seen: _Side, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N,) of the projected curves, 1 / px: blur draws an edge to the centre of its bend."""
-        curvature = np.zeros(len(seen.pixels))
-        for k, curve in enumerate(self.curves):
-            if not curve.closed:
-                continue
-            rows = slice(*starts[k : k + 2])
-            normals, pixels = seen.normals[rows], seen.pixels[rows]
-            before, after = np.roll(normals, 1, axis=0), np.roll(normals, -1, axis=0)
-            turn = np.arcsin(np.clip(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], -1, 1))
-            way = np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
-            curvature[rows] = np.abs(turn) / np.maximum(way, 1e-9)
-        return curvature
+        closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
+        return np.where(closed, bends(seen.pixels, seen.normals, starts), 0.0)
 
     def _covariance(
         self, samples: Samples, solution: Solution, pairs: Pairs, sides: tuple[_Side, _Side]
@@ -376,7 +340,7 @@ class _State:
             return covariance
         left, right = sides
         causes = shifts_by_calibration(self.rig, left.points_mm, left.normals, right.normals)
-        gain = propagate(samples, solution, pairs.rows_of(*np.split(causes, 2)))[: self.unknowns]
+        gain = propagate(samples, solution, pairs.rows_of(*causes))[: self.unknowns]
         return np.asarray(covariance + gain @ self.rig.covariance @ gain.T)
 
     def moved(self, delta: FloatArray) -> _State | None:

@@ -42,10 +42,10 @@ def project_with_jacobians(
 def shifts_by_calibration(
     rig: StereoRig, points_mm: FloatArray, normals_left: FloatArray, normals_right: FloatArray
 ) -> FloatArray:
-    """(2 N, Q): how edges move against the projected curve, along its normals, per unit of each parameter.
+    """(2, N, Q): how edges move against the projected curve, along its normals, per unit of each parameter.
 
-    points_mm (N, 3) rig frame; normals (N, 2) in the raw images; left samples first. The parameters are those
-    of `rig.parameter_names`.
+    points_mm (N, 3) rig frame; normals (N, 2) in the raw images; left first. The parameters are those of
+    `rig.parameter_names`.
     """
     rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
     turned = points_mm @ rotation.T
@@ -56,9 +56,9 @@ def shifts_by_calibration(
     along = np.einsum("ni,nij->nj", normals_right, by_point)
     # a small rotation w on the left of R moves a point by w x (R X): a . (w x b) = w . (b x a)
     right = np.hstack([right, np.cross(turned, along), along])
-    shifts = np.zeros((2 * len(points_mm), left.shape[1] + right.shape[1]))
-    shifts[: len(points_mm), : left.shape[1]] = -left
-    shifts[len(points_mm) :, left.shape[1] :] = -right
+    shifts = np.zeros((2, len(points_mm), left.shape[1] + right.shape[1]))
+    shifts[0, :, : left.shape[1]] = -left
+    shifts[1, :, left.shape[1] :] = -right
     return shifts
 
 

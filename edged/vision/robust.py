@@ -85,17 +85,9 @@ def correlation_length(residuals: F64, weights: F64) -> float:
     return total
 
 
-@kernel("void(f8[:, ::1], b1[::1], f8[::1], f8[::1], f8, f8[:, ::1], f8[::1])", any_order=True)
-def weighted_moments(
-    terms: F64,
-    used: npt.NDArray[np.bool_],
-    values: F64,
-    weights: F64,
-    precision: float,
-    moments: F64,
-    right_side: F64,
-) -> None:
-    """Fill the weighted products of terms (T, N) with themselves and with the values; 0 where not used."""
+@kernel("void(f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[::1])", any_order=True)
+def weighted_moments(terms: F64, values: F64, weights: F64, moments: F64, right_side: F64) -> None:
+    """Fill the weighted products of terms (T, N) with themselves and with the values."""
     size, count = terms.shape
     weighted = np.empty(_AT_ONCE)
     moments[:], right_side[:] = 0.0, 0.0
@@ -103,11 +95,9 @@ def weighted_moments(
         part = min(_AT_ONCE, count - first)
         wanted, weight = values[first : first + part], weights[first : first + part]
         for i in range(size):
-            if not used[i]:
-                continue
             term, total = terms[i, first : first + part], 0.0
             for n in range(part):
-                weighted[n] = weight[n] * precision * term[n]
+                weighted[n] = weight[n] * term[n]
             for n in range(part):
                 total += weighted[n] * wanted[n]
             right_side[i] += total

@@ -141,11 +141,10 @@ def variance_of_mean(values: F64, base: F64, waves: F64, rounds: int, shares: F6
         return np.inf, 0.0
     weights, residuals = np.empty(count), np.empty(count)
     matrix, inverse, right_side = np.empty((many, many)), np.empty((many, many)), np.empty(many)
-    all_used = np.ones(many, np.bool_)
     for _ in range(rounds):
         for n in range(count):
             weights[n] = base[n] * shares[n]
-        weighted_moments(waves, all_used, values, weights, 1.0, matrix, right_side)
+        weighted_moments(waves, values, weights, matrix, right_side)
         if not invert_spd(matrix, inverse):
             return np.inf, 0.0
         for n in range(count):
