@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 STORED = """
 import numpy as np

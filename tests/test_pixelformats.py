@@ -7,7 +7,7 @@ import pytest
 from naive import grey_of_mosaic, nearest_of_256, pack_pixels
 
 from edged.domain import Image
-from edged.vision.pixelformats import BY_CODE, FORMATS, PixelFormat, grey8
+from edged.vision.kernels.pixelformats import BY_CODE, FORMATS, PixelFormat, grey8
 
 EVERY = pytest.mark.parametrize("pixels", FORMATS.values(), ids=FORMATS)
 COLOUR_AT = {"R": (1, 0, 0), "G": (0, 1, 0), "B": (0, 0, 1)}

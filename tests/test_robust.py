@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from edged.domain import FloatArray
-from edged.vision import robust
-from edged.vision.median import median
-from edged.vision.spd import invert_spd
+from edged.vision.kernels import robust
+from edged.vision.kernels.cholesky import invert_spd
+from edged.vision.kernels.median import median
 
 
 def ring(count: int) -> FloatArray:

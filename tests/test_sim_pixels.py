@@ -7,7 +7,7 @@ import pytest
 
 from edged.sim.genicam import PIXEL_FORMATS
 from edged.sim.pixels import encode
-from edged.vision.pixelformats import FORMATS, grey8
+from edged.vision.kernels.pixelformats import FORMATS, grey8
 
 
 @pytest.mark.parametrize(

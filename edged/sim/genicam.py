@@ -11,7 +11,7 @@ from typing import Literal
 
 from edged.sim.clock import PTP_STATES
 from edged.sim.faults import Quirk
-from edged.vision.pixelformats import FORMATS
+from edged.vision.kernels.pixelformats import FORMATS
 
 XML_ADDRESS = 0x0020_0000
 XML_NAME = "edged_virtual_camera.xml"

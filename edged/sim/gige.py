@@ -38,7 +38,7 @@ from edged.sim.registers import INVALID_PARAMETER, SUCCESS, Identity, Registers
 from edged.sim.stream import Pacing, StreamChannel
 from edged.sim.triggers import Triggers
 from edged.sim.wiring import Wire
-from edged.vision.pixelformats import BY_CODE
+from edged.vision.kernels.pixelformats import BY_CODE
 
 __all__ = ["Faults", "GigeCamera", "Pacing", "Quirk", "moving_ramp"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
-from edged.vision.pixelformats import PixelFormat
+from edged.vision.kernels.pixelformats import PixelFormat
 
 
 def encode(image: Image, pixels: PixelFormat) -> bytes:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 TILE = 16
 CELLS = 4

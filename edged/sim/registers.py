@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from edged.sim import genicam as g
 from edged.sim.description import description
 from edged.sim.faults import CLAMPED_EXPOSURE_US, Quirk
-from edged.vision.pixelformats import BY_CODE
+from edged.vision.kernels.pixelformats import BY_CODE
 
 # GigE Vision 2.0, table 19-1
 SUCCESS, NOT_IMPLEMENTED, INVALID_PARAMETER, INVALID_ADDRESS = 0x0000, 0x8001, 0x8002, 0x8003

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.camera import CameraModel
-from edged.vision.jit import for_kernel, kernel
+from edged.vision.kernels.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 

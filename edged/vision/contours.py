@@ -18,7 +18,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.vision.edges import edges_along_normals
 from edged.vision.fitting import FitParams, fit_circle, fit_line
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.shape.strongedges import strong_edges
 
 I64 = npt.NDArray[np.int64]

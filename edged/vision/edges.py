@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.jit import for_kernel, kernel
+from edged.vision.kernels.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]

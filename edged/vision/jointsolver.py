@@ -23,9 +23,9 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.displacements import DOUBT_PX, learn_sizes
-from edged.vision.jit import kernel
-from edged.vision.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
-from edged.vision.spd import invert_spd
+from edged.vision.kernels.cholesky import invert_spd
+from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

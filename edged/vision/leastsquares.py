@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 SMOOTHING_PX = 0.7  # takes noise from the gradients; less costs precision, more as well
 RADIUS = 3

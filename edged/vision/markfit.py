@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 CORNER, DOT = 0, 1
 _MOST_UNKNOWNS = 10

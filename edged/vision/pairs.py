@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.displacements import FAMILIES, evened
-from edged.vision.jit import kernel
 from edged.vision.jointsolver import Samples
-from edged.vision.robust import MIN_SAMPLES, robust_scale
+from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

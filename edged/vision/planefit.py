@@ -24,9 +24,9 @@ from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, se
 from edged.vision.displacements import displacements, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
+from edged.vision.kernels.robust import MIN_SAMPLES
 from edged.vision.pairs import Pairs, pair, samples_of
 from edged.vision.projection import shifts_by_calibration
-from edged.vision.robust import MIN_SAMPLES
 from edged.vision.widths import START_WIDTH, choose_widths
 
 AGREE_PX = 0.5

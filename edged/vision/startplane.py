@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges import edges_along_normals
-from edged.vision.jit import for_kernel, kernel
+from edged.vision.kernels.jit import for_kernel, kernel
 from edged.vision.rectification import Rectification
 from edged.vision.triangulation import triangulate
 

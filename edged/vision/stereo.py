@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.leastsquares import (
     GAIN,
     LEFT_PATCH,

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.edges import WIDTHS_PX, EdgeSamples
-from edged.vision.jit import kernel
-from edged.vision.median import median
-from edged.vision.robust import (
+from edged.vision.kernels.cholesky import invert_spd
+from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.median import median
+from edged.vision.kernels.robust import (
     MIN_SAMPLES,
     MIN_SIGMA_PX,
     correlation_length,
@@ -24,7 +25,6 @@ from edged.vision.robust import (
     tukey_weight,
     weighted_moments,
 )
-from edged.vision.spd import invert_spd
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -20,7 +20,7 @@ from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.head import camera_facts, camera_figures, head_of
 from edged.sim import genicam as g
-from edged.vision.pixelformats import FORMATS
+from edged.vision.kernels.pixelformats import FORMATS
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 

@@ -15,7 +15,7 @@ from edged.sim.clock import DeviceClock
 from edged.sim.gige import GigeCamera, moving_ramp
 from edged.sim.gvcp import ACTION, GVCP_PORT
 from edged.sim.registers import ACTION_LATE, INVALID_PARAMETER, NO_REFERENCE_TIME, SUCCESS
-from edged.vision.pixelformats import FORMATS
+from edged.vision.kernels.pixelformats import FORMATS
 from tests.gigeclient import Client, Stream, acquiring
 
 ADDRESS, OTHER = "127.0.51.1", "127.0.51.2"

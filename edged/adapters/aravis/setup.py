@@ -15,7 +15,7 @@ from edged.adapters.aravis.library import translated
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.trigger import arm, set_output, trigger_names
 from edged.errors import CameraSetupError, WrongCamera
-from edged.vision.pixelformats import FORMATS
+from edged.vision.kernels.pixelformats import FORMATS
 
 NEUTRAL: Mapping[str, Value] = {
     "OffsetX": 0,

@@ -13,7 +13,7 @@ import numpy as np
 from edged.adapters.aravis.clock import host_ns
 from edged.adapters.aravis.setup import Placement
 from edged.domain import Image
-from edged.vision.pixelformats import BY_CODE, grey8
+from edged.vision.kernels.pixelformats import BY_CODE, grey8
 
 PUMP_POLL_US = 20_000
 """How long a stopping pump may still wait; nothing else depends on it."""

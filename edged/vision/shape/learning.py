@@ -11,7 +11,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges import edges_along_normals
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.shape.levels import surviving_levels
 from edged.vision.shape.model import MAX_POINTS, ShapeLevel, ShapeModel
 from edged.vision.shape.modelparams import MAX_LEVELS, MIN_POINTS, ModelParams

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
 
 REACH_PX, STRIDE_PX = 6, 2

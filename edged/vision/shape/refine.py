@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 Array = npt.NDArray[Any]
 

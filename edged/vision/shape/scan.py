@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.shape.simd import GROUP, LANES, add_vectors
 
 ORIENTATIONS = 16

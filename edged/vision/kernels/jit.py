@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.jitcache import QuickCache, load_quickly
+from edged.vision.kernels.jitcache import QuickCache, load_quickly
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 F64 = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.jit import kernel
-from edged.vision.median import median
+from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.median import median
 
 F64 = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 Layout = Literal["bytes", "words", "pairs", "bits"]
 

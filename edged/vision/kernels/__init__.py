@@ -1,0 +1,1 @@
+"""Compiled arithmetic without a model: how kernels are compiled, Cholesky, median, robust weights, pixels."""
