@@ -16,9 +16,9 @@ from edged.config import Config, load
 from edged.errors import ConfigError, UserError
 from edged.jobs import job_folders, load_job
 from edged.store import load_rig
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.job import Job
-from edged.vision.rectification import Rectification, make_rectification
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ from edged.domain import (
     Status,
     Target,
 )
-from edged.vision.geometry import skew
+from edged.vision.geometry.rigid import skew
 
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning or goes away; new fields do not raise it."""

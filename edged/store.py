@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.errors import FileFormatError, ImageError
-from edged.vision.camera import DISTORTION_NAMES, CameraModel, StereoRig
+from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1

@@ -14,8 +14,8 @@ from scipy.special import erf
 
 from edged.domain import FloatArray, Image
 from edged.vision.boards import Board, Chessboard, CircleGrid, Detection, DotGrid, StereoView
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import apply, rotation_matrix, rotation_vector, transform
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply, rotation_matrix, rotation_vector, transform
 
 BLACK, WHITE, BACKGROUND = 25.0, 210.0, 60.0
 

@@ -11,8 +11,8 @@ import numpy as np
 from edged.domain import FloatArray, Frame, FramePair, Image
 from edged.sim.cell import demo_part, demo_rig, stereo_views
 from edged.sim.scene import Part, Placed, Scene, Surface, Table
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import rotation_matrix
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.teachingregion import Region
 
 PLACE_MM = (8.0, 0.0, 205.0)

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from edged.domain import FloatArray
-from edged.vision.camera import CameraModel, LensModel, StereoRig
-from edged.vision.geometry import apply, rotation_matrix, transform
+from edged.vision.geometry.camera import CameraModel, LensModel, StereoRig
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 
 def make_camera(

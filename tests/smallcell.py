@@ -25,7 +25,7 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 SHRINK = 4
 WIDTH, HEIGHT = 1280 // SHRINK, 960 // SHRINK

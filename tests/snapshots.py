@@ -18,7 +18,7 @@ from edged.domain import (
     Status,
     Target,
 )
-from edged.vision.geometry import rotation_matrix, transform
+from edged.vision.geometry.rigid import rotation_matrix, transform
 
 
 def make_transform(turn_rad: tuple[float, float, float], shift_mm: tuple[float, float, float]) -> FloatArray:

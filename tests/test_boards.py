@@ -16,7 +16,7 @@ from edged.vision.boards import Charuco, Chessboard, CircleGrid, Detection, DotG
 from edged.vision.charuco import detect_charuco
 from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.dots import detect_dots, remeasure_dots
-from edged.vision.geometry import apply, rotation_matrix
+from edged.vision.geometry.rigid import apply, rotation_matrix
 from edged.vision.markfit import CORNER, DOT, accumulate, fit_corners, solve_spd
 
 SMALL = make_rig(focal_px=1590.0, size=(640, 480))

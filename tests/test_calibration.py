@@ -14,8 +14,8 @@ from edged.errors import CalibrationError
 from edged.vision.boards import Board, Chessboard, Detection, Missed, StereoView
 from edged.vision.bundle import BundleState, LensFreedom, Observations, adjust
 from edged.vision.calibration import Calibration, calibrate_stereo
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import rotation_matrix, rotation_vector, transform
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, transform
 
 BOARD = Chessboard(11, 8, 4.0)
 SIZE = (1280, 960)

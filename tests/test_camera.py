@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 BROWN = CameraModel("brown", 1280, 960, 3171.0, 3174.0, 641.8, 478.6, (-0.214, 0.135, 5.5e-4, -4.0e-4, 0.02))
 DIVISION = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))

@@ -15,11 +15,11 @@ from rigs import make_rig
 from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_rig
 from edged.sim.scene import Box, Disc, Hole, Part, Sensor, Surface
-from edged.vision.camera import LensModel
 from edged.vision.circlefit import CircleFit, CircleGuess, circle_axes, project_circle
 from edged.vision.edges import edge_profiles
 from edged.vision.facefit import fit_circle, fit_face
-from edged.vision.geometry import rotation_matrix
+from edged.vision.geometry.camera import LensModel
+from edged.vision.geometry.rigid import rotation_matrix
 
 RIG, SMALL = demo_rig(), small_rig()
 METAL = Surface(albedo=0.62, contrast=0.05, feature_mm=0.5, seed=1)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rigs import make_rig
 
-from edged.vision.camera import LensModel
 from edged.vision.circlefit import circle_axes
 from edged.vision.circleprojection import bends, project_samples
-from edged.vision.geometry import rotation_matrix
+from edged.vision.geometry.camera import LensModel
+from edged.vision.geometry.rigid import rotation_matrix
 
 
 @pytest.mark.parametrize("model", ["division", "brown"])

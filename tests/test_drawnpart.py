@@ -21,7 +21,7 @@ from edged.errors import TeachError, UserError
 from edged.jobs import load_job, save_job
 from edged.pipeline import locate, prepare
 from edged.vision.drawnpart import teach_drawing
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.rectification import make_rectification
 from edged.vision.shape.raster import coverage
 
 DEPTH_MM = 205.0

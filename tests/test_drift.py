@@ -20,8 +20,8 @@ from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Calibrated, CellState, Event, Measurement, Outcome, Reject, Status, Target
 from edged.drift import DriftLimits, DriftMonitor
 from edged.pipeline import locate, prepare
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import rotation_matrix, transform
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.teaching import teach
 
 NOMINAL_MM = 14.0

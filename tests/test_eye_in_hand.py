@@ -24,7 +24,7 @@ from edged.errors import CommandRefused, FileFormatError
 from edged.payload import command_to_json, moved_frame
 from edged.robots import ANGLES_DEG, Convention, rotation_of
 from edged.store import load_rig, save_rig
-from edged.vision.geometry import apply, rotation_matrix, transform
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
 COMMAND = reg.ADDRESS["COMMAND"]

@@ -13,7 +13,7 @@ from edged.domain import FloatArray
 from edged.sim.scene import Surface
 from edged.vision.faceedges import without_background
 from edged.vision.featureteaching import TeachingView
-from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching import teach
 

@@ -18,7 +18,7 @@ from edged.sim.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.curves import Curve, Face
 from edged.vision.features import measure_part
 from edged.vision.flatness import form_of
-from edged.vision.geometry import apply, invert
+from edged.vision.geometry.rigid import apply, invert
 from edged.vision.job import Job, MeasurementSpec, nominal_size
 from edged.vision.measurement import Images, Measured
 from edged.vision.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair

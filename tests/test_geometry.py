@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.geometry import (
+from edged.vision.geometry.rigid import (
     apply,
     cross,
     fit_rigid,

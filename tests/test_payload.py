@@ -23,7 +23,7 @@ from edged.payload import (
     state_to_json,
     target_to_json,
 )
-from edged.vision.geometry import rotation_matrix, rotation_vector
+from edged.vision.geometry.rigid import rotation_matrix, rotation_vector
 
 ROBOT_FROM_RIG = make_transform((0.4, 1.1, -0.7), (500.0, -200.0, 300.0))
 SCHEMA = load_schema()

@@ -12,7 +12,7 @@ from rigs import make_rig
 from edged.domain import FloatArray
 from edged.vision.boards import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
 from edged.vision.calibration import Calibration, calibrate_stereo
-from edged.vision.geometry import fit_rigid
+from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.plate import deviation_mm, nominal, plate_basis, shaped
 
 RIG = make_rig()

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rigs import make_camera, make_rig, random_points, rigs
 
 from edged.errors import CalibrationError, ImageError
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import apply, rotation_matrix, transform
-from edged.vision.rectification import make_rectification, row_difference_px
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import make_rectification, row_difference_px
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 few = settings(max_examples=12, deadline=None)  # each example builds four maps
 

@@ -36,7 +36,7 @@ from edged.sim.cell import calibration_views
 from edged.sim.scene import chessboard_plate
 from edged.store import load_rig, load_rig_quality, save_rig
 from edged.vision.conventions import rank_readings
-from edged.vision.geometry import apply, invert, rotation_vector, transform
+from edged.vision.geometry.rigid import apply, invert, rotation_vector, transform
 from edged.vision.registration import Mount, hand_eye, register_points
 
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))

@@ -24,8 +24,8 @@ from edged.rigformats import Options, RigFormat, read_rig, rig_format, write_rig
 from edged.rigformats.files import parse_size
 from edged.rigformats.lens import MAX_ERROR_PX
 from edged.store import load_rig, save_rig
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import apply
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply
 
 NAMES: dict[RigFormat, str] = {
     "edged": "rig.json",

@@ -16,7 +16,7 @@ from snapshots import make_snapshot, make_target, make_transform
 from edged.adapters.zenoh import ros2
 from edged.domain import Reject, Status
 from edged.errors import ConfigError
-from edged.vision.geometry import rotation_matrix
+from edged.vision.geometry.rigid import rotation_matrix
 
 # Written by rosbags 0.11.9 (an encoder that shares nothing with ours) for stamp 1700000000.123456789,
 # position (0.01, -0.02, 0.2), quaternion (0.5, -0.5, 0.5, 0.5), covariance 0, 1, ... 35, by frame_id:

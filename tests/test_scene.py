@@ -47,8 +47,8 @@ from edged.sim.scene import (
     dots_plate,
     extent_mm,
 )
-from edged.vision.camera import CameraModel
-from edged.vision.geometry import rotation_matrix
+from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.rigid import rotation_matrix
 
 DIVISION = CameraModel("division", 1280, 960, 3183.6, 3180.1, 645.8, 478.1, (-0.2416,))
 BROWN = CameraModel("brown", 1280, 960, 3183.6, 3180.1, 645.8, 478.1, (-0.21, 0.14, 5e-4, -4e-4, 0.02))

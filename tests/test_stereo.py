@@ -17,9 +17,9 @@ from edged.errors import ImageError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.scene import Surface
 from edged.vision import leastsquares, ncc
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.geometry.triangulation import triangulate
 from edged.vision.stereo import NccMatches, NccParams, Reason, match_ncc
-from edged.vision.triangulation import triangulate
 
 Texture = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -20,7 +20,7 @@ from edged.store import (
     save_rig,
     write_atomically,
 )
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 CAMERA = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))
 

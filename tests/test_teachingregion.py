@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from edged.commands.teach import parse_contrast, parse_region
 from edged.errors import ImageError, TeachError
-from edged.vision.geometry import apply
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.geometry.rigid import apply
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching import teach
 from edged.vision.teachingregion import Area, Circle, Painted, Polygon, Region, painted_region

@@ -8,11 +8,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from rigs import make_camera, make_rig, random_points, rigs
 
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import apply
-from edged.vision.projection import project_with_jacobians
-from edged.vision.rectification import make_rectification
-from edged.vision.triangulation import raw_covariance, triangulate, triangulate_raw, triangulation_covariance
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import project_with_jacobians
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.triangulation import (
+    raw_covariance,
+    triangulate,
+    triangulate_raw,
+    triangulation_covariance,
+)
 
 
 @settings(max_examples=12, deadline=None)

@@ -21,9 +21,9 @@ from edged.errors import ImageError, UserError
 from edged.jobs import save_job
 from edged.store import save_rig
 from edged.vision.boards import Chessboard, Missed, parse_board
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import rotation_matrix, transform
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.teaching import teach
 from edged.vision.verification import Length, check_board, pose_of_board
 

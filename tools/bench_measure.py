@@ -32,13 +32,13 @@ from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, s
 from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.scene import Disc, Part, Sensor, Surface
-from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES, CircleGuess, project_circle
 from edged.vision.edges import edge_profiles
 from edged.vision.facefit import fit_circle
 from edged.vision.features import measure_part
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.measurement import Images, Measured
-from edged.vision.rectification import Rectification, make_rectification
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching import teach
 

@@ -25,8 +25,8 @@ from plainopencv import PlainRig, calibrate_plain, measure_circle, true_plain_ri
 
 from edged.domain import FloatArray
 from edged.store import load_image, save_rig
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import apply
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply
 
 PAPER = {1: (1.020, 0.1968), 2: (0.621, 0.2106), 3: (1.009, 0.2636), 4: (0.422, 0.3877)}
 OUTLINE_POINTS = 100

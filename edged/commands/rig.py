@@ -11,7 +11,7 @@ from edged.errors import UserError
 from edged.rigformats import Options, read_rig, rig_format, write_rig
 from edged.rigformats.files import UNITS_MM, parse_size
 from edged.store import keep_old_rig
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.rectification import make_rectification
 
 
 def convert(

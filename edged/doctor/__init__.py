@@ -24,7 +24,7 @@ from edged.doctor.findings import Check, Verdict
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
 
 __all__ = ["Check", "Verdict", "examine"]
 

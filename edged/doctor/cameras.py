@@ -13,7 +13,7 @@ from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces
 from edged.doctor.network import Place, home, look_at_network
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
 
 
 def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:

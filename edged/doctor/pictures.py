@@ -22,7 +22,7 @@ from edged.errors import (
 )
 from edged.head import camera_facts, head_of
 from edged.sim.world import VirtualWorld
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
 
 TRIGGERS = 5
 

@@ -10,11 +10,11 @@ import numpy as np
 from edged.domain import FloatArray
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
 from edged.vision.calibration import Calibration
-from edged.vision.camera import CameraModel
-from edged.vision.geometry import apply
+from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.heldout import HeldOutView
 from edged.vision.nextview import depths_mm
-from edged.vision.triangulation import raw_covariance
 
 _NOISE_PX = 0.05
 _MAP_COLUMNS, _MAP_ROWS = 8, 6

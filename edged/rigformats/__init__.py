@@ -16,7 +16,7 @@ from edged.errors import FileFormatError, UserError
 from edged.rigformats import halcon, kalibr, opencv, ros
 from edged.rigformats.files import DEFAULTS, Imported, Options
 from edged.store import load_rig, save_rig
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
 
 RigFormat = Literal["edged", "opencv", "ros", "kalibr", "halcon"]
 __all__ = ["Imported", "Options", "RigFormat", "read_rig", "rig_format", "write_rig"]

@@ -14,8 +14,8 @@ import yaml
 from edged.domain import FloatArray
 from edged.errors import FileFormatError, UserError
 from edged.store import read_bytes
-from edged.vision.camera import CameraModel, StereoRig, calibration_identity
-from edged.vision.geometry import nearest_rotation, transform
+from edged.vision.geometry.camera import CameraModel, StereoRig, calibration_identity
+from edged.vision.geometry.rigid import nearest_rotation, transform
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _MAX_SIZE_PX = 100_000

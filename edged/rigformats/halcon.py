@@ -24,8 +24,8 @@ from edged.errors import FileFormatError
 from edged.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation
 from edged.rigformats.lens import from_polynomial, to_polynomial
 from edged.store import read_bytes, write_atomically
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import invert, rotation_matrix
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import invert, rotation_matrix
 
 _SUFFIXES = (".dat", ".cal", ".txt")
 _POLY = ("Poly1", "Poly2", "Poly3", "Poly4", "Poly5")

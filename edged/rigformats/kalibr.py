@@ -16,7 +16,7 @@ from edged.errors import FileFormatError, UserError
 from edged.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation
 from edged.rigformats.lens import as_radtan
 from edged.store import write_atomically
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 
 def recognises(path: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.vision.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel
 
 MAX_ERROR_PX = 0.05  # above what edged measures with; no conversion may cost that much unseen
 _GRID = 41  # points along each side of the image; a lens is smooth

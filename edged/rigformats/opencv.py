@@ -27,7 +27,7 @@ from edged.rigformats.files import (
 )
 from edged.rigformats.lens import as_brown
 from edged.store import write_atomically
-from edged.vision.camera import StereoRig
+from edged.vision.geometry.camera import StereoRig
 
 _SUFFIXES = (".yml", ".yaml")
 # OpenCV has no names of its own for these: its sample's first, then those most often met

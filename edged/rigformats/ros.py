@@ -32,8 +32,8 @@ from edged.rigformats.files import (
 from edged.rigformats.files import relation as checked_relation
 from edged.rigformats.lens import as_brown
 from edged.store import write_atomically
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.rectification import Rectification, make_rectification
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rectification import Rectification, make_rectification
 
 _SUFFIXES = (".yml", ".yaml")
 _KEYS = ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix")

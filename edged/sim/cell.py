@@ -35,7 +35,7 @@ from edged.sim.scene import (
     View,
     extent_mm,
 )
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 CAMERAS = ("left", "right")
 PAIR_WINDOW_NS = 50_000_000

@@ -1,4 +1,4 @@
-"""The renderer's own lenses: the same physics as `edged.vision.camera`, by other algebra.
+"""The renderer's own lenses: the same physics as `edged.vision.geometry.camera`, by other algebra.
 
 The pipeline inverts what the renderer draws, so both must not share code: a mistake in one
 would cancel. Here every inverse is the same fixed-point iteration on the defining direction
@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel
 
 TOLERANCE = 1e-15  # of normalised coordinates: 3e-12 px at f = 3000 px
 MAX_ITERATIONS = 200

@@ -23,7 +23,7 @@ from edged.domain import FloatArray, Image
 from edged.sim import raster
 from edged.sim.lens import project, rays_of_pixels
 from edged.sim.raster import F32
-from edged.vision.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel
 
 # --- outlines ------------------------------------------------------------------------------------
 

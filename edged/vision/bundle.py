@@ -14,9 +14,9 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.boards import IntArray
-from edged.vision.camera import DISTORTION_NAMES, CameraModel
-from edged.vision.geometry import apply, rotation_matrix, skew, transform
-from edged.vision.projection import project_with_jacobians
+from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
+from edged.vision.geometry.projection import project_with_jacobians
+from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
 
 _MAX_STEPS = 60
 _START_DAMPING = 1e-6

@@ -26,10 +26,16 @@ from edged.vision.bundle import (
     adjust,
     relation_information,
 )
-from edged.vision.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig, calibration_identity
-from edged.vision.geometry import apply
+from edged.vision.geometry.camera import (
+    DISTORTION_NAMES,
+    CameraModel,
+    LensModel,
+    StereoRig,
+    calibration_identity,
+)
+from edged.vision.geometry.rectification import row_difference_px
+from edged.vision.geometry.rigid import apply
 from edged.vision.plate import PRIOR_SHARE, deviation_mm, plate_basis, shaped
-from edged.vision.rectification import row_difference_px
 from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
 
 # |value| / sigma from which a parameter is taken to be real. Not less: errors of neighbouring marks are

@@ -19,7 +19,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.boards import Chessboard, Detection, IntArray, Missed
-from edged.vision.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel
 from edged.vision.markfit import fit_corners
 
 _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Circle3D, FloatArray
-from edged.vision.camera import StereoRig
 from edged.vision.circleprojection import project_samples
+from edged.vision.geometry.camera import StereoRig
 
 SIDES = ("left", "right")
 _NO_MOTION = np.eye(4)

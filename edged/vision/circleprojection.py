@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel
 from edged.vision.kernels.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]

@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import StereoRig
 from edged.vision.displacements import slants
-from edged.vision.geometry import apply
-from edged.vision.projection import project_with_jacobians
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import project_with_jacobians
+from edged.vision.geometry.rigid import apply
 
 Kind = Literal["circle", "edge", "slot"]
 PARAMETERS: dict[Kind, tuple[str, ...]] = {

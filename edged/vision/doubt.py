@@ -24,8 +24,8 @@ import numpy as np
 
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
 from edged.vision.circlefit import CircleFit
+from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import Job
-from edged.vision.rectification import Rectification
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 

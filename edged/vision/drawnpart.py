@@ -16,7 +16,8 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.geometry import transform
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import transform
 from edged.vision.job import (
     DEPTH_SHARE,
     CircleFeature,
@@ -26,7 +27,6 @@ from edged.vision.job import (
     known_radius,
     usual_limits,
 )
-from edged.vision.rectification import Rectification
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.raster import coverage

@@ -10,10 +10,10 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves import Curve
 from edged.vision.edges import edges_along_normals
-from edged.vision.geometry import apply, fit_rigid
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, fit_rigid
 from edged.vision.job import Job
 from edged.vision.measurement import Images
-from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import find_plane
 

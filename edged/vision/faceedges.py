@@ -13,7 +13,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.contours import Contour, find_contours
 from edged.vision.edges import edges_along_normals
 from edged.vision.featureteaching import TeachingView
-from edged.vision.startplane import Plane
+from edged.vision.geometry.plane import Plane
 
 MAX_MISMATCH_PX = 1.0
 """Along the normal, left against right: shading moves an edge of the face by less, chance by more."""

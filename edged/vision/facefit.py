@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Circle3D, FloatArray, Image
-from edged.vision.camera import StereoRig
 from edged.vision.circlefit import (
     SIDES,
     CircleFit,
@@ -37,12 +36,13 @@ from edged.vision.circlefit import (
 from edged.vision.circleprojection import bends
 from edged.vision.displacements import displacements, slants, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
-from edged.vision.geometry import cross, unit
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import shifts_by_calibration
+from edged.vision.geometry.rigid import cross, unit
 from edged.vision.jointsolver import ROUGHLY, SETTLED, propagate, solve
 from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 from edged.vision.pairs import pair, samples_of
-from edged.vision.projection import shifts_by_calibration
 from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
 AGREE_PX = 0.5

@@ -15,12 +15,13 @@ from edged.domain import FloatArray, Image
 from edged.vision.contours import Contour, find_contours, pieces
 from edged.vision.curves import Curve, Face
 from edged.vision.edges import edges_along_normals
-from edged.vision.geometry import transform
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import transform
 from edged.vision.job import CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.planefit import CurveFit, PlaneFit, PlaneFitParams, fit_plane
-from edged.vision.rectification import Rectification
 from edged.vision.slots import fit_slot
-from edged.vision.startplane import Plane, find_plane
+from edged.vision.startplane import find_plane
 
 BAND_PX = 7
 """Around a circle that is already a feature: its own edge and the other edge of its chamfer."""

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import FloatArray, Measurement
+from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import Job
 from edged.vision.measurement import Images, Measured
 from edged.vision.pointcloud import face_points, heights_mm
-from edged.vision.rectification import Rectification
 from edged.vision.sizes import as_measurement
 
 REACH_MM = 1.0

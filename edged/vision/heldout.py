@@ -23,9 +23,9 @@ from edged.vision.calibration import (
     observations,
     with_model_error,
 )
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import fit_rigid
-from edged.vision.triangulation import triangulate_raw
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import fit_rigid
+from edged.vision.geometry.triangulation import triangulate_raw
 
 _MAX_FOLDS = 10
 _MIN_REST = 3  # views a calibration needs

@@ -16,13 +16,14 @@ from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, Face
 from edged.vision.doubt import growth_of, row_shift_px
 from edged.vision.edges import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
-from edged.vision.geometry import apply, cross, rotation_matrix, transform, unit
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import about_z, apply, cross, rotation_matrix, transform, unit
 from edged.vision.job import CircleFeature, Job
 from edged.vision.planefit import CurveFit
 from edged.vision.quality import Evidence
-from edged.vision.rectification import Rectification
 from edged.vision.shape.search import ShapeMatch
-from edged.vision.startplane import Plane, find_plane
+from edged.vision.startplane import find_plane
 from edged.vision.wrongedge import is_doubtful
 
 DEPTH_MARGIN = 0.05
@@ -300,11 +301,6 @@ def _maps_on_itself(job: Job, turn: float) -> bool:
         )
         for circle in job.circles
     )
-
-
-def about_z(angle_rad: float) -> FloatArray:
-    """The rotation (3, 3) about z."""
-    return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
 
 
 def _together(

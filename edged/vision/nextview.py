@@ -18,9 +18,9 @@ from edged.domain import FloatArray
 from edged.vision.boards import Board
 from edged.vision.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration import Calibration, freedom_of
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import apply, rotation_matrix, transform
-from edged.vision.uncertainty import shift_by_parameters
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
+from edged.vision.geometry.uncertainty import shift_by_parameters
 
 BoolArray = npt.NDArray[np.bool_]
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from edged.vision.boards import StereoView
 from edged.vision.calibration import epipolar_errors_px, marks_in_both
-from edged.vision.camera import CameraModel, StereoRig
-from edged.vision.geometry import transform
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import transform
 from edged.vision.plate import nominal
 
 _MIN_MARKS = 6

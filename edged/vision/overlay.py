@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from edged.domain import Dismissed, FloatArray, Image, Status, Target
-from edged.vision.camera import StereoRig
 from edged.vision.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.vision.evidence import (
     GOLD,
@@ -32,6 +31,7 @@ from edged.vision.evidence import (
     missing_outlines,
     residuals,
 )
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.job import Job
 from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
 from edged.vision.measurement import Measured

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.camera import CameraModel
-from edged.vision.geometry import apply
+from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.rigid import apply
 from edged.vision.lettering import Canvas, Colour
 
 DIMMED = 0.8

@@ -17,16 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.camera import StereoRig
 from edged.vision.circlefit import SIDES
 from edged.vision.circleprojection import bends
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
 from edged.vision.displacements import displacements, slow_waves
 from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
 from edged.vision.kernels.robust import MIN_SAMPLES
 from edged.vision.pairs import Pairs, pair, samples_of
-from edged.vision.projection import shifts_by_calibration
 from edged.vision.widths import START_WIDTH, choose_widths
 
 AGREE_PX = 0.5

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.geometry import apply, invert
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.job import Job
 from edged.vision.measurement import Images, Measured
-from edged.vision.rectification import Rectification
 from edged.vision.stereo import NccParams, Reason, match_ncc
-from edged.vision.triangulation import triangulate, triangulate_raw, triangulation_covariance
 
 CONTOUR, FACE = 0, 1
 GRID_PX = 8

@@ -9,8 +9,8 @@ import numpy as np
 
 from edged.domain import Measurement, Reject, Target
 from edged.vision.doubt import doubt_by_rows, doubt_by_sizes, doubted
+from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import Job, Limits
-from edged.vision.rectification import Rectification
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.geometry import (
+from edged.vision.geometry.rigid import (
     apply,
     fit_rigid,
     invert,

@@ -8,15 +8,14 @@ Points on edges along the row have no disparity of their own and are left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges import edges_along_normals
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.triangulation import triangulate
 from edged.vision.kernels.jit import for_kernel, kernel
-from edged.vision.rectification import Rectification
-from edged.vision.triangulation import triangulate
 
 MAX_SLOPE = 0.25
 """Of the disparity over the image, px per px: faces tilted by up to about 25° at Z / baseline = 2."""
@@ -25,18 +24,6 @@ MIN_ALONG_ROW = 0.45
 TOLERANCE_PX = 1.0
 RIVALS = 12
 TRIALS = 1500
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plane:
-    """Points X of the rig frame with normal . X = offset; the normal points towards the cameras."""
-
-    normal: FloatArray
-    offset: float
-
-    def meet(self, rays: FloatArray) -> FloatArray:
-        """Points (..., 3) where rays (..., 3) from the rig's origin meet the plane."""
-        return np.asarray(rays * (self.offset / (rays @ self.normal))[..., None])
 
 
 def find_plane(

@@ -11,8 +11,8 @@ import numpy as np
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.boards import Board, Detection, Missed, StereoView
-from edged.vision.camera import CameraModel, LensModel
-from edged.vision.geometry import invert, rotation_matrix, rotation_vector, transform
+from edged.vision.geometry.camera import CameraModel, LensModel
+from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector, transform
 
 MIN_VIEWS = 3  # two give no redundancy at all for the distortion
 MIN_MARKS = 8  # in one image: a homography and as much redundancy again

@@ -22,13 +22,14 @@ from edged.vision.featureteaching import (
     outline_mask,
     part_frame,
 )
-from edged.vision.geometry import apply, invert, transform
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, invert, transform
 from edged.vision.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
-from edged.vision.rectification import Rectification
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
-from edged.vision.startplane import Plane, find_plane
+from edged.vision.startplane import find_plane
 from edged.vision.teachingregion import Area, painted_region
 from edged.vision.wrongedge import is_double
 

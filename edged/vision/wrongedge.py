@@ -17,8 +17,8 @@ from edged.domain import FloatArray, Image
 from edged.vision.circlefit import SIDES, CircleFit, CircleFitParams, CircleGuess, project_circle
 from edged.vision.edges import edge_profiles
 from edged.vision.facefit import fit_circle
+from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import CircleFeature, Job
-from edged.vision.rectification import Rectification
 
 PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
 MIN_SUPPORT = 0.6

@@ -23,7 +23,7 @@ from snapshots import make_target
 from edged.adapters.modbus import ModbusSettings
 from edged.commands.registers import render
 from edged.domain import Reject
-from edged.vision.geometry import rotation_vector
+from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0
 

@@ -25,7 +25,7 @@ from edged.adapters.web.server import FREE, STATIC
 from edged.domain import CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
 from edged.errors import ListenError
 from edged.sim.cell import demo_rig
-from edged.vision.rectification import make_rectification
+from edged.vision.geometry.rectification import make_rectification
 
 PASSWORD = "correct horse"
 HASH = hash_password(PASSWORD)

@@ -31,7 +31,7 @@ from edged.domain import (
 from edged.errors import CommandRefused
 from edged.ports import Commander
 from edged.robots import rotation_of
-from edged.vision.geometry import transform
+from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"
 STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}

@@ -20,7 +20,7 @@ from cv2.typing import MatLike
 from edged.domain import CellState, Event, ExposureDone, FloatArray, FramePair, Snapshot, Status, Target
 from edged.payload import Json, snapshot_to_json, state_to_json
 from edged.recording import FaultMemory
-from edged.vision.rectification import Rectification
+from edged.vision.geometry.rectification import Rectification
 
 HISTORY = 600
 """Cycles in the trends."""

@@ -22,7 +22,7 @@ import zenoh
 from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
 from edged.errors import ConfigError
 from edged.payload import robot_covariance
-from edged.vision.geometry import rotation_vector
+from edged.vision.geometry.rigid import rotation_vector
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10
 POSE_SIZES_M = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # mm to m, rad stays

@@ -164,3 +164,8 @@ def fit_rigid(
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(source), 3, 3)), -skew(arms)], axis=2)
     normal = np.einsum("n,nij,nik->jk", w, jacobian, jacobian)
     return RigidFit(fitted, scale, residuals, sigma, sigma**2 * np.linalg.inv(normal))
+
+
+def about_z(angle_rad: float) -> FloatArray:
+    """The rotation (3, 3) about z."""
+    return rotation_matrix(np.array([0.0, 0.0, angle_rad]))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, ImageError
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 Side = Literal["left", "right"]
 # Not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moved by up to 0.05 px,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import skew
-from edged.vision.projection import project_with_jacobians
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import project_with_jacobians
+from edged.vision.geometry.rigid import skew
 
 
 def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import StereoRig
-from edged.vision.geometry import apply
-from edged.vision.projection import project_with_jacobians
-from edged.vision.rectification import Rectification
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import project_with_jacobians
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply
 
 _GAUSS_NEWTON_STEPS = 5  # converges quadratically from the midpoint: 2-3 steps reach 1e-9 mm
 

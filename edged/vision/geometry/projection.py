@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 
 
 def project_with_jacobians(

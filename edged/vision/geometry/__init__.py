@@ -1,0 +1,1 @@
+"""Rigid motions, lenses and two views: project, rectify, triangulate, and their derivatives."""
