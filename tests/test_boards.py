@@ -12,12 +12,12 @@ from naive import corner_model, dot_model
 from rigs import make_rig
 
 from edged.errors import CalibrationError
-from edged.vision.boards import Charuco, Chessboard, CircleGrid, Detection, DotGrid, Missed, parse_board
-from edged.vision.charuco import detect_charuco
-from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
-from edged.vision.dots import detect_dots, remeasure_dots
+from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, Detection, DotGrid, Missed, parse_board
+from edged.vision.boards.charuco import detect_charuco
+from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
+from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
+from edged.vision.boards.markmodels import CORNER, DOT, accumulate, fit_corners, solve_spd
 from edged.vision.geometry.rigid import apply, rotation_matrix
-from edged.vision.markfit import CORNER, DOT, accumulate, fit_corners, solve_spd
 
 SMALL = make_rig(focal_px=1590.0, size=(640, 480))
 

@@ -11,7 +11,7 @@ from rigs import make_rig
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards import Board, Chessboard, Detection, Missed, StereoView
+from edged.vision.boards.board import Board, Chessboard, Detection, Missed, StereoView
 from edged.vision.bundle import BundleState, LensFreedom, Observations, adjust
 from edged.vision.calibration import Calibration, calibrate_stereo
 from edged.vision.geometry.camera import StereoRig

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import EDGE_SIGMA_PX, edge_profiles, edges_along_normals, edges_at_widths
+from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edge_profiles, edges_along_normals, edges_at_widths
 
 SIZE = (64, 80)  # rows, columns
 MIDDLE = np.array([39.0, 31.0])

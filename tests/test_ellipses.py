@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.domain import Image
-from edged.vision.ellipses import ImageEllipse, find_ellipses
+from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 
 SIZE = (220, 260)
 

@@ -10,14 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.domain import FloatArray
-from edged.vision.fitting import (
-    FitParams,
-    Weighting,
-    fit_circle,
-    fit_ellipse,
-    fit_line,
-    robust_weights,
-)
+from edged.vision.edges.fitting import FitParams, Weighting, fit_circle, fit_ellipse, fit_line, robust_weights
 
 WEIGHTINGS: tuple[Weighting, ...] = ("least_squares", "huber", "tukey", "paper")
 

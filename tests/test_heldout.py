@@ -12,7 +12,7 @@ from rigs import make_rig
 
 from edged.commands.calibrate import quality_figures
 from edged.report import calibration_report
-from edged.vision.boards import Chessboard, Missed
+from edged.vision.boards.board import Chessboard, Missed
 from edged.vision.calibration import calibrate_stereo
 from edged.vision.heldout import hold_out
 from edged.vision.opencvcheck import plain_opencv

@@ -11,7 +11,7 @@ from rigs import make_rig, random_points
 
 from edged.report.charts import Chart, symmetric_limit, ticks
 from edged.vision import nextview
-from edged.vision.boards import Chessboard
+from edged.vision.boards.board import Chessboard
 from edged.vision.bundle import _moved_camera
 from edged.vision.calibration import Calibration, calibrate_stereo
 from edged.vision.geometry.camera import LensModel, StereoRig

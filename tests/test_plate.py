@@ -10,10 +10,10 @@ from boards import board_poses, parameter_error, synthetic_views
 from rigs import make_rig
 
 from edged.domain import FloatArray
-from edged.vision.boards import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
+from edged.vision.boards.board import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
+from edged.vision.boards.deformation import deviation_mm, nominal, plate_basis, shaped
 from edged.vision.calibration import Calibration, calibrate_stereo
 from edged.vision.geometry.rigid import fit_rigid
-from edged.vision.plate import deviation_mm, nominal, plate_basis, shaped
 
 RIG = make_rig()
 SIZE = RIG.left.width, RIG.left.height

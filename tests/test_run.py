@@ -61,7 +61,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
         "edged.sim",
         "edged.report",
         "edged.vision.calibration",
-        "edged.vision.chessboard",
+        "edged.vision.boards.chessboard",
         "edged.clients",
     )
     assert [] == [name for name in loaded if name.startswith(others)]

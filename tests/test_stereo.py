@@ -16,10 +16,10 @@ from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.scene import Surface
-from edged.vision import leastsquares, ncc
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.triangulation import triangulate
-from edged.vision.stereo import NccMatches, NccParams, Reason, match_ncc
+from edged.vision.stereo import leastsquares, ncc
+from edged.vision.stereo.matching import NccMatches, NccParams, Reason, match_ncc
 
 Texture = Callable[[FloatArray, FloatArray], FloatArray]
 

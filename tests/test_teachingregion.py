@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from edged.commands.teach import parse_contrast, parse_region
 from edged.errors import ImageError, TeachError
+from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply
 from edged.vision.shape.modelparams import ModelParams
@@ -169,14 +170,19 @@ def test_texts_of_regions_and_contrasts(tmp_path: Path) -> None:
         ({"contrast_low": 9.0, "contrast_high": 4.0}, "contrast_low 9: expected at most"),
         ({"min_component_px": -1.0}, "min_component_px"),
         ({"min_component_px": math.inf}, "min_component_px"),
-        ({"levels": 0}, "levels 0: expected 1 to 5"),
-        ({"levels": 9}, "levels 9"),
     ],
 )
-def test_wrong_model_parameters_are_named(wrong: dict, expected: str) -> None:  # type: ignore[type-arg]
+def test_wrong_edge_thresholds_are_named(wrong: dict[str, float], expected: str) -> None:
     """Each impossible value is refused, and the message names it."""
     with pytest.raises(TeachError, match=expected):
-        ModelParams(**wrong)
+        EdgeThresholds(**wrong)
+
+
+@pytest.mark.parametrize("levels", [0, 9])
+def test_a_wrong_number_of_levels_is_named(levels: int) -> None:
+    """A pyramid has one to five levels."""
+    with pytest.raises(TeachError, match=f"levels {levels}: expected 1 to 5"):
+        ModelParams(levels=levels)
 
 
 def test_a_hole_that_is_excluded_is_not_learnt() -> None:

@@ -20,7 +20,7 @@ from edged.domain import FloatArray
 from edged.errors import ImageError, UserError
 from edged.jobs import save_job
 from edged.store import save_rig
-from edged.vision.boards import Chessboard, Missed, parse_board
+from edged.vision.boards.board import Chessboard, Missed, parse_board
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import rotation_matrix, transform

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import WIDTHS_PX, EdgeSamples, edges_at_widths
+from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples, edges_at_widths
 from edged.vision.widths import ChosenEdges, choose_widths, variance_of_mean
 
 SIZE = 200

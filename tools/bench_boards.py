@@ -44,15 +44,15 @@ from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeas
 from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.store import load_image
-from edged.vision.boards import Chessboard, Detection, Missed, StereoView, parse_board
+from edged.vision.boards.board import Chessboard, Detection, Missed, StereoView, parse_board
+from edged.vision.boards.chessboard import remeasure_chessboard
+from edged.vision.boards.deformation import nominal
 from edged.vision.calibration import Calibration, calibrate_stereo, epipolar_errors_px, marks_in_both
-from edged.vision.chessboard import remeasure_chessboard
-from edged.vision.edges import EDGE_SIGMA_PX, edges_at_widths
+from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import apply, fit_rigid, skew
 from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
-from edged.vision.plate import nominal
 from edged.vision.verification import pose_of_board
 
 Corners = Literal["fit", "edges"]

@@ -24,14 +24,14 @@ from rich.console import Console
 from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
 from edged.domain import FloatArray
 from edged.store import load_image, load_rig
-from edged.vision.boards import Chessboard, Detection, StereoView, parse_board
+from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
+from edged.vision.boards.deformation import nominal
 from edged.vision.calibration import Calibration, calibrate_stereo
 from edged.vision.geometry.camera import CameraModel, LensModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_vector, transform
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.heldout import hold_out
 from edged.vision.opencvcheck import plain_opencv
-from edged.vision.plate import nominal
 
 CONSOLE = Console(stderr=True)
 

@@ -33,7 +33,7 @@ from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.scene import Disc, Part, Sensor, Surface
 from edged.vision.circlefit import SIDES, CircleGuess, project_circle
-from edged.vision.edges import edge_profiles
+from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.facefit import fit_circle
 from edged.vision.features import measure_part
 from edged.vision.geometry.camera import StereoRig

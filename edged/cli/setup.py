@@ -165,13 +165,14 @@ def teach(
 
     from edged.commands.teach import DrawingSource, PairSource, chosen_source, parse_contrast
     from edged.commands.teach import teach as command
+    from edged.vision.edges.hysteresis import EdgeThresholds
     from edged.vision.shape.modelparams import ModelParams
 
     source = chosen_source(
         PairSource(left, right, region, tuple(exclude or ())),
         DrawingSource(dxf, contour, depth, layer or [], unit),
     )
-    params = ModelParams(*parse_contrast(contrast), min_component, levels)
+    params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)
     console = Console(stderr=True)
     raise typer.Exit(
         command(

@@ -23,14 +23,14 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.report import calibration_report
 from edged.store import keep_old_rig, load_image, load_rig, save_rig, write_atomically
-from edged.vision.boards import Detection, Missed, NominalBoard, StereoView, parse_boards
+from edged.vision.boards.board import Detection, Missed, NominalBoard, StereoView, parse_boards
+from edged.vision.boards.deformation import nominal
+from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
-from edged.vision.detection import detect_board, remeasure_board
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.heldout import HeldOutView, hold_out
 from edged.vision.opencvcheck import plain_opencv
-from edged.vision.plate import nominal
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores

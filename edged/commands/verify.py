@@ -19,8 +19,8 @@ from edged.errors import ImageError, UserError
 from edged.jobs import load_job
 from edged.pipeline import locate, prepare
 from edged.store import load_image, load_rig
-from edged.vision.boards import Missed, StereoView, parse_boards
-from edged.vision.detection import detect_board, remeasure_board
+from edged.vision.boards.board import Missed, StereoView, parse_boards
+from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.doubt import undoubted
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.verification import COVERAGE, BoardCheck, Length, Verdict, check_board, pose_of_board

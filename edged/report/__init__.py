@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from edged.report.figures import coverage, lengths, radial, sigma_maps, view_bars
-from edged.vision.boards import Missed, StereoView
+from edged.vision.boards.board import Missed, StereoView
 from edged.vision.calibration import Calibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.boards import IntArray
+from edged.vision.boards.board import IntArray
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform

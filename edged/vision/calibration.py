@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards import IntArray, ShapedBoard, StereoView
+from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
+from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped
 from edged.vision.bundle import (
     BundleResult,
     BundleState,
@@ -35,7 +36,6 @@ from edged.vision.geometry.camera import (
 )
 from edged.vision.geometry.rectification import row_difference_px
 from edged.vision.geometry.rigid import apply
-from edged.vision.plate import PRIOR_SHARE, deviation_mm, plate_basis, shaped
 from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
 
 # |value| / sigma from which a parameter is taken to be real. Not less: errors of neighbouring marks are
@@ -108,7 +108,7 @@ def calibrate_stereo(
     """Calibrate both cameras and their relation.
 
     left_size, right_size : (width, height) of the images.
-    plate_shape : estimate the boards' own shape, too (see `edged.vision.plate`).
+    plate_shape : estimate the boards' own shape, too (see `edged.vision.boards.deformation`).
     Unusable views are left out and named. Raises `CalibrationError` where no trustworthy
     calibration is possible: fewer than three usable pairs, parallel boards, swapped images,
     a camera that moved between the views.

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.contours import Contour, find_contours
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.contours import Contour, find_contours
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.featureteaching import TeachingView
 from edged.vision.geometry.plane import Plane
 

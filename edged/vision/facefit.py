@@ -35,7 +35,7 @@ from edged.vision.circlefit import (
 )
 from edged.vision.circleprojection import bends
 from edged.vision.displacements import displacements, slants, slow_waves
-from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rigid import cross, unit

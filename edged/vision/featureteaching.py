@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.contours import Contour, find_contours, pieces
 from edged.vision.curves import Curve, Face
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.contours import Contour, find_contours, pieces
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform

@@ -14,7 +14,7 @@ import numpy as np
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, FaceFit
 from edged.vision.doubt import growth_of, row_shift_px
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.boards import Board
+from edged.vision.boards.board import Board
 from edged.vision.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration import Calibration, freedom_of
 from edged.vision.geometry.camera import CameraModel, StereoRig

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edged.vision.boards import StereoView
+from edged.vision.boards.board import StereoView
+from edged.vision.boards.deformation import nominal
 from edged.vision.calibration import epipolar_errors_px, marks_in_both
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import transform
-from edged.vision.plate import nominal
 
 _MIN_MARKS = 6
 

@@ -21,7 +21,7 @@ from edged.vision.circlefit import SIDES
 from edged.vision.circleprojection import bends
 from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
 from edged.vision.displacements import displacements, slow_waves
-from edged.vision.edges import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve

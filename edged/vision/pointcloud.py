@@ -20,7 +20,7 @@ from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.job import Job
 from edged.vision.measurement import Images, Measured
-from edged.vision.stereo import NccParams, Reason, match_ncc
+from edged.vision.stereo.matching import NccParams, Reason, match_ncc
 
 CONTOUR, FACE = 0, 1
 GRID_PX = 8

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.triangulation import triangulate

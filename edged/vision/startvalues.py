@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards import Board, Detection, Missed, StereoView
+from edged.vision.boards.board import Board, Detection, Missed, StereoView
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector, transform
 

@@ -11,7 +11,7 @@ from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
 from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
 from edged.vision.curves import Curve
-from edged.vision.ellipses import ImageEllipse, find_ellipses
+from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.faceedges import without_background
 from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.featureteaching import (

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.boards import Detection, Missed, StereoView
+from edged.vision.boards.board import Detection, Missed, StereoView
 from edged.vision.calibration import marks_in_both
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import project_with_jacobians

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.edges import WIDTHS_PX, EdgeSamples
+from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
 from edged.vision.kernels.cholesky import invert_spd
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.vision.circlefit import SIDES, CircleFit, CircleFitParams, CircleGuess, project_circle
-from edged.vision.edges import edge_profiles
+from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.facefit import fit_circle
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import CircleFeature, Job

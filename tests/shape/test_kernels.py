@@ -8,7 +8,9 @@ import naive
 import numpy as np
 import pytest
 
-from edged.vision.shape import nearby, refine, rivals, scan
+from edged.vision.shape import ambiguity as rivals
+from edged.vision.shape import localsearch as nearby
+from edged.vision.shape import refine, scan
 
 RNG = np.random.default_rng(7)
 

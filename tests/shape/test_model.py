@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
+from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.shape.learning import create_model, repetition
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.modelparams import ModelParams
@@ -118,7 +119,7 @@ def test_parameters_say_what_gets_in() -> None:
     image = draw(outlines, (100, 100, 0, 1, 1), (200, 200), 0.5)
 
     def sees(**params: float | None) -> list[bool]:
-        made = ModelParams(**params)  # type: ignore[arg-type]
+        made = ModelParams(EdgeThresholds(**params))
         points = create_model(image, everything(image), np.array([100.0, 100.0]), made).levels[0].points
         return [bool((distance_to((one,), points) < 1.5).any()) for one in outlines]
 

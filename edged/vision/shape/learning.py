@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.hysteresis import MIN_POINTS, EdgeThresholds, strong_edges
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
-from edged.vision.shape.levels import surviving_levels
 from edged.vision.shape.model import MAX_POINTS, ShapeLevel, ShapeModel
-from edged.vision.shape.modelparams import MAX_LEVELS, MIN_POINTS, ModelParams
-from edged.vision.shape.strongedges import strong_edges
+from edged.vision.shape.modelparams import MAX_LEVELS, ModelParams
+from edged.vision.shape.pyramid import surviving_levels
 from edged.vision.shape.symmetry import find_symmetry
 
 SMOOTHING_PX = (2.0, 1.2, 0.7)
@@ -100,7 +100,9 @@ def _levels(
     apart_px = np.zeros(image.shape, np.float32)  # to the nearest edge of the finest level, once it is known
     for index in range(params.levels or MAX_LEVELS):
         seen = np.asarray(mask * (apart_px <= SUPPORT_PX * 2**index), np.uint8)
-        extracted = _edge_points(image, seen, SMOOTHING_PX[min(index, 2)], params if index == 0 else None)
+        extracted = _edge_points(
+            image, seen, SMOOTHING_PX[min(index, 2)], params.edges if index == 0 else None
+        )
         if extracted is None:
             break
         level_origin = (origin + 0.5) / 2**index - 0.5
@@ -153,10 +155,10 @@ class _EdgePoints:
 
 
 def _edge_points(
-    image: Image, mask: Image, smoothing_px: float, params: ModelParams | None
+    image: Image, mask: Image, smoothing_px: float, thresholds: EdgeThresholds | None
 ) -> _EdgePoints | None:
     """The strong edges in the mask, measured; None when there are too few for a level."""
-    edges = strong_edges(image, mask, params, smoothing_px)
+    edges = strong_edges(image, mask, thresholds, smoothing_px)
     if edges is None:
         return None
     ys, xs = np.nonzero(edges.thin)

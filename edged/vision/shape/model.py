@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.shape.modelparams import MAX_LEVELS, MIN_POINTS
+from edged.vision.edges.hysteresis import MIN_POINTS
+from edged.vision.shape.modelparams import MAX_LEVELS
 
 MAX_POINTS = (600, 400, 240, 160, 160)
 """Points kept on each level: enough for the precision of the finest, few for the exhaustive top."""

@@ -15,12 +15,14 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.edges import edges_along_normals
-from edged.vision.shape import nearby, refine, rivals
+from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.shape import ambiguity as rivals
+from edged.vision.shape import localsearch as nearby
+from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.overlap import Placed, disc_overlap, without_overlap
 from edged.vision.shape.params import SearchParams, ShapeMatch
+from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import edges_along_normals
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.shape import refine, scan
 from edged.vision.shape.workspace import Workspace
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.shape.strongedges import strong_edges
+from edged.vision.edges.hysteresis import strong_edges
 
 MIN_AXIS_RATIO = 0.7
 """A circle seen at up to 45°."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Charuco, Chessboard, Detection, Missed, NominalBoard
-from edged.vision.charuco import detect_charuco, remeasure_charuco
-from edged.vision.chessboard import detect_chessboard, remeasure_chessboard
-from edged.vision.dots import detect_dots, remeasure_dots
+from edged.vision.boards.board import Charuco, Chessboard, Detection, Missed, NominalBoard
+from edged.vision.boards.charuco import detect_charuco, remeasure_charuco
+from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
+from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
 from edged.vision.geometry.camera import CameraModel
 
 

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import edges_along_normals
-from edged.vision.fitting import FitParams, fit_circle, fit_line
+from edged.vision.edges.fitting import FitParams, fit_circle, fit_line
+from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
-from edged.vision.shape.strongedges import strong_edges
 
 I64 = npt.NDArray[np.int64]
 

@@ -24,10 +24,10 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import CircleGrid, Detection, DotGrid, IntArray, Missed
+from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, Missed
+from edged.vision.boards.markmodels import fit_dots
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply
-from edged.vision.markfit import fit_dots
 
 _BLOCK_SHARES = (6, 12, 24)  # threshold windows as parts of the image's shorter side: large and small plates
 _MIN_DIAMETER_PX = 6.0

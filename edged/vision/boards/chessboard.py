@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Chessboard, Detection, IntArray, Missed
+from edged.vision.boards.board import Chessboard, Detection, IntArray, Missed
+from edged.vision.boards.markmodels import fit_corners
 from edged.vision.geometry.camera import CameraModel
-from edged.vision.markfit import fit_corners
 
 _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains
 _MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges import edge_profiles, edges_along_normals
+from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel

@@ -1,7 +1,7 @@
 """The kernels that measure marks: models of a corner and of a dot, fitted to the picture.
 
-The corner model is described in `edged.vision.chessboard`, the dot model in `edged.vision.dots`.
-Both are fitted by one routine; `kind` says which model is meant.
+The corner model is described in `boards.chessboard`, the dot model in `boards.circlegrid`. Both are fitted by
+one routine; `kind` says which model is meant.
 
 Source of the method: Levenberg-Marquardt, K. Madsen, H. B. Nielsen, O. Tingleff, "Methods for
 non-linear least squares problems", 2004.

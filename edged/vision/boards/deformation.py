@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.boards import Board, NominalBoard, ShapedBoard
+from edged.vision.boards.board import Board, NominalBoard, ShapedBoard
 
 _DEGREE = 4  # a saddle, a wave, and the corners' own way; more is noise of single marks
 _RANK_TOLERANCE = 1e-9

@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
-from edged.vision.shape.modelparams import MIN_POINTS, ModelParams
+from edged.errors import TeachError
 
+MIN_POINTS = 24
+"""Edge points that a region needs, and a level of a model."""
 SMOOTHING_PX = 2.0
 """Wider than the measuring operator: narrow machining marks average out, outlines stay."""
 NARROW_PX = 0.7
@@ -37,6 +39,33 @@ MIN_STRONG = 4
 """Pixels of a connected edge that must be strong: one is noise."""
 
 
+@dataclass(frozen=True, slots=True)
+class EdgeThresholds:
+    """Which edges count. None means "auto": it follows from the region itself.
+
+    contrast_low, contrast_high : hysteresis thresholds, slope of an edge in grey values per px. What exceeds
+        the low one counts if it is connected to what exceeds the high one.
+    min_component_px : connected edges shorter than this are texture.
+    Wrong values raise `TeachError` that names them.
+    """
+
+    contrast_low: float | None = None
+    contrast_high: float | None = None
+    min_component_px: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("contrast_low", "contrast_high"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and 0.1 <= value <= 255):
+                raise TeachError(f"{name} {value}: expected 0.1 to 255 grey values per px")
+        low, high = self.contrast_low, self.contrast_high
+        if low is not None and high is not None and low > high:
+            raise TeachError(f"contrast_low {low:g}: expected at most contrast_high, {high:g}")
+        size = self.min_component_px
+        if size is not None and not (np.isfinite(size) and 1 <= size <= 1e5):
+            raise TeachError(f"min_component_px {size}: expected 1 to 100000 px")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StrongEdges:
     """thin (H, W) uint8, 1 on the edges that were kept; gx, gy (H, W) int16, `UNIT` x the slope per px."""
@@ -47,14 +76,14 @@ class StrongEdges:
 
 
 def strong_edges(
-    image: Image, mask: Image, params: ModelParams | None = None, smoothing_px: float = SMOOTHING_PX
+    image: Image, mask: Image, thresholds: EdgeThresholds | None = None, smoothing_px: float = SMOOTHING_PX
 ) -> StrongEdges | None:
     """The strong, connected edges inside a mask; None when there are nearly none.
 
-    image, mask : (H, W) uint8.  params : thresholds; what they leave open follows from the region.
+    image, mask : (H, W) uint8.  thresholds : what they leave open follows from the region.
     Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
     """
-    params = params or ModelParams()
+    thresholds = thresholds or EdgeThresholds()
     if np.count_nonzero(mask) < MIN_POINTS:
         return None
     width_px = float(np.sqrt(np.count_nonzero(mask)))
@@ -62,8 +91,8 @@ def strong_edges(
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smoothing)
     gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *axis, ksize=3, scale=FINE).astype(np.int16) for axis in AXES)
     faint = _faintest(image, mask, smoothing)
-    if params.contrast_low is not None:
-        faint = min(faint, params.contrast_low)
+    if thresholds.contrast_low is not None:
+        faint = min(faint, thresholds.contrast_low)
     thin = np.asarray(cv2.Canny(gx, gy, UNIT * faint, 2 * UNIT * faint, L2gradient=True), np.uint8)
     thin[mask == 0] = 0
     ys, xs = np.nonzero(thin)
@@ -73,12 +102,12 @@ def strong_edges(
     if len(slopes) < MIN_POINTS:
         return None
     whole = slopes[room_px[room_px >= NEAREST_PX] >= BORDER_PX]
-    low, high = _thresholds(whole if len(whole) >= MIN_POINTS else slopes, width_px, params)
+    low, high = _thresholds(whole if len(whole) >= MIN_POINTS else slopes, width_px, thresholds)
     linked = np.zeros_like(thin)
     linked[at] = slopes > low
     _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
     strong = np.bincount(labels[at][slopes > high], minlength=len(stats))
-    shortest = params.min_component_px or COMPONENT_SHARE * width_px
+    shortest = thresholds.min_component_px or COMPONENT_SHARE * width_px
     keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= MIN_STRONG)
     keep[0] = False
     return StrongEdges(keep[labels].astype(np.uint8), gx, gy)
@@ -97,7 +126,9 @@ def _room(
     return np.asarray(np.nan_to_num(room, nan=np.inf), np.float64)
 
 
-def _thresholds(slopes: npt.NDArray[np.float64], width_px: float, params: ModelParams) -> tuple[float, float]:
+def _thresholds(
+    slopes: npt.NDArray[np.float64], width_px: float, thresholds: EdgeThresholds
+) -> tuple[float, float]:
     """Hysteresis: a share of the slope that the part's outline reaches.
 
     That is the slope of the strongest edges, by length and not by number: on a textured table the part's
@@ -105,8 +136,8 @@ def _thresholds(slopes: npt.NDArray[np.float64], width_px: float, params: ModelP
     """
     outline = max(1, round(min(OUTLINE_SHARE * width_px, STRONGEST_SHARE * len(slopes))))
     reached = float(np.partition(slopes, len(slopes) - outline)[len(slopes) - outline])
-    high = params.contrast_high or EDGE_SHARE * reached
-    low = params.contrast_low or WEAK_SHARE * high
+    high = thresholds.contrast_high or EDGE_SHARE * reached
+    low = thresholds.contrast_low or WEAK_SHARE * high
     return min(low, high), high
 
 

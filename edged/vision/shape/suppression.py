@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.shape import refine, rivals
+from edged.vision.shape import ambiguity as rivals
+from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams, ShapeMatch
 

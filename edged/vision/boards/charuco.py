@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards import Charuco, Detection, Missed
-from edged.vision.chessboard import judge_corners, refine_corners
+from edged.vision.boards.board import Charuco, Detection, Missed
+from edged.vision.boards.chessboard import judge_corners, refine_corners
 from edged.vision.geometry.camera import CameraModel
 
 _MIN_CORNERS = 6  # a homography and half as much again; fewer say nothing of the lens

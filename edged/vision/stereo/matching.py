@@ -25,7 +25,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.kernels.jit import kernel
-from edged.vision.leastsquares import (
+from edged.vision.stereo.leastsquares import (
     GAIN,
     LEFT_PATCH,
     NOISE_GAIN,
@@ -41,7 +41,7 @@ from edged.vision.leastsquares import (
     spline_rows,
     variance_of,
 )
-from edged.vision.ncc import find_peak, ncc_along_row, sheared_window
+from edged.vision.stereo.ncc import find_peak, ncc_along_row, sheared_window
 
 SLOPES = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
 """Shears of the search window; what lies between is within 1 px at the rim of a window of 21 px."""

@@ -1,0 +1,1 @@
+"""Calibration boards: what they are, and their marks in an image."""

@@ -1,0 +1,1 @@
+"""Matching points along rectified rows: NCC, then least squares (paper, eq. 8)."""
