@@ -394,3 +394,6 @@ class Idle:
 
 
 Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Idle
+
+
+SIDES = ("left", "right")

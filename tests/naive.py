@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.sim import scene
+from edged.vision.curves.adjustment import Samples
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
-from edged.vision.jointsolver import Samples
 
 # --- edged.sim.raster ------------------------------------------------------------------------
 

@@ -15,9 +15,10 @@ from rigs import make_rig
 from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_rig
 from edged.sim.scene import Box, Disc, Hole, Part, Sensor, Surface
-from edged.vision.circlefit import CircleFit, CircleGuess, circle_axes, project_circle
+from edged.vision.curves.circle import CircleFit, CircleGuess
+from edged.vision.curves.circlefit import fit_circle, fit_face
+from edged.vision.curves.circleprojection import circle_axes, project_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry.camera import LensModel
 from edged.vision.geometry.rigid import rotation_matrix
 

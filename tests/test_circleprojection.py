@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from rigs import make_rig
 
-from edged.vision.circlefit import circle_axes
-from edged.vision.circleprojection import bends, project_samples
+from edged.vision.curves.circleprojection import bends, circle_axes, project_samples
 from edged.vision.geometry.camera import LensModel
 from edged.vision.geometry.rigid import rotation_matrix
 

@@ -9,8 +9,8 @@ import pytest
 from test_jointsolver import problem
 
 from edged.domain import FloatArray
-from edged.vision.displacements import FAMILIES, displacements, slants
-from edged.vision.jointsolver import solve
+from edged.vision.curves.adjustment import solve
+from edged.vision.curves.systematic import FAMILIES, displacements, slants
 
 
 def ring(count: int) -> FloatArray:

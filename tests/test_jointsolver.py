@@ -10,7 +10,7 @@ import pytest
 from test_robust import ring
 
 from edged.domain import FloatArray
-from edged.vision.jointsolver import Samples, propagate, solve
+from edged.vision.curves.adjustment import Samples, propagate, solve
 
 COUNTS = ((120, 120), (48,), (110, 110, 40), (300,))
 """Samples of the parts of each curve; where there are two or three, the first two are paired."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edged.domain import FloatArray
-from edged.vision.pairs import Pairs, pair
+from edged.vision.curves.commonmode import Pairs, pair
 
 STARTS = np.array([0, 400, 640])
 

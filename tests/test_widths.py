@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from edged.domain import FloatArray, Image
+from edged.vision.curves.operatorwidth import ChosenEdges, choose_widths, variance_of_mean
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples, edges_at_widths
-from edged.vision.widths import ChosenEdges, choose_widths, variance_of_mean
 
 SIZE = 200
 CENTRE = (SIZE - 1) / 2

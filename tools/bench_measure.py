@@ -29,12 +29,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
 
-from edged.domain import FloatArray, Image
+from edged.domain import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.scene import Disc, Part, Sensor, Surface
-from edged.vision.circlefit import SIDES, CircleGuess, project_circle
+from edged.vision.curves.circle import CircleGuess
+from edged.vision.curves.circlefit import fit_circle
+from edged.vision.curves.circleprojection import project_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.facefit import fit_circle
 from edged.vision.features import measure_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification

@@ -23,7 +23,7 @@ from typing import TypeVar
 import numpy as np
 
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
-from edged.vision.circlefit import CircleFit
+from edged.vision.curves.circle import CircleFit
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import Job
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.curves import Curve
+from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, fit_rigid

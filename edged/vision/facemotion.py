@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.curves import Curve
+from edged.vision.curves.outlines import Curve
+from edged.vision.curves.planefit import PlaneFit
 from edged.vision.job import EdgeFeature, Job, SlotFeature
-from edged.vision.planefit import PlaneFit
 
 TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""

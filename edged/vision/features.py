@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import FloatArray, Match, Reject, Target
-from edged.vision.curves import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
 from edged.vision.edgestart import start_pose
 from edged.vision.facemotion import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
 from edged.vision.flatness import with_flatness
@@ -22,7 +23,6 @@ from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.inrig import lifted, with_features
 from edged.vision.job import Job
 from edged.vision.measurement import EACH_EDGE_ITSELF, Images, Measured, measure
-from edged.vision.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
 from edged.vision.quality import Evidence, judged
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.sizes import measure_sizes, place

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.curves import Curve, Face
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import CurveFit, PlaneFit, PlaneFitParams, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
 from edged.vision.job import CornerFeature, EdgeFeature, SlotFeature
-from edged.vision.planefit import CurveFit, PlaneFit, PlaneFitParams, fit_plane
 from edged.vision.slots import fit_slot
 from edged.vision.startplane import find_plane
 

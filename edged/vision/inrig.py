@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import Corner3D, Edge3D, FloatArray, Slot3D, Target
-from edged.vision.curves import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.planefit import PlaneFit, derived
 from edged.vision.job import Job
-from edged.vision.planefit import PlaneFit, derived
 from edged.vision.sizes import place
 
 

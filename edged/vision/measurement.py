@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess, FaceFit
+from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess, FaceFit
+from edged.vision.curves.circlefit import fit_circle, fit_face
+from edged.vision.curves.planefit import CurveFit
 from edged.vision.doubt import growth_of, row_shift_px
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, cross, rotation_matrix, transform, unit
 from edged.vision.job import CircleFeature, Job
-from edged.vision.planefit import CurveFit
 from edged.vision.quality import Evidence
 from edged.vision.shape.search import ShapeMatch
 from edged.vision.startplane import find_plane

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Measurement
+from edged.vision.curves.planefit import PlaneFit, derived
 from edged.vision.job import Job, MeasurementSpec, angle_between
-from edged.vision.planefit import PlaneFit, derived
 
 Size = Callable[[FloatArray], float]
 """Of the parameters of a `PlaneFit`."""

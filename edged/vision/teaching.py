@@ -9,11 +9,11 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError, TeachError
-from edged.vision.circlefit import CircleFit, CircleFitParams, CircleGuess
-from edged.vision.curves import Curve
+from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.curves.circlefit import fit_circle, fit_face
+from edged.vision.curves.outlines import Curve
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.faceedges import without_background
-from edged.vision.facefit import fit_circle, fit_face
 from edged.vision.featureteaching import (
     FoundFeatures,
     TeachingView,

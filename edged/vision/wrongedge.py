@@ -13,10 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
-from edged.vision.circlefit import SIDES, CircleFit, CircleFitParams, CircleGuess, project_circle
+from edged.domain import SIDES, FloatArray, Image
+from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess
+from edged.vision.curves.circlefit import fit_circle
+from edged.vision.curves.circleprojection import project_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.facefit import fit_circle
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.job import CircleFeature, Job
 

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.displacements import FAMILIES, evened
-from edged.vision.jointsolver import Samples
+from edged.vision.curves.adjustment import Samples
+from edged.vision.curves.systematic import FAMILIES, evened
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
 

@@ -22,28 +22,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Circle3D, FloatArray, Image
-from edged.vision.circlefit import (
-    SIDES,
-    CircleFit,
-    CircleFitParams,
-    CircleGuess,
-    FaceFit,
-    ProjectedCircle,
-    circle_axes,
-    project_circles,
-)
-from edged.vision.circleprojection import bends
-from edged.vision.displacements import displacements, slants, slow_waves
+from edged.domain import SIDES, Circle3D, FloatArray, Image
+from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
+from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess, FaceFit
+from edged.vision.curves.circleprojection import ProjectedCircle, bends, circle_axes, project_circles
+from edged.vision.curves.commonmode import pair, samples_of
+from edged.vision.curves.operatorwidth import START_WIDTH, ChosenEdges, choose_widths
+from edged.vision.curves.systematic import displacements, slants, slow_waves
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rigid import cross, unit
-from edged.vision.jointsolver import ROUGHLY, SETTLED, propagate, solve
 from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
-from edged.vision.pairs import pair, samples_of
-from edged.vision.widths import START_WIDTH, ChosenEdges, choose_widths
 
 AGREE_PX = 0.5
 """An edge that scatters more is another one, whatever the others do."""

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.displacements import DOUBT_PX, learn_sizes
+from edged.vision.curves.systematic import DOUBT_PX, learn_sizes
 from edged.vision.kernels.cholesky import invert_spd
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight

@@ -16,18 +16,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
-from edged.vision.circlefit import SIDES
-from edged.vision.circleprojection import bends
-from edged.vision.curves import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
-from edged.vision.displacements import displacements, slow_waves
+from edged.domain import SIDES, FloatArray, Image
+from edged.vision.curves.adjustment import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
+from edged.vision.curves.circleprojection import bends
+from edged.vision.curves.commonmode import Pairs, pair, samples_of
+from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
+from edged.vision.curves.systematic import displacements, slow_waves
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
-from edged.vision.jointsolver import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
 from edged.vision.kernels.robust import MIN_SAMPLES
-from edged.vision.pairs import Pairs, pair, samples_of
-from edged.vision.widths import START_WIDTH, choose_widths
 
 AGREE_PX = 0.5
 """An edge that scatters more is another one, whatever the others do."""

@@ -6,11 +6,14 @@ a fit projects some thousand points a dozen times.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.kernels.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
@@ -160,3 +163,56 @@ def bends(pixels: F64, normals: F64, starts: npt.NDArray[np.int64]) -> F64:
             x, y = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
             found[n] = abs(turn) / max(np.sqrt(x * x + y * y), 1e-9)
     return found
+
+
+_NO_MOTION = np.eye(4)
+
+
+def circle_axes(normal: FloatArray) -> FloatArray:
+    """Two unit vectors (2, 3) that span the plane with this normal; the first lies across rig x."""
+    x, y, z = (float(value) for value in normal)
+    # normal x (1, 0, 0), or normal x (0, 1, 0) where that is short
+    across = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
+    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    u, v, w = across[0] / length, across[1] / length, across[2] / length
+    return np.array([[u, v, w], [y * w - z * v, z * u - x * w, x * v - y * u]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProjectedCircle:
+    """Samples of circles in one raw image.
+
+    pixels (N, 2), normals (N, 2) unit and outwards, jacobian (N, 6): derivative of the curve along its
+    normal by (centre, tilt u, tilt v, radius).
+    """
+
+    pixels: FloatArray
+    normals: FloatArray
+    jacobian: FloatArray
+
+
+def project_circle(
+    rig: StereoRig, side: str, centre: FloatArray, normal: FloatArray, radius: float, phase: FloatArray
+) -> ProjectedCircle:
+    """Project the points at angles `phase` (N,) of a circle of the rig frame into a raw image.
+
+    centre, normal (3,).
+    """
+    frame = np.vstack([circle_axes(normal), normal])
+    which = np.zeros(len(phase), np.int64)
+    return project_circles(rig, side, frame, np.asarray(centre)[None], np.array([radius]), which, phase)
+
+
+def project_circles(
+    rig: StereoRig,
+    side: str,
+    frame: FloatArray,
+    centres: FloatArray,
+    radii: FloatArray,
+    index: npt.NDArray[np.int64],
+    phase: FloatArray,
+) -> ProjectedCircle:
+    """`project_circle` for circles of one plane; the arguments are those of `project_samples`."""
+    camera = rig.left if side == "left" else rig.right
+    pose = _NO_MOTION if side == "left" else rig.right_from_left
+    return ProjectedCircle(*project_samples(camera, pose, frame, centres, radii, index, phase))

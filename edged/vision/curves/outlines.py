@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.displacements import slants
+from edged.vision.curves.systematic import slants
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply

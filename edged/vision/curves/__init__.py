@@ -1,0 +1,1 @@
+"""Circles, slots and straight edges of one plane, fitted to the raw edges of both cameras."""
