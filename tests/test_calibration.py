@@ -12,8 +12,8 @@ from rigs import make_rig
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Chessboard, Detection, Missed, StereoView
-from edged.vision.bundle import BundleState, LensFreedom, Observations, adjust
-from edged.vision.calibration import Calibration, calibrate_stereo
+from edged.vision.calibration.bundle import BundleState, LensFreedom, Observations, adjust
+from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, transform
 

@@ -13,9 +13,9 @@ from rigs import make_rig
 from edged.commands.calibrate import quality_figures
 from edged.report import calibration_report
 from edged.vision.boards.board import Chessboard, Missed
-from edged.vision.calibration import calibrate_stereo
-from edged.vision.heldout import hold_out
-from edged.vision.opencvcheck import plain_opencv
+from edged.vision.calibration.calibrate import calibrate_stereo
+from edged.vision.calibration.crossvalidation import hold_out
+from edged.vision.calibration.plainopencv import plain_opencv
 
 BOARD = Chessboard(11, 8, 4.0)
 RIG = make_rig()

@@ -10,16 +10,16 @@ from boards import board_poses, parameter_error, synthetic_views
 from rigs import make_rig, random_points
 
 from edged.report.charts import Chart, symmetric_limit, ticks
-from edged.vision import nextview
 from edged.vision.boards.board import Chessboard
-from edged.vision.bundle import _moved_camera
-from edged.vision.calibration import Calibration, calibrate_stereo
+from edged.vision.calibration import nextbestview as nextview
+from edged.vision.calibration.bundle import _moved_camera
+from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
+from edged.vision.calibration.nextbestview import best_next_view, volume_points
+from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import LensModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance, shift_by_parameters
-from edged.vision.nextview import best_next_view, volume_points
-from edged.vision.opencvcheck import plain_opencv
 
 BOARD = Chessboard(8, 6, 6.0)
 RIG = make_rig(focal_px=1590.0, size=(640, 480))

@@ -12,7 +12,7 @@ from rigs import make_rig
 from edged.domain import FloatArray
 from edged.vision.boards.board import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, nominal, plate_basis, shaped
-from edged.vision.calibration import Calibration, calibrate_stereo
+from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.geometry.rigid import fit_rigid
 
 RIG = make_rig()

@@ -60,7 +60,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
     others = (
         "edged.sim",
         "edged.report",
-        "edged.vision.calibration",
+        "edged.vision.calibration.calibrate",
         "edged.vision.boards.chessboard",
         "edged.clients",
     )

@@ -21,11 +21,11 @@ from edged.errors import ImageError, UserError
 from edged.jobs import save_job
 from edged.store import save_rig
 from edged.vision.boards.board import Chessboard, Missed, parse_board
+from edged.vision.calibration.verification import Length, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.teaching import teach
-from edged.vision.verification import Length, check_board, pose_of_board
 
 RIG = make_rig(focal_px=1590.0, size=(640, 480))
 SPEC = "dots:7x7:5"

@@ -47,13 +47,18 @@ from edged.store import load_image
 from edged.vision.boards.board import Chessboard, Detection, Missed, StereoView, parse_board
 from edged.vision.boards.chessboard import remeasure_chessboard
 from edged.vision.boards.deformation import nominal
-from edged.vision.calibration import Calibration, calibrate_stereo, epipolar_errors_px, marks_in_both
+from edged.vision.calibration.calibrate import (
+    Calibration,
+    calibrate_stereo,
+    epipolar_errors_px,
+    marks_in_both,
+)
+from edged.vision.calibration.verification import pose_of_board
 from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import apply, fit_rigid, skew
 from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
-from edged.vision.verification import pose_of_board
 
 Corners = Literal["fit", "edges"]
 NEAREST, FARTHEST, SAMPLES = 0.2, 0.8, 16

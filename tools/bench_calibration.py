@@ -26,12 +26,12 @@ from edged.domain import FloatArray
 from edged.store import load_image, load_rig
 from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
 from edged.vision.boards.deformation import nominal
-from edged.vision.calibration import Calibration, calibrate_stereo
+from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
+from edged.vision.calibration.crossvalidation import hold_out
+from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import CameraModel, LensModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_vector, transform
 from edged.vision.geometry.triangulation import triangulate_raw
-from edged.vision.heldout import hold_out
-from edged.vision.opencvcheck import plain_opencv
 
 CONSOLE = Console(stderr=True)
 

@@ -26,11 +26,11 @@ from edged.store import keep_old_rig, load_image, load_rig, save_rig, write_atom
 from edged.vision.boards.board import Detection, Missed, NominalBoard, StereoView, parse_boards
 from edged.vision.boards.deformation import nominal
 from edged.vision.boards.detection import detect_board, remeasure_board
-from edged.vision.calibration import Calibration, ViewFit, calibrate_stereo
+from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
+from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
+from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
-from edged.vision.heldout import HeldOutView, hold_out
-from edged.vision.opencvcheck import plain_opencv
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores

@@ -21,9 +21,16 @@ from edged.pipeline import locate, prepare
 from edged.store import load_image, load_rig
 from edged.vision.boards.board import Missed, StereoView, parse_boards
 from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.calibration.verification import (
+    COVERAGE,
+    BoardCheck,
+    Length,
+    Verdict,
+    check_board,
+    pose_of_board,
+)
 from edged.vision.doubt import undoubted
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.verification import COVERAGE, BoardCheck, Length, Verdict, check_board, pose_of_board
 
 _WARNING = (
     "Rows alone do not see a wrong baseline or focal length: those scale the world and leave every point on "

@@ -10,15 +10,15 @@ import numpy as np
 
 from edged.report.figures import coverage, lengths, radial, sigma_maps, view_bars
 from edged.vision.boards.board import Missed, StereoView
-from edged.vision.calibration import Calibration
+from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.crossvalidation import HeldOutView
+from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
+from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import invert, rotation_vector
 from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.geometry.uncertainty import calibration_covariance, shift_by_parameters
-from edged.vision.heldout import HeldOutView
-from edged.vision.nextview import best_next_view, depths_mm, volume_points
-from edged.vision.opencvcheck import PlainCalibration
 
 _STYLE = """
 @page{size:A4;margin:14mm}

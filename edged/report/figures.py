@@ -9,12 +9,12 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
-from edged.vision.calibration import Calibration
+from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.crossvalidation import HeldOutView
+from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import raw_covariance
-from edged.vision.heldout import HeldOutView
-from edged.vision.nextview import depths_mm
 
 _NOISE_PX = 0.05
 _MAP_COLUMNS, _MAP_ROWS = 8, 6

@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.vision.boards.board import StereoView
 from edged.vision.boards.deformation import nominal
-from edged.vision.calibration import epipolar_errors_px, marks_in_both
+from edged.vision.calibration.calibrate import epipolar_errors_px, marks_in_both
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import transform
 

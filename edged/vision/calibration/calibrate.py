@@ -1,7 +1,7 @@
 """Stereo calibration from views of known boards (paper, 3.1).
 
 Start: Zhang's method for each camera (Z. Zhang, PAMI 2000, doi:10.1109/34.888718). Then one
-bundle adjustment over everything (`edged.vision.bundle`). Each mark counts by its own
+bundle adjustment over everything (`edged.vision.calibration.bundle`). Each mark counts by its own
 measured precision, joined by a common model error that is estimated from the residuals: what
 lens model, board and detector leave unexplained. Parameters that lens models often carry
 without need (fx apart from fy, k3) are only released where the data demand it.
@@ -19,7 +19,7 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
 from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped
-from edged.vision.bundle import (
+from edged.vision.calibration.bundle import (
     BundleResult,
     BundleState,
     LensFreedom,
@@ -27,6 +27,7 @@ from edged.vision.bundle import (
     adjust,
     relation_information,
 )
+from edged.vision.calibration.initial import MIN_VIEWS, agree, check_sides, usable_views, zhang
 from edged.vision.geometry.camera import (
     DISTORTION_NAMES,
     CameraModel,
@@ -36,7 +37,6 @@ from edged.vision.geometry.camera import (
 )
 from edged.vision.geometry.rectification import row_difference_px
 from edged.vision.geometry.rigid import apply
-from edged.vision.startvalues import MIN_VIEWS, agree, check_sides, usable_views, zhang
 
 # |value| / sigma from which a parameter is taken to be real. Not less: errors of neighbouring marks are
 # alike (a bent board), which the sigma does not know; square pixels looked oblong by 4 sigma on real boards.

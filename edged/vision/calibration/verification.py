@@ -14,13 +14,13 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.boards.board import Detection, Missed, StereoView
-from edged.vision.calibration import marks_in_both
+from edged.vision.calibration.calibrate import marks_in_both
+from edged.vision.calibration.initial import renumbered
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rectification import row_difference_px
 from edged.vision.geometry.rigid import apply, fit_rigid, rotation_matrix, skew
 from edged.vision.geometry.triangulation import triangulate_raw
-from edged.vision.startvalues import renumbered
 
 Verdict = Literal["OK", "NOT_OK", "UNDECIDED"]
 COVERAGE = 2.0  # sigmas that an uncertainty is stated with (95 %), as ISO 14253-1 decides with

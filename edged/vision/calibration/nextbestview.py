@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.boards.board import Board
-from edged.vision.bundle import BundleState, Observations, rig_information
-from edged.vision.calibration import Calibration, freedom_of
+from edged.vision.calibration.bundle import BundleState, Observations, rig_information
+from edged.vision.calibration.calibrate import Calibration, freedom_of
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters

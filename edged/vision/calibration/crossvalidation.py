@@ -13,8 +13,8 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.bundle import BundleState, adjust, adjust_poses
-from edged.vision.calibration import (
+from edged.vision.calibration.bundle import BundleState, adjust, adjust_poses
+from edged.vision.calibration.calibrate import (
     Calibration,
     epipolar_errors_px,
     fit_of_view,
