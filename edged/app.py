@@ -44,7 +44,7 @@ from edged.logs import fields
 from edged.pipeline import PreparedRig, locate
 from edged.ports import Publisher
 from edged.robots import Convention
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld

@@ -18,7 +18,7 @@ from edged.jobs import job_folders, load_job
 from edged.store import load_rig
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 
 
 @dataclass(frozen=True, slots=True, eq=False)

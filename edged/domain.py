@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
+SIDES = ("left", "right")
 
 
 class Status(enum.StrEnum):
@@ -394,6 +395,3 @@ class Idle:
 
 
 Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Idle
-
-
-SIDES = ("left", "right")

@@ -12,12 +12,12 @@ import numpy as np
 
 from edged.domain import Dismissed, FramePair, Match, Outcome, Reject, Status
 from edged.errors import ImageError
-from edged.vision.features import measure_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.job import Job
-from edged.vision.measurement import Images, Measured
-from edged.vision.pointcloud import PointCloud, point_cloud
+from edged.vision.part.job import Job
+from edged.vision.part.measure import measure_part
+from edged.vision.part.measured import Images, Measured
+from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.shape.search import ShapeMatch, find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from edged.errors import FileFormatError
 from edged.store import write_atomically
-from edged.vision.pointcloud import CONTOUR, FACE, PointCloud
+from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 
 COLOURS = {CONTOUR: (255, 120, 0), FACE: (40, 110, 170)}
 """Red, green, blue: contours orange, faces blue."""

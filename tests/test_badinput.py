@@ -13,7 +13,7 @@ from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
 from edged.errors import ImageError
 from edged.pipeline import locate
 from edged.sim.scene import Box, Disc, Part, Surface
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 from edged.vision.teaching import teach
 
 HONEST = 25.0

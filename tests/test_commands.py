@@ -19,7 +19,7 @@ from edged.domain import Image, Status
 from edged.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import VirtualCell, demo_part, stereo_views
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 
 Edged = Callable[..., tuple[int, str, str]]
 POSES = 5

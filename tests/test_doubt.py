@@ -15,8 +15,8 @@ from test_features import cell, only
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
 from edged.pipeline import locate
-from edged.vision.doubt import doubted, growth_of, undoubted
-from edged.vision.job import usual_tolerance_mm
+from edged.vision.part.consistency import doubted, growth_of, undoubted
+from edged.vision.part.job import usual_tolerance_mm
 
 PLACE = pose((7.5, 1.0, 204.0), turn_deg=12.0, tilt_deg=3.0)
 

@@ -17,13 +17,13 @@ from edged.ply import VERTEX, encode_ply
 from edged.sim.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
-from edged.vision.features import measure_part
-from edged.vision.flatness import form_of
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.job import Job, MeasurementSpec, nominal_size
-from edged.vision.measurement import Images, Measured
 from edged.vision.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
-from edged.vision.pointcloud import CONTOUR, FACE
+from edged.vision.part.flatness import form_of
+from edged.vision.part.job import Job, MeasurementSpec, nominal_size
+from edged.vision.part.measure import measure_part
+from edged.vision.part.measured import Images, Measured
+from edged.vision.part.pointcloud import CONTOUR, FACE
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching import teach
 

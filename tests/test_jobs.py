@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from edged.errors import FileFormatError
 from edged.jobs import job_folders, load_job, save_job
-from edged.vision.job import (
+from edged.vision.part.job import (
     CircleFeature,
     CornerFeature,
     EdgeFeature,

@@ -26,9 +26,9 @@ from edged.vision.evidence import (
     residuals,
     slot_outline,
 )
-from edged.vision.job import Job, MeasurementSpec
 from edged.vision.lettering import shortened, width_of
 from edged.vision.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
+from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.pictureview import box_around, view_of, zoom_for
 from edged.vision.teaching import teach
 

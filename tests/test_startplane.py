@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from edged.domain import FloatArray, Image
 from edged.sim.scene import Disc, Part, Surface
-from edged.vision import startplane
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.startplane import find_plane
+from edged.vision.part import initialplane as startplane
+from edged.vision.part.initialplane import find_plane
 
 RIG = small_rig()
 DISC = Part("disc", Disc(0.0, 0.0, 12.0), Surface(albedo=0.62, contrast=0.08, feature_mm=0.6, seed=1))

@@ -12,7 +12,7 @@ from edged.errors import ImageError, TeachError
 from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 from edged.vision.teaching import teach
 from edged.vision.teachingregion import Region
 

@@ -36,10 +36,10 @@ from edged.vision.curves.circle import CircleGuess
 from edged.vision.curves.circlefit import fit_circle
 from edged.vision.curves.circleprojection import project_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.features import measure_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.measurement import Images, Measured
+from edged.vision.part.measure import measure_part
+from edged.vision.part.measured import Images, Measured
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching import teach
 

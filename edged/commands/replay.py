@@ -21,7 +21,7 @@ from edged.jobs import job_folders, load_job
 from edged.payload import Json, moved_frame, snapshot_to_json
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.store import load_rig, write_atomically
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""

@@ -17,7 +17,7 @@ from edged.pipeline import PreparedRig, prepare
 from edged.report.teaching import inspection_to_json, teaching_report
 from edged.store import load_image, load_rig, write_atomically
 from edged.vision.drawnpart import teach_drawing
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching import teach as teach_job

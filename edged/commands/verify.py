@@ -29,8 +29,8 @@ from edged.vision.calibration.verification import (
     check_board,
     pose_of_board,
 )
-from edged.vision.doubt import undoubted
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.part.consistency import undoubted
 
 _WARNING = (
     "Rows alone do not see a wrong baseline or focal length: those scale the world and leave every point on "

@@ -16,7 +16,7 @@ from edged.errors import FileFormatError
 from edged.jobs.schema import JobFile
 from edged.jobs.text import to_toml
 from edged.store import load_arrays, pack_arrays, read_bytes, replace_folder
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 
 SHAPE_KIND = "edged-shape"

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from edged.vision.job import (
+from edged.vision.part.job import (
     MEASURES,
     CircleFeature,
     CornerFeature,

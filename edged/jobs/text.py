@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edged.vision.job import Job, MeasurementKind, MeasurementSpec, nominal_size
+from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec, nominal_size
 
 
 def _numbers(values: object) -> str:

@@ -15,7 +15,7 @@ from edged.domain import Image
 from edged.payload import Json
 from edged.report.charts import ACCENT, INK, Chart
 from edged.vision.evidence import taught_outlines
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 from edged.vision.shape.inspection import NOISE, Inspection
 
 _STYLE = """

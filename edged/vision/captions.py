@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import Dismissed, FloatArray, Measurement, Reject, Target
-from edged.vision.job import Job
-from edged.vision.measurement import Measured
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
 
 REASONS = {
     Reject.FEW_EDGES: "too few edges seen",

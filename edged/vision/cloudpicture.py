@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.vision.lettering import Canvas, write
-from edged.vision.pointcloud import CONTOUR, FACE, PointCloud
+from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 
 SIDE_PX = 720
 BORDER_PX = 70

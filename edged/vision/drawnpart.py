@@ -18,7 +18,7 @@ from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
-from edged.vision.job import (
+from edged.vision.part.job import (
     DEPTH_SHARE,
     CircleFeature,
     CornerFeature,

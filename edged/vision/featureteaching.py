@@ -19,9 +19,9 @@ from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
-from edged.vision.job import CornerFeature, EdgeFeature, SlotFeature
+from edged.vision.part.initialplane import find_plane
+from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.slots import fit_slot
-from edged.vision.startplane import find_plane
 
 BAND_PX = 7
 """Around a circle that is already a feature: its own edge and the other edge of its chamfer."""

@@ -32,9 +32,9 @@ from edged.vision.evidence import (
     residuals,
 )
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.job import Job
 from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
-from edged.vision.measurement import Measured
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
 from edged.vision.pictureview import View, box_around, view_of, zoom_for
 
 WIDTH_PX = 1280

@@ -25,13 +25,13 @@ from edged.vision.featureteaching import (
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert, transform
-from edged.vision.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
+from edged.vision.part.edgeidentity import is_double
+from edged.vision.part.initialplane import find_plane
+from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
-from edged.vision.startplane import find_plane
 from edged.vision.teachingregion import Area, painted_region
-from edged.vision.wrongedge import is_double
 
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""

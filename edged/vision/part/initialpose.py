@@ -11,11 +11,12 @@ from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, fit_rigid
-from edged.vision.job import Job
-from edged.vision.measurement import Images
+from edged.vision.geometry.rigid import fit_rigid
+from edged.vision.part.initialplane import find_plane
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Images
+from edged.vision.part.prediction import predicted
 from edged.vision.shape.search import ShapeMatch
-from edged.vision.startplane import find_plane
 
 DEPTH_MARGIN = 0.06
 """The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
@@ -52,12 +53,6 @@ def start_pose(
         return fit_rigid(part[:, 0], plane.meet(rays)).to_from_from
     except CalibrationError:  # all on one line, or behind the camera
         return None
-
-
-def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
-    """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
-    taught = rectification.rig.left.project(apply(job.rig_from_part, points_mm))
-    return np.asarray(match.apply(rectification.rectify_points("left", taught) - job.shape.origin_px))
 
 
 def _samples(curves: Sequence[Curve]) -> FloatArray:

@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from edged.domain import Measurement, Reject, Target
-from edged.vision.doubt import doubt_by_rows, doubt_by_sizes, doubted
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.job import Job, Limits
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What a target stands on; NaN where nothing tells.
-
-    support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
-    row_shift_px : left against right.  growth, sigma_growth : by which share all sizes exceed the
-    taught ones.
-    form_mm : largest deviation of a straight edge or slot from its taught place.
-    """
-
-    support: float
-    rms_px: float
-    row_shift_px: float = math.nan
-    growth: float = math.nan
-    sigma_growth: float = math.nan
-    form_mm: float = math.nan
+from edged.vision.part.consistency import doubt_by_rows, doubt_by_sizes, doubted
+from edged.vision.part.job import Job, Limits
+from edged.vision.part.measured import Evidence
 
 
 def judged(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:

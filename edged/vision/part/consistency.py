@@ -25,7 +25,7 @@ import numpy as np
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
 from edged.vision.curves.circle import CircleFit
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.job import Job
+from edged.vision.part.job import Job
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 

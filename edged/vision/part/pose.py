@@ -10,7 +10,7 @@ import numpy as np
 from edged.domain import FloatArray
 from edged.vision.curves.outlines import Curve
 from edged.vision.curves.planefit import PlaneFit
-from edged.vision.job import EdgeFeature, Job, SlotFeature
+from edged.vision.part.job import EdgeFeature, Job, SlotFeature
 
 TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""

@@ -14,10 +14,10 @@ import numpy as np
 
 from edged.domain import FloatArray, Measurement
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.job import Job
-from edged.vision.measurement import Images, Measured
-from edged.vision.pointcloud import face_points, heights_mm
-from edged.vision.sizes import as_measurement
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Images, Measured
+from edged.vision.part.pointcloud import face_points, heights_mm
+from edged.vision.part.sizes import as_measurement
 
 REACH_MM = 1.0
 """Points farther from the measured plane are another surface: a recess, the table seen through a hole."""

@@ -9,8 +9,8 @@ import numpy as np
 from edged.domain import Corner3D, Edge3D, FloatArray, Slot3D, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, derived
-from edged.vision.job import Job
-from edged.vision.sizes import place
+from edged.vision.part.job import Job
+from edged.vision.part.sizes import place
 
 
 def with_features(target: Target, job: Job, fit: PlaneFit) -> Target:

@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Measurement
 from edged.vision.curves.planefit import PlaneFit, derived
-from edged.vision.job import Job, MeasurementSpec, angle_between
+from edged.vision.part.job import Job, MeasurementSpec, angle_between
 
 Size = Callable[[FloatArray], float]
 """Of the parameters of a `PlaneFit`."""

@@ -18,8 +18,8 @@ from edged.domain import FloatArray
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
-from edged.vision.job import Job
-from edged.vision.measurement import Images, Measured
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Images, Measured
 from edged.vision.stereo.matching import NccParams, Reason, match_ncc
 
 CONTOUR, FACE = 0, 1

@@ -19,7 +19,7 @@ from edged.vision.curves.circlefit import fit_circle
 from edged.vision.curves.circleprojection import project_circle
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.job import CircleFeature, Job
+from edged.vision.part.job import CircleFeature, Job
 
 PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
 MIN_SUPPORT = 0.6

@@ -15,17 +15,18 @@ import numpy as np
 from edged.domain import FloatArray, Match, Reject, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
-from edged.vision.edgestart import start_pose
-from edged.vision.facemotion import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
-from edged.vision.flatness import with_flatness
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
-from edged.vision.inrig import lifted, with_features
-from edged.vision.job import Job
-from edged.vision.measurement import EACH_EDGE_ITSELF, Images, Measured, measure
-from edged.vision.quality import Evidence, judged
+from edged.vision.part.acceptance import judged
+from edged.vision.part.circles import EACH_EDGE_ITSELF, measure
+from edged.vision.part.flatness import with_flatness
+from edged.vision.part.frames import lifted, with_features
+from edged.vision.part.initialpose import start_pose
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Evidence, Images, Measured
+from edged.vision.part.pose import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
+from edged.vision.part.sizes import measure_sizes, place
 from edged.vision.shape.search import ShapeMatch
-from edged.vision.sizes import measure_sizes, place
 
 NEAR_PARAMS = PlaneFitParams(reach_px=(3.0, 2.0))
 FAR_PARAMS = PlaneFitParams(reach_px=(8.0, 5.0, 3.0, 2.0))

@@ -11,20 +11,21 @@ from statistics import median
 import cv2
 import numpy as np
 
-from edged.domain import Circle3D, FloatArray, Image, Match, Reject, Target
+from edged.domain import Circle3D, FloatArray, Match, Reject, Target
 from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess, FaceFit
 from edged.vision.curves.circlefit import fit_circle, fit_face
-from edged.vision.curves.planefit import CurveFit
-from edged.vision.doubt import growth_of, row_shift_px
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, cross, rotation_matrix, transform, unit
-from edged.vision.job import CircleFeature, Job
-from edged.vision.quality import Evidence
+from edged.vision.part.consistency import growth_of, row_shift_px
+from edged.vision.part.edgeidentity import is_doubtful
+from edged.vision.part.initialplane import find_plane
+from edged.vision.part.job import CircleFeature, Job
+from edged.vision.part.measured import Evidence, Images, Measured
+from edged.vision.part.prediction import predicted
+from edged.vision.part.prediction import rays as rays_of
 from edged.vision.shape.search import ShapeMatch
-from edged.vision.startplane import find_plane
-from edged.vision.wrongedge import is_doubtful
 
 DEPTH_MARGIN = 0.05
 """The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
@@ -46,26 +47,6 @@ LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0)
 WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
 OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.0), repeats=0)
 TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Images:
-    """One exposure: raw and rectified images (H, W) uint8."""
-
-    left: Image
-    right: Image
-    rectified_left: Image
-    rectified_right: Image
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """A target, what it stands on, and the edges of its circles and its other features (for pictures)."""
-
-    target: Target
-    evidence: Evidence
-    fits: tuple[CircleFit, ...]
-    curves: tuple[CurveFit, ...] = ()
 
 
 def measure(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Measured | None:
@@ -176,7 +157,7 @@ def _starts(images: Images, rectification: Rectification, job: Job, match: Shape
         centre = apply(pose, reference.centre_mm)
         guess = CircleGuess(reference.name, centre, reference.radius_mm, expected)
         yield _Start(guess, -pose[:3, 2], LOCK_PARAMS)
-    rays = _rays(rectification, _predicted(rectification, job, match, reference.centre_mm[None]))
+    rays = rays_of(rectification, predicted(rectification, job, match, reference.centre_mm[None]))
     for polarity in polarities:
         face = _face(images, rectification, job, match, polarity)
         if face is not None and np.isfinite(rays).all():
@@ -188,7 +169,7 @@ def _plane_poses(rectification: Rectification, job: Job, match: ShapeMatch) -> l
     """The rig_from_part (4, 4) under which the part's face looks like the match; better one first."""
     flat = _outline(job.reference_circle, PNP_POINTS)
     flat[:, 2] = 0.0
-    rays = _rays(rectification, _predicted(rectification, job, match, flat))
+    rays = rays_of(rectification, predicted(rectification, job, match, flat))
     if not np.isfinite(rays).all():
         return []
     count, turns, places, _ = cv2.solvePnPGeneric(
@@ -325,17 +306,6 @@ def _together(
     return face
 
 
-def _predicted(
-    rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray
-) -> FloatArray:
-    """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
-    taught = rectification.rectify_points(
-        "left", rectification.rig.left.project(apply(job.rig_from_part, points_mm))
-    )
-    local = taught - job.shape.origin_px
-    return np.asarray(match.apply(local))
-
-
 def _outline(circle: CircleFeature, count: int) -> FloatArray:
     phase = np.arange(count) * (2 * np.pi / count)
     ring = np.column_stack([np.cos(phase), np.sin(phase), np.zeros(count)])
@@ -364,7 +334,7 @@ def _predicted_outline(
     rectification: Rectification, job: Job, match: ShapeMatch
 ) -> tuple[FloatArray, FloatArray]:
     """Points (N, 2) and outward normals of the reference circle in the rectified left image, by the match."""
-    points = _predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
+    points = predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
     tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -384,18 +354,13 @@ def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
     return -circle.polarity if match.inverted else circle.polarity
 
 
-def _rays(rectification: Rectification, rectified_px: FloatArray) -> FloatArray:
-    normalised = rectification.rig.left.normalise(rectification.raw_points("left", rectified_px))
-    return np.column_stack([normalised, np.ones(len(normalised))])
-
-
 def _start_rotation(rectification: Rectification, job: Job, match: ShapeMatch, main: CircleFit) -> FloatArray:
     """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
     normal = main.circle.normal
     face = Plane(normal, float(normal @ main.circle.centre_mm))
     radius = job.reference_circle.radius_mm
     tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
-    space = face.meet(_rays(rectification, _predicted(rectification, job, match, tips)))
+    space = face.meet(rays_of(rectification, predicted(rectification, job, match, tips)))
     return _frame(main.circle.normal, space[0] - space[1], space[2] - space[3])
 
 

@@ -1,0 +1,1 @@
+"""A found part measured in space: pose, features, sizes, consistency, acceptance (paper, 5)."""

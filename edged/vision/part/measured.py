@@ -1,0 +1,48 @@
+"""What a measurement starts from and what it gives: images, evidence, results."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from edged.domain import Image, Target
+from edged.vision.curves.circle import CircleFit
+from edged.vision.curves.planefit import CurveFit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Images:
+    """One exposure: raw and rectified images (H, W) uint8."""
+
+    left: Image
+    right: Image
+    rectified_left: Image
+    rectified_right: Image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A target, what it stands on, and the edges of its circles and its other features (for pictures)."""
+
+    target: Target
+    evidence: Evidence
+    fits: tuple[CircleFit, ...]
+    curves: tuple[CurveFit, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a target stands on; NaN where nothing tells.
+
+    support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
+    row_shift_px : left against right.  growth, sigma_growth : by which share all sizes exceed the
+    taught ones.
+    form_mm : largest deviation of a straight edge or slot from its taught place.
+    """
+
+    support: float
+    rms_px: float
+    row_shift_px: float = math.nan
+    growth: float = math.nan
+    sigma_growth: float = math.nan
+    form_mm: float = math.nan
