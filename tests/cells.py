@@ -13,7 +13,7 @@ from edged.sim.cell import demo_part, demo_rig, stereo_views
 from edged.sim.scene import Part, Placed, Scene, Surface, Table
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import rotation_matrix
-from edged.vision.teachingregion import Region
+from edged.vision.teaching.region import Region
 
 PLACE_MM = (8.0, 0.0, 205.0)
 """Where both cameras of the demo's rig look."""

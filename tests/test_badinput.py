@@ -14,7 +14,7 @@ from edged.errors import ImageError
 from edged.pipeline import locate
 from edged.sim.scene import Box, Disc, Part, Surface
 from edged.vision.part.job import Job
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 HONEST = 25.0
 """Squared error in units of sigma, three degrees of freedom: exceeded by chance in one of 65,000 cases."""

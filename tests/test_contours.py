@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as arrays
 from edged.domain import FloatArray, Image
 from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.edges.contours import Contour, find_contours, link, misfit_px, pieces, ramer, split
-from edged.vision.slots import fit_slot, slot_distance
+from edged.vision.teaching.slots import fit_slot, slot_distance
 
 BARE = Surface(albedo=0.6)
 DARK = Surface(albedo=0.1)

@@ -20,9 +20,9 @@ from edged.drawing import read_dxf
 from edged.errors import TeachError, UserError
 from edged.jobs import load_job, save_job
 from edged.pipeline import locate, prepare
-from edged.vision.drawnpart import teach_drawing
 from edged.vision.geometry.rectification import make_rectification
-from edged.vision.shape.raster import coverage
+from edged.vision.teaching.coverage import coverage
+from edged.vision.teaching.drawing import teach_drawing
 
 DEPTH_MM = 205.0
 

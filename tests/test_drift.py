@@ -22,7 +22,7 @@ from edged.drift import DriftLimits, DriftMonitor
 from edged.pipeline import locate, prepare
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 NOMINAL_MM = 14.0
 

@@ -11,11 +11,11 @@ from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
 
 from edged.domain import FloatArray
 from edged.sim.scene import Surface
-from edged.vision.faceedges import without_background
-from edged.vision.featureteaching import TeachingView
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching import teach
+from edged.vision.teaching.background import without_background
+from edged.vision.teaching.features import TeachingView
+from edged.vision.teaching.pair import teach
 
 TABLE = Surface(albedo=0.3, contrast=0.9, feature_mm=0.8, seed=2)
 """Blotches as bright and as dark as the part, 12 px wide."""

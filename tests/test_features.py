@@ -25,7 +25,7 @@ from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import Images, Measured
 from edged.vision.part.pointcloud import CONTOUR, FACE
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 METAL = Surface(albedo=0.62, contrast=0.12, feature_mm=0.5, seed=1)
 PLATE = Part("plate", Polygon(((-12, -8), (10, -8), (13, 2), (2, 9), (-12, 6))), METAL)

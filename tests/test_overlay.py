@@ -30,7 +30,7 @@ from edged.vision.lettering import shortened, width_of
 from edged.vision.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.pictureview import box_around, view_of, zoom_for
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 ELSEWHERE = pose(turn_deg=25.0, tilt_deg=4.0)
 

@@ -13,8 +13,8 @@ from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
-from edged.vision.teaching import teach
-from edged.vision.teachingregion import Region
+from edged.vision.teaching.pair import teach
+from edged.vision.teaching.region import Region
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.teaching import teach
-from edged.vision.teachingregion import Area, Circle, Painted, Polygon, Region, painted_region
+from edged.vision.teaching.pair import teach
+from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region, painted_region
 
 SIZE = (200, 120)
 

@@ -25,7 +25,7 @@ from edged.vision.calibration.verification import Length, check_board, pose_of_b
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import rotation_matrix, transform
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 RIG = make_rig(focal_px=1590.0, size=(640, 480))
 SPEC = "dots:7x7:5"

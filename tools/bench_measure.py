@@ -41,7 +41,7 @@ from edged.vision.geometry.rectification import Rectification, make_rectificatio
 from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import Images, Measured
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching import teach
+from edged.vision.teaching.pair import teach
 
 RADIUS_MM = 12.0
 WHERE = pose(turn_deg=30.0, tilt_deg=5.0)

@@ -34,7 +34,7 @@ from edged.domain import Image
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
-from edged.vision.teachingregion import Circle, Region
+from edged.vision.teaching.region import Circle, Region
 
 PARAMS = SearchParams(max_matches=100, max_overlap=0.8)
 """For every picture: the defaults, but all parts, also interlocked ones that share most of their discs."""

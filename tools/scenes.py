@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.vision.shape.raster import coverage
+from edged.vision.teaching.coverage import coverage
 
 Float = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]

@@ -25,8 +25,8 @@ from edged.pipeline import prepare
 from edged.sim.cell import VirtualCell
 from edged.sim.world import VirtualWorld
 from edged.store import save_rig, write_atomically
-from edged.vision.teaching import teach
-from edged.vision.teachingregion import Region
+from edged.vision.teaching.pair import teach
+from edged.vision.teaching.region import Region
 
 CELL = "demo"
 

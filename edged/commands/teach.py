@@ -16,12 +16,12 @@ from edged.jobs import save_job
 from edged.pipeline import PreparedRig, prepare
 from edged.report.teaching import inspection_to_json, teaching_report
 from edged.store import load_image, load_rig, write_atomically
-from edged.vision.drawnpart import teach_drawing
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.teaching import teach as teach_job
-from edged.vision.teachingregion import Area, Circle, Painted, Polygon, Region
+from edged.vision.teaching.drawing import teach_drawing
+from edged.vision.teaching.pair import teach as teach_job
+from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
 

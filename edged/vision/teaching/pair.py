@@ -13,15 +13,6 @@ from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess
 from edged.vision.curves.circlefit import fit_circle, fit_face
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
-from edged.vision.faceedges import without_background
-from edged.vision.featureteaching import (
-    FoundFeatures,
-    TeachingView,
-    find_edge_face,
-    find_features,
-    outline_mask,
-    part_frame,
-)
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert, transform
@@ -31,7 +22,16 @@ from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, kno
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
-from edged.vision.teachingregion import Area, painted_region
+from edged.vision.teaching.background import without_background
+from edged.vision.teaching.features import (
+    FoundFeatures,
+    TeachingView,
+    find_edge_face,
+    find_features,
+    outline_mask,
+    part_frame,
+)
+from edged.vision.teaching.region import Area, painted_region
 
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""

@@ -29,8 +29,8 @@ from edged.vision.part.job import (
 )
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.shape.raster import coverage
 from edged.vision.shape.search import SearchParams
+from edged.vision.teaching.coverage import coverage
 
 BACKGROUND, PART = 60.0, 190.0
 BLUR_PX = 0.7

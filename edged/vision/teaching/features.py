@@ -21,7 +21,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
-from edged.vision.slots import fit_slot
+from edged.vision.teaching.slots import fit_slot
 
 BAND_PX = 7
 """Around a circle that is already a feature: its own edge and the other edge of its chamfer."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.shape.raster import coverage
+from edged.vision.teaching.coverage import coverage
 
 MIN_WIDTH_PX = 16
 """A smaller region shows no shape."""

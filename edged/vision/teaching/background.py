@@ -12,8 +12,8 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.featureteaching import TeachingView
 from edged.vision.geometry.plane import Plane
+from edged.vision.teaching.features import TeachingView
 
 MAX_MISMATCH_PX = 1.0
 """Along the normal, left against right: shading moves an edge of the face by less, chance by more."""

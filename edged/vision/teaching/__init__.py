@@ -1,0 +1,1 @@
+"""A job from one stereo pair and a region, or from a drawing."""
