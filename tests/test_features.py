@@ -12,13 +12,13 @@ import pytest
 from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene, small_rig
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
+from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import PreparedRig, cloud, inspect, judge, locate, prepare
 from edged.ply import VERTEX, encode_ply
 from edged.sim.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.vision.part.flatness import form_of
 from edged.vision.part.job import Job, MeasurementSpec, nominal_size
 from edged.vision.part.measure import measure_part

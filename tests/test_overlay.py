@@ -10,10 +10,8 @@ import pytest
 from cells import flange, frame_pair, pictures, pose, scene
 
 from edged.domain import FloatArray, Image, Reject, Slot3D, Status
-from edged.pipeline import Inspection, PreparedRig, inspect, judge, prepare
-from edged.sim.cell import demo_part
-from edged.vision.captions import REASONS, feature_lines, headline, pose_lines, reasons, size_lines
-from edged.vision.evidence import (
+from edged.pictures.captions import REASONS, feature_lines, headline, pose_lines, reasons, size_lines
+from edged.pictures.evidence import (
     GOLD,
     GREEN,
     LONGEST_WHISKER_PX,
@@ -26,10 +24,12 @@ from edged.vision.evidence import (
     residuals,
     slot_outline,
 )
-from edged.vision.lettering import shortened, width_of
-from edged.vision.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
+from edged.pictures.lettering import shortened, width_of
+from edged.pictures.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
+from edged.pictures.view import box_around, view_of, zoom_for
+from edged.pipeline import Inspection, PreparedRig, inspect, judge, prepare
+from edged.sim.cell import demo_part
 from edged.vision.part.job import Job, MeasurementSpec
-from edged.vision.pictureview import box_around, view_of, zoom_for
 from edged.vision.teaching.pair import teach
 
 ELSEWHERE = pose(turn_deg=25.0, tilt_deg=4.0)

@@ -14,13 +14,13 @@ from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, T
 from edged.errors import FileFormatError
 from edged.jobs import load_job
 from edged.payload import outcome_to_json
+from edged.pictures.captions import reasons
+from edged.pictures.cloud import cloud_picture
+from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
 from edged.ply import save_ply
 from edged.store import load_image, load_rig, write_atomically
-from edged.vision.captions import reasons
-from edged.vision.cloudpicture import cloud_picture
-from edged.vision.overlay import draw_pair
 
 
 def locate(

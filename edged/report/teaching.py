@@ -13,8 +13,8 @@ import numpy as np
 from edged import __version__
 from edged.domain import Image
 from edged.payload import Json
+from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
-from edged.vision.evidence import taught_outlines
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import NOISE, Inspection
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.lettering import Canvas, write
+from edged.pictures.lettering import Canvas, write
 from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 
 SIDE_PX = 720

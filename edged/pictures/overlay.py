@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from edged.domain import Dismissed, FloatArray, Image, Status, Target
-from edged.vision.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
-from edged.vision.evidence import (
+from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
+from edged.pictures.evidence import (
     GOLD,
     GREEN,
     GREY,
@@ -31,11 +31,11 @@ from edged.vision.evidence import (
     missing_outlines,
     residuals,
 )
+from edged.pictures.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
+from edged.pictures.view import View, box_around, view_of, zoom_for
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
-from edged.vision.pictureview import View, box_around, view_of, zoom_for
 
 WIDTH_PX = 1280
 """Of either image in the picture, whatever the cameras': text is as large on every picture."""

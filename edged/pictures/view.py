@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
+from edged.pictures.lettering import Canvas, Colour
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply
-from edged.vision.lettering import Canvas, Colour
 
 DIMMED = 0.8
 """Of the picture's brightness, so that colours stand out on a bright part, too."""

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Target
-from edged.vision.captions import measured_names, reference_name
-from edged.vision.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
+from edged.pictures.captions import measured_names, reference_name
+from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
+from edged.pictures.view import Box, View
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
-from edged.vision.pictureview import Box, View
 
 GREEN: Colour = (90, 215, 70)
 GOLD: Colour = (40, 200, 255)

@@ -1,0 +1,1 @@
+"""Pictures for people: what was measured, what was not, and why."""
