@@ -43,7 +43,7 @@ from edged.head import head_of as head_of
 from edged.logs import fields
 from edged.pipeline import PreparedRig, locate
 from edged.ports import Publisher
-from edged.robots import Convention
+from edged.robot.orientations import Convention
 from edged.vision.part.job import Job
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation

@@ -38,8 +38,8 @@ from edged.domain import (
 from edged.drift import DriftLimits, DriftMonitor, refused
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError, CommandRefused
 from edged.logs import FaultLog, cycle_number, fields
-from edged.payload import moved_frame
 from edged.ports import Publisher
+from edged.robot.covariance import moved_frame
 from edged.tasks import cancel_and_await
 
 log = logging.getLogger(__name__)

@@ -21,8 +21,9 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Command, CommandKind, Event, FloatArray, Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
-from edged.payload import command_to_json, moved_frame
-from edged.robots import ANGLES_DEG, Convention, rotation_of
+from edged.payload import command_to_json
+from edged.robot.covariance import moved_frame
+from edged.robot.orientations import ANGLES_DEG, Convention, rotation_of
 from edged.store import load_rig, save_rig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 

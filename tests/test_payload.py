@@ -18,11 +18,11 @@ from edged.payload import (
     message,
     outcome_to_json,
     reject_names,
-    rotate_covariance,
     snapshot_to_json,
     state_to_json,
     target_to_json,
 )
+from edged.robot.covariance import rotate_covariance
 from edged.vision.geometry.rigid import rotation_matrix, rotation_vector
 
 ROBOT_FROM_RIG = make_transform((0.4, 1.1, -0.7), (500.0, -200.0, 300.0))

@@ -20,13 +20,7 @@ from edged import registers as reg
 from edged.commands.registers import render
 from edged.domain import Reject, Snapshot, Status
 from edged.errors import UserError
-from edged.robots import (
-    ANGLES_DEG,
-    Convention,
-    quaternion,
-    rotation_vector_rad,
-    sigma_angles_deg,
-)
+from edged.robot.orientations import ANGLES_DEG, Convention, quaternion, rotation_vector_rad, sigma_angles_deg
 
 STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 215), "result": (300, 347)} | {
     "ur": (400, 419),

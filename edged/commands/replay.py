@@ -18,8 +18,9 @@ from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
 from edged.drift import refused
 from edged.errors import FileFormatError, UserError
 from edged.jobs import job_folders, load_job
-from edged.payload import Json, moved_frame, snapshot_to_json
+from edged.payload import Json, snapshot_to_json
 from edged.pipeline import PreparedRig, locate, prepare
+from edged.robot.covariance import moved_frame
 from edged.store import load_rig, write_atomically
 from edged.vision.part.job import Job
 

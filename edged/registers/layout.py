@@ -17,7 +17,7 @@ from edged.registers.schema import (
     list_codes,
     make_block,
 )
-from edged.robots import Convention
+from edged.robot.orientations import Convention
 
 AXES = ("X", "Y", "Z", "A", "B", "C")
 _U16, _I32, _U32, _U64, _F32 = Kind.U16, Kind.I32, Kind.U32, Kind.U64, Kind.F32

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import CommandKind, FloatArray, Snapshot, Status, Target
-from edged.payload import robot_covariance
 from edged.registers.layout import AXES
 from edged.registers.schema import (
     INT32_MAX,
@@ -27,7 +26,8 @@ from edged.registers.schema import (
     Number,
     ResultCode,
 )
-from edged.robots import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
+from edged.robot.covariance import robot_covariance
+from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 
 
 @dataclass(frozen=True, slots=True)

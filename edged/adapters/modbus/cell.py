@@ -30,7 +30,7 @@ from edged.domain import (
 )
 from edged.errors import CommandRefused
 from edged.ports import Commander
-from edged.robots import rotation_of
+from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"

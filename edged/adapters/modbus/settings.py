@@ -10,7 +10,7 @@ from typing import Literal
 
 from edged.handshake import Limits
 from edged.registers import BLOCKS, WordOrder
-from edged.robots import Convention
+from edged.robot.orientations import Convention
 
 Network = IPv4Network | IPv6Network
 Address = IPv4Address | IPv6Address

@@ -57,7 +57,7 @@ from edged.domain import (
 from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander
-from edged.robots import Brand, transform_of
+from edged.robot.orientations import Brand, transform_of
 
 log = logging.getLogger(__name__)
 

@@ -21,7 +21,7 @@ import zenoh
 
 from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
 from edged.errors import ConfigError
-from edged.payload import robot_covariance
+from edged.robot.covariance import robot_covariance
 from edged.vision.geometry.rigid import rotation_vector
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10

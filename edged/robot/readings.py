@@ -9,8 +9,8 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
+from edged.robot.handeye import Mount, hand_eye
 from edged.vision.geometry.rigid import transform
-from edged.vision.registration import Mount, hand_eye
 
 MOUNTS: tuple[Mount, ...] = ("eye-to-hand", "eye-in-hand")
 

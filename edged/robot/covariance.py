@@ -1,0 +1,53 @@
+"""Pose covariances from the rig's frame to the robot's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edged.domain import (
+    FloatArray,
+    Target,
+)
+from edged.vision.geometry.rigid import skew
+
+
+def robot_covariance(
+    target: Target, robot_from_rig: FloatArray, registration: FloatArray | None
+) -> FloatArray:
+    """(6, 6) of a target's pose in the robot's frame, with the doubt about the registration itself.
+
+    registration (6, 6) : of a small motion that follows robot_from_rig; None: taken as exact. Its rotation w
+    moves a point p by w x p, and turns every part by w.
+    """
+    covariance = rotate_covariance(target.covariance, robot_from_rig)
+    if registration is None:
+        return covariance
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = -skew((robot_from_rig @ target.rig_from_part)[:3, 3])
+    return np.asarray(covariance + jacobian @ registration @ jacobian.T)
+
+
+def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> FloatArray:
+    """(6, 6) of robot_from_rig, from that of flange_from_rig; the flange's own pose is taken as exact.
+
+    A small motion about the flange's origin, (shift v, rotation w), is (R v + t x R w, R w) about the base's.
+    """
+    R, t = robot_from_flange[:3, :3], robot_from_flange[:3, 3]
+    adjoint = np.zeros((6, 6))
+    adjoint[:3, :3] = adjoint[3:, 3:] = R
+    adjoint[:3, 3:] = skew(t) @ R
+    return np.asarray(adjoint @ registration @ adjoint.T)
+
+
+def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> FloatArray:
+    """The (6, 6) covariance of a pose, seen in another frame.
+
+    covariance : of (translation, rotation vector applied on the left), axes of the old frame.
+    to_from_from : (4, 4) rigid transform. With new = T old, a small rotation w of the old axes is
+    R w in the new ones, and so is a small shift: J = diag(R, R), J C J^T. The translation of T does
+    not enter, because the rotation turns the part about its own origin.
+    """
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = jacobian[3:, 3:] = to_from_from[:3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN, and becomes null
+        return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)
