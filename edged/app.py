@@ -25,7 +25,7 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.cellfiles import CellFiles, read_cell
 from edged.config import (
     Config,

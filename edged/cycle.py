@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from edged.capture.tasks import cancel_and_await
 from edged.domain import (
     Calibrated,
     CellState,
@@ -40,7 +41,6 @@ from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, Captur
 from edged.logs import FaultLog, cycle_number, fields
 from edged.ports import Publisher
 from edged.robot.covariance import moved_frame
-from edged.tasks import cancel_and_await
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ from edged.adapters.aravis import (
     Trigger,
 )
 from edged.adapters.replay import replay_cameras
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.config import CameraSection, CamerasSection, TriggerSection
 from edged.errors import ConfigError
 from edged.ports import Camera

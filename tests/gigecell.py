@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.domain import Frame, Image
 from edged.errors import CaptureError
 from edged.sim.exposure import ExposureRequest

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from edged import errors
-from edged.capture import REOPEN_AFTER, StereoHead
+from edged.capture.stereohead import REOPEN_AFTER, StereoHead
+from edged.capture.tasks import both
 from edged.domain import Frame, FramePair, Image
 from edged.errors import (
     CameraBusy,
@@ -28,7 +29,6 @@ from edged.errors import (
 )
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera, InProcessFaults
-from edged.tasks import both
 
 TIMEOUT_S = 0.1
 

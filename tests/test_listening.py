@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edged.capture import REOPEN_AFTER, StereoHead
+from edged.capture.stereohead import REOPEN_AFTER, StereoHead
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 

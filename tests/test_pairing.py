@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edged.capture.pairing import Pairing
 from edged.domain import Frame, TimeBase
-from edged.pairing import Pairing
 
 MS = 1_000_000
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edged.adapters.replay import ReplayCamera, find_pairs, replay_cameras
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.domain import Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 

@@ -38,7 +38,7 @@ from snapshots import make_target
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusSettings
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection, TriggerSection
 from edged.domain import FramePair, Outcome, Status
 from edged.errors import CaptureError

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from edged.adapters.aravis import aravis_missing, list_cameras
 from edged.app import head_of
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.config import load
 from edged.domain import FramePair
 from edged.errors import FileFormatError, UserError

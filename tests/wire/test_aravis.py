@@ -35,7 +35,7 @@ from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, 
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
 from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.domain import Frame
 from edged.errors import (
     CameraBusy,

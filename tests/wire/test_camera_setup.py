@@ -14,7 +14,7 @@ from gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run,
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
-from edged.capture import StereoHead
+from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera

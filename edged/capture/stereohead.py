@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from edged.capture.pairing import Pairing
+from edged.capture.tasks import both, cancel_and_await
 from edged.domain import Frame, FramePair, Image
 from edged.errors import (
     CameraBusy,
@@ -30,9 +32,7 @@ from edged.errors import (
     PairingError,
     StreamStalled,
 )
-from edged.pairing import Pairing
 from edged.ports import Camera
-from edged.tasks import both, cancel_and_await
 
 REOPEN_AFTER = 3
 """Exposures in a row that one camera failed to deliver, before it is closed and opened again.
