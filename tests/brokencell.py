@@ -16,7 +16,7 @@ from servicefaults import FAKETIME, FakeClock, comes_true, full, read_only, tmpf
 from smallcell import DaemonProcess, SmallCell
 
 from edged import recording
-from edged.registers import StatusBit
+from edged.plc.registers import StatusBit
 
 
 def says(daemon: DaemonProcess, word: str, other: str) -> bool:

@@ -19,7 +19,7 @@ from types import TracebackType
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from edged.registers import INT32_MIN, RESULT, STATUS, Flag, StatusBit, crc16, decode
+from edged.plc.registers import INT32_MIN, RESULT, STATUS, Flag, StatusBit, crc16, decode
 
 RESULT_CODES = {1: "OK", 2: "NO_TARGET", 3: "LOW_QUALITY", 4: "CAPTURE_FAULT"}
 SLACK_S = 0.25

@@ -25,7 +25,7 @@ from smallcell import DaemonProcess, SmallCell
 
 from edged import recording
 from edged.errors import FileFormatError
-from edged.registers import StatusBit
+from edged.plc.registers import StatusBit
 
 FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1")
 

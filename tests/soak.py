@@ -26,14 +26,14 @@ from typing import Any
 import numpy as np
 from snapshots import make_target
 
-from edged import handshake as hs
-from edged import registers as reg
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import CommandKind, Frame, FramePair, Outcome, Reject, Status
 from edged.errors import FrameTimeout
+from edged.plc import handshake as hs
+from edged.plc import registers as reg
 
 VALIDITY_S = 2.0
 IMAGE = np.zeros((2, 2), np.uint8)

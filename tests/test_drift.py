@@ -13,13 +13,13 @@ import pytest
 from snapshots import make_target
 from test_cycle import Ear, Head, until
 
-from edged import registers as reg
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Calibrated, CellState, Event, Measurement, Outcome, Reject, Status, Target
 from edged.drift import DriftLimits, DriftMonitor
 from edged.pipeline import locate, prepare
+from edged.plc import registers as reg
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.teaching.pair import teach

@@ -14,14 +14,14 @@ from cells import small_rig
 from snapshots import make_target, make_transform
 from test_cycle import Ear, Head, until
 
-from edged import handshake as hs
-from edged import registers as reg
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Command, CommandKind, Event, FloatArray, Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
 from edged.payload import command_to_json
+from edged.plc import handshake as hs
+from edged.plc import registers as reg
 from edged.robot.covariance import moved_frame
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_of
 from edged.store import load_rig, save_rig

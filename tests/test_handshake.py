@@ -8,8 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from edged import handshake as hs
-from edged.handshake import Answer, Handshake, Limits, Reason, Verdict, is_valid, may_write, step
+from edged.plc import handshake as hs
+from edged.plc.handshake import Answer, Handshake, Limits, Reason, Verdict, is_valid, may_write, step
 
 LIMITS = Limits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
 

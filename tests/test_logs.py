@@ -18,7 +18,7 @@ from wire.test_wrong import Plc
 
 from edged.adapters.journal import JournalHandler, encode, set_up_logging
 from edged.logs import RELAPSE_S, FaultLog, cycle_number, fields
-from edged.registers import STATUS
+from edged.plc.registers import STATUS
 
 
 class Journald:

@@ -62,7 +62,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
         "edged.report",
         "edged.vision.calibration.calibrate",
         "edged.vision.boards.chessboard",
-        "edged.clients",
+        "edged.plc.clients",
     )
     assert [] == [name for name in loaded if name.startswith(others)]
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from soak import Soak
 
-from edged import handshake as hs
 from edged.adapters.modbus.cell import CellRegisters
+from edged.plc import handshake as hs
 
 
 @pytest.fixture(autouse=True)

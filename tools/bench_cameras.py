@@ -44,7 +44,7 @@ from edged.domain import FramePair, Outcome, Status
 from edged.errors import CaptureError
 from edged.head import head_of
 from edged.logs import fields_of
-from edged.registers import Flag
+from edged.plc.registers import Flag
 
 Figures = dict[str, Any]
 MODES: dict[str, dict[str, object]] = {

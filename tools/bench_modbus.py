@@ -27,7 +27,7 @@ from benchcell import BenchCell, free_port
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from edged.registers import ADDRESS, Flag
+from edged.plc.registers import ADDRESS, Flag
 
 PERIOD_S = 0.02
 READ_RESULT = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 300, 48)

@@ -110,7 +110,7 @@ class GoodClient(threading.Thread):
 
     def run(self) -> None:
         """Until `done`, or until it is not served."""
-        from edged.registers import crc16
+        from edged.plc.registers import crc16
 
         with self._line:
             while not self.done.wait(0.02):
@@ -265,7 +265,7 @@ class Fuzzer:
 
 
 def _crc(data: bytes) -> int:
-    from edged.registers import crc16
+    from edged.plc.registers import crc16
 
     return crc16(data)
 

@@ -8,9 +8,9 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 
-from edged.clients import python_source, structured_text_source, urscript_source
 from edged.errors import UserError
-from edged.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
+from edged.plc.clients import python_source, structured_text_source, urscript_source
+from edged.plc.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
 
 
 def registers(fmt: str) -> int:

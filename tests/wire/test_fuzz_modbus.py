@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from edged.adapters.modbus import rtu
-from edged.registers import CRC_START, crc16
+from edged.plc.registers import CRC_START, crc16
 
 FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_modbus.py"
 

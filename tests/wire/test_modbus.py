@@ -22,14 +22,14 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from snapshots import make_snapshot
 
-from edged import registers as reg
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.domain import CellState, Command, CommandKind, ExposureDone, JobChanged, Status
 from edged.errors import CommandRefused, ListenError
-from edged.registers import StatusBit, crc16
+from edged.plc import registers as reg
+from edged.plc.registers import StatusBit, crc16
 
 READY = CellState("READY", True, True, "flange", 1, 0)
 WAIT_S = 10.0  # what a loaded machine may need; nothing here sleeps for it

@@ -17,12 +17,12 @@ from livecell import LiveCell
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
 from serialline import SerialCable
 
-from edged import registers as reg
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
 from edged.adapters.modbus.cell import CellRegisters
 from edged.domain import CommandKind
 from edged.errors import ListenError
-from edged.registers import StatusBit
+from edged.plc import registers as reg
+from edged.plc.registers import StatusBit
 
 WAIT_S = 20.0
 

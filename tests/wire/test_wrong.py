@@ -16,12 +16,12 @@ from livecell import LiveCell
 from pymodbus.client import ModbusTcpClient
 from snapshots import make_snapshot
 
-from edged import registers as reg
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.domain import Command, CommandKind, ExposureDone
-from edged.registers import StatusBit
+from edged.plc import registers as reg
+from edged.plc.registers import StatusBit
 
 WAIT_S = 20.0
 PATIENT = ModbusSettings(port=0, validity_s=30.0)

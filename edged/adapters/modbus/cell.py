@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from edged import handshake as hs
-from edged import registers as reg
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
@@ -29,6 +27,8 @@ from edged.domain import (
     Snapshot,
 )
 from edged.errors import CommandRefused
+from edged.plc import handshake as hs
+from edged.plc import registers as reg
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform

@@ -11,8 +11,8 @@ from edged.adapters.modbus.rtu import RtuServer
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain import Event
+from edged.plc.registers import BLOCKS, Number, Register, decode
 from edged.ports import Commander
-from edged.registers import BLOCKS, Number, Register, decode
 
 
 class ModbusPublisher:

@@ -21,7 +21,7 @@ from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
 from edged.errors import ListenError
-from edged.registers import CRC_START, crc16
+from edged.plc.registers import CRC_START, crc16
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_add
 from pathlib import Path
 from typing import Literal
 
-from edged.handshake import Limits
-from edged.registers import BLOCKS, WordOrder
+from edged.plc.handshake import Limits
+from edged.plc.registers import BLOCKS, WordOrder
 from edged.robot.orientations import Convention
 
 Network = IPv4Network | IPv6Network

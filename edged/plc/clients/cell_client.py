@@ -21,9 +21,9 @@ from pymodbus.client import ModbusTcpClient
 
 # <map>
 from edged.domain import CommandKind
-from edged.handshake import Reason
-from edged.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, ResultCode, StatusBit
-from edged.registers import BLOCKS as _BLOCKS
+from edged.plc.handshake import Reason
+from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, ResultCode, StatusBit
+from edged.plc.registers import BLOCKS as _BLOCKS
 
 BLOCKS = {
     block.name: (block.address, tuple((one.name, one.kind.value) for one in block.registers))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edged.domain import CommandKind, Reject
-from edged.registers.schema import (
+from edged.plc.registers.schema import (
     ROW_WORDS,
     TABLE_ROWS,
     Block,

@@ -7,8 +7,8 @@ half of two results: sequence head and tail and the CRC of a block belong to one
 `values` turns a snapshot into values.
 """
 
-from edged.registers.codec import CRC_START, crc16, decode, encode
-from edged.registers.layout import (
+from edged.plc.registers.codec import CRC_START, crc16, decode, encode
+from edged.plc.registers.layout import (
     ADDRESS,
     AXES,
     BLOCKS,
@@ -20,7 +20,7 @@ from edged.registers.layout import (
     TABLE,
     UR,
 )
-from edged.registers.schema import (
+from edged.plc.registers.schema import (
     INT32_MAX,
     INT32_MIN,
     MAGIC,
@@ -40,7 +40,7 @@ from edged.registers.schema import (
     Warn,
     WordOrder,
 )
-from edged.registers.values import (
+from edged.plc.registers.values import (
     NOTHING,
     Measured,
     Pose,

@@ -7,18 +7,8 @@ No global variables, no vendor library: the PLC's own Modbus client copies regis
 from __future__ import annotations
 
 from edged.domain import CommandKind
-from edged.handshake import Reason
-from edged.registers import (
-    ADDRESS,
-    COMMAND,
-    MAP_VERSION,
-    RESULT,
-    STATUS,
-    Flag,
-    Kind,
-    Register,
-    StatusBit,
-)
+from edged.plc.handshake import Reason
+from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, RESULT, STATUS, Flag, Kind, Register, StatusBit
 
 TYPES = {Kind.U16: ("ui", "UINT"), Kind.I32: ("di", "DINT"), Kind.U32: ("ud", "UDINT")}
 CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1

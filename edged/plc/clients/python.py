@@ -5,17 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from edged.domain import CommandKind
-from edged.handshake import Reason
-from edged.registers import (
-    ADDRESS,
-    BLOCKS,
-    MAGIC,
-    MAP_VERSION,
-    TABLE,
-    Flag,
-    ResultCode,
-    StatusBit,
-)
+from edged.plc.handshake import Reason
+from edged.plc.registers import ADDRESS, BLOCKS, MAGIC, MAP_VERSION, TABLE, Flag, ResultCode, StatusBit
 
 BEGIN, END = "# <map>\n", "# </map>\n"
 

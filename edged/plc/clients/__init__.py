@@ -3,8 +3,8 @@
 `structured_text` for PLCs (IEC 61131-3), `urscript` for Universal Robots, `python` for PCs.
 """
 
-from edged.clients.python import python_source
-from edged.clients.structured_text import structured_text_source
-from edged.clients.urscript import urscript_source
+from edged.plc.clients.python import python_source
+from edged.plc.clients.structured_text import structured_text_source
+from edged.plc.clients.urscript import urscript_source
 
 __all__ = ["python_source", "structured_text_source", "urscript_source"]

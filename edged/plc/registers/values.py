@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import CommandKind, FloatArray, Snapshot, Status, Target
-from edged.registers.layout import AXES
-from edged.registers.schema import (
+from edged.plc.registers.layout import AXES
+from edged.plc.registers.schema import (
     INT32_MAX,
     INT32_MIN,
     MAGIC,

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from edged.registers.schema import INT32_MIN, Block, Kind, Number, WordOrder
+from edged.plc.registers.schema import INT32_MIN, Block, Kind, Number, WordOrder
 
 _EMPTY: dict[Kind, Number] = {
     Kind.U16: 0,

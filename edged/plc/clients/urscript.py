@@ -8,8 +8,8 @@ sequence, and everything is read twice, a refresh apart, until it agrees.
 from __future__ import annotations
 
 from edged.domain import CommandKind
-from edged.handshake import Reason
-from edged.registers import ADDRESS, MAP_VERSION, UR, Flag, Kind, StatusBit
+from edged.plc.handshake import Reason
+from edged.plc.registers import ADDRESS, MAP_VERSION, UR, Flag, Kind, StatusBit
 
 REFRESH_HZ = 50
 OUTPUTS = ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT")
