@@ -14,8 +14,8 @@ from pathlib import Path
 
 from edged.config import Config, load
 from edged.errors import ConfigError, UserError
-from edged.jobs import job_folders, load_job
-from edged.store import load_rig
+from edged.files.jobs import job_folders, load_job
+from edged.files.rig import load_rig
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job

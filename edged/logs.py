@@ -7,10 +7,13 @@ and goes, from filling the log: it is said once, and when it is over, how often 
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+
+from edged.domain import Snapshot
 
 cycle_number: ContextVar[int | None] = ContextVar("cycle_number", default=None)
 """The cycle that the running code works for; inherited by its tasks."""
@@ -103,3 +106,24 @@ class FaultLog:
                 lasted_s=round(lasted_s, 3),
             ),
         )
+
+
+RELAPSE_S = 60.0
+"""A fault that returns within this time is the same one: a loose plug, not a new event."""
+
+
+class FaultMemory:
+    """Tells faults that are news from known ones: evidence of the first must outlive the thousandth."""
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic_s = monotonic_s
+        self._seen_s: dict[tuple[int, str], float] = {}
+
+    def is_news(self, snapshot: Snapshot) -> bool:
+        """False for a fault that was seen within `RELAPSE_S`; its text may hold other figures."""
+        if not snapshot.error:
+            return True
+        # a text begins with the camera that it is about
+        fault, now_s = (snapshot.error_code, snapshot.error.partition(":")[0]), self._monotonic_s()
+        before_s, self._seen_s[fault] = self._seen_s.get(fault, -math.inf), now_s
+        return now_s - before_s > RELAPSE_S

@@ -15,7 +15,7 @@ from plcwitness import Witness
 from servicefaults import FAKETIME, FakeClock, comes_true, full, read_only, tmpfs
 from smallcell import DaemonProcess, SmallCell
 
-from edged import recording
+from edged.files import recording
 from edged.plc.registers import StatusBit
 
 

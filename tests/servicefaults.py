@@ -23,8 +23,8 @@ from pathlib import Path
 from plcwitness import Report
 from smallcell import DaemonProcess, SmallCell
 
-from edged import recording
 from edged.errors import FileFormatError
+from edged.files import recording
 from edged.plc.registers import StatusBit
 
 FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1")

@@ -17,7 +17,7 @@ from rigs import make_rig
 
 from edged.commands.calibrate import calibrate, find_pairs
 from edged.errors import CalibrationError, ImageError, UserError
-from edged.store import load_rig, save_rig
+from edged.files.rig import load_rig, save_rig
 from edged.vision.boards.board import parse_board
 
 SPEC = "chessboard:8x6:6"

@@ -16,7 +16,7 @@ from cells import flange, frame_pair, small_rig
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain import Image, Status
-from edged.jobs import load_job
+from edged.files.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import VirtualCell, demo_part, stereo_views
 from edged.vision.part.job import Job

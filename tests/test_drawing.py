@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.domain import FloatArray
-from edged.drawing import area, read_contour, read_dxf
 from edged.errors import FileFormatError
+from edged.files.dxf import area, read_contour, read_dxf
 
 MM, INCH = 4, 1
 

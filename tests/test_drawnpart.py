@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from edged.commands.teach import DrawingSource, PairSource, chosen_source
 from edged.domain import FloatArray, Status
-from edged.drawing import read_dxf
 from edged.errors import TeachError, UserError
-from edged.jobs import load_job, save_job
+from edged.files.dxf import read_dxf
+from edged.files.jobs import load_job, save_job
 from edged.pipeline import locate, prepare
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.teaching.coverage import coverage

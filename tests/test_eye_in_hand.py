@@ -19,12 +19,12 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
 from edged.domain import Command, CommandKind, Event, FloatArray, Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
+from edged.files.rig import load_rig, save_rig
 from edged.payload import command_to_json
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.robot.covariance import moved_frame
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_of
-from edged.store import load_rig, save_rig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))

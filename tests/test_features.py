@@ -12,9 +12,9 @@ import pytest
 from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene, small_rig
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
+from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import PreparedRig, cloud, inspect, judge, locate, prepare
-from edged.ply import VERTEX, encode_ply
 from edged.sim.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane

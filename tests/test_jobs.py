@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.errors import FileFormatError
-from edged.jobs import job_folders, load_job, save_job
+from edged.files.jobs import job_folders, load_job, save_job
 from edged.vision.part.job import (
     CircleFeature,
     CornerFeature,

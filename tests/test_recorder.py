@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 from snapshots import make_snapshot
 
-from edged import recording
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app import Daemon, load_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import compare, replay
 from edged.domain import Event, ExposureDone, Frame, FramePair, Snapshot, Status
 from edged.errors import FileFormatError
+from edged.files import recording
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.world import VirtualWorld
 

@@ -20,6 +20,7 @@ from snapshots import make_target, make_transform
 from edged.commands.register import hand_eye_command, read_poses, read_touched, self_test, touch
 from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError
+from edged.files.rig import load_rig, load_rig_quality, save_rig
 from edged.robot.covariance import robot_covariance
 from edged.robot.handeye import Mount, hand_eye
 from edged.robot.orientations import (
@@ -37,7 +38,6 @@ from edged.robot.readings import rank_readings
 from edged.robot.touch import register_points
 from edged.sim.cell import calibration_views
 from edged.sim.scene import chessboard_plate
-from edged.store import load_rig, load_rig_quality, save_rig
 from edged.vision.geometry.rigid import apply, invert, rotation_vector, transform
 
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))

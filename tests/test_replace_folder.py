@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edged.store import replace_folder
+from edged.files.atomic import replace_folder
 
 KILLED = """
 import ctypes, errno, os, sys

@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 from edged.commands.rig import convert
 from edged.domain import FloatArray
 from edged.errors import FileFormatError, UserError
-from edged.rigformats import Options, RigFormat, read_rig, rig_format, write_rig
-from edged.rigformats.files import parse_size
-from edged.rigformats.lens import MAX_ERROR_PX
-from edged.store import load_rig, save_rig
+from edged.files.rig import load_rig, save_rig
+from edged.files.rigformats import Options, RigFormat, read_rig, rig_format, write_rig
+from edged.files.rigformats.files import parse_size
+from edged.files.rigformats.lens import MAX_ERROR_PX
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply
 
@@ -307,7 +307,7 @@ def test_halcon_rodriguez_vectors_have_the_length_tan_of_half_the_angle(tmp_path
 @given(st.tuples(*[st.floats(-180, 180)] * 3))
 def test_written_angles_give_the_rotation_back(angles: tuple[float, float, float]) -> None:
     """Also where x and z turn about one axis (y = ±90°)."""
-    from edged.rigformats.halcon import _gba_angles
+    from edged.files.rigformats.halcon import _gba_angles
 
     for y in (angles[1], 90.0, -90.0):
         rotation = Rotation.from_euler("XYZ", (angles[0], y, angles[2]), degrees=True).as_matrix()

@@ -12,14 +12,10 @@ import numpy as np
 import pytest
 
 from edged.errors import FileFormatError, ImageError
-from edged.store import (
-    load_arrays,
-    load_image,
-    load_rig,
-    pack_arrays,
-    save_rig,
-    write_atomically,
-)
+from edged.files.arrays import load_arrays, pack_arrays
+from edged.files.atomic import write_atomically
+from edged.files.images import load_image
+from edged.files.rig import load_rig, save_rig
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 CAMERA = CameraModel("division", 1280, 960, 3183.0, 3183.0, 646.1, 477.8, (-0.2416,))

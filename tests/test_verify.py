@@ -18,8 +18,8 @@ from rigs import make_rig
 from edged.commands.verify import Limits, verify
 from edged.domain import FloatArray
 from edged.errors import ImageError, UserError
-from edged.jobs import save_job
-from edged.store import save_rig
+from edged.files.jobs import save_job
+from edged.files.rig import save_rig
 from edged.vision.boards.board import Chessboard, Missed, parse_board
 from edged.vision.calibration.verification import Length, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig

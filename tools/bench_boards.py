@@ -43,7 +43,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
 from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, UserError
-from edged.store import load_image
+from edged.files.images import load_image
 from edged.vision.boards.board import Chessboard, Detection, Missed, StereoView, parse_board
 from edged.vision.boards.chessboard import remeasure_chessboard
 from edged.vision.boards.deformation import nominal

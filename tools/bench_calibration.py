@@ -23,7 +23,8 @@ from rich.console import Console
 
 from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
 from edged.domain import FloatArray
-from edged.store import load_image, load_rig
+from edged.files.images import load_image
+from edged.files.rig import load_rig
 from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
 from edged.vision.boards.deformation import nominal
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo

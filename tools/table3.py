@@ -24,7 +24,8 @@ import numpy as np
 from plainopencv import PlainRig, calibrate_plain, measure_circle, true_plain_rig
 
 from edged.domain import FloatArray
-from edged.store import load_image, save_rig
+from edged.files.images import load_image
+from edged.files.rig import save_rig
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply
 

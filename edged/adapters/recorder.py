@@ -1,4 +1,4 @@
-"""Keeps the last cycles, and every bad one, on disk (`edged.recording`): evidence for afterwards.
+"""Keeps the last cycles, and every bad one, on disk (`edged.files.recording`): evidence for afterwards.
 
 Everything that touches the disk happens in one thread of its own with a short queue. When the disk is
 slower than the cell, good cycles are left out before bad ones; when it is full or broken the cell goes on
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edged import recording
 from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
 from edged.errors import ImageError
+from edged.files import recording
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from edged.domain import Frame, Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
-from edged.store import load_image
+from edged.files.images import load_image
 
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 SIDES = ("left", "right")

@@ -35,8 +35,8 @@ from edged.cellfiles import read_cell
 from edged.commands.registers import render
 from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError
-from edged.jobs import job_folders
-from edged.store import read_bytes, replace_folder, write_atomically
+from edged.files.atomic import read_bytes, replace_folder, write_atomically
+from edged.files.jobs import job_folders
 
 FORMAT = "edged-backup"
 VERSION = 1

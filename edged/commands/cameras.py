@@ -17,8 +17,8 @@ from edged.capture.stereohead import StereoHead
 from edged.config import load
 from edged.domain import FramePair
 from edged.errors import FileFormatError, UserError
+from edged.files.atomic import write_atomically
 from edged.sim.world import VirtualWorld
-from edged.store import write_atomically
 
 
 def cameras(as_json: bool, console: Console) -> int:

@@ -20,11 +20,12 @@ from edged.adapters.terminal import DemoView, reading_hints
 from edged.app import Daemon, load_cell, warm_up
 from edged.commands.run import SWITCH_INTERVAL_S, serve
 from edged.domain import FloatArray, Snapshot
-from edged.jobs import save_job
+from edged.files.atomic import write_atomically
+from edged.files.jobs import save_job
+from edged.files.rig import save_rig
 from edged.pipeline import prepare
 from edged.sim.cell import VirtualCell
 from edged.sim.world import VirtualWorld
-from edged.store import save_rig, write_atomically
 from edged.vision.teaching.pair import teach
 from edged.vision.teaching.region import Region
 

@@ -12,15 +12,17 @@ from rich.table import Table
 
 from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
 from edged.errors import FileFormatError
-from edged.jobs import load_job
+from edged.files.atomic import write_atomically
+from edged.files.images import load_image
+from edged.files.jobs import load_job
+from edged.files.ply import save_ply
+from edged.files.rig import load_rig
 from edged.payload import outcome_to_json
 from edged.pictures.captions import reasons
 from edged.pictures.cloud import cloud_picture
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
-from edged.ply import save_ply
-from edged.store import load_image, load_rig, write_atomically
 
 
 def locate(

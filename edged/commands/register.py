@@ -15,11 +15,13 @@ from rich.table import Table
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
+from edged.files.atomic import read_bytes
+from edged.files.images import load_image
+from edged.files.rig import keep_old_rig, load_rig, load_rig_quality, save_rig
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
 from edged.robot.readings import rank_readings
 from edged.robot.touch import PointRegistration, register_points
-from edged.store import keep_old_rig, load_image, load_rig, load_rig_quality, read_bytes, save_rig
 from edged.vision.boards.board import Missed, NominalBoard, StereoView, parse_board
 from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from edged import recording
 from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
 from edged.drift import refused
 from edged.errors import FileFormatError, UserError
-from edged.jobs import job_folders, load_job
+from edged.files import recording
+from edged.files.atomic import write_atomically
+from edged.files.jobs import job_folders, load_job
+from edged.files.rig import load_rig
 from edged.payload import Json, snapshot_to_json
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.covariance import moved_frame
-from edged.store import load_rig, write_atomically
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from edged.errors import UserError
-from edged.rigformats import Options, read_rig, rig_format, write_rig
-from edged.rigformats.files import UNITS_MM, parse_size
-from edged.store import keep_old_rig
+from edged.files.rig import keep_old_rig
+from edged.files.rigformats import Options, read_rig, rig_format, write_rig
+from edged.files.rigformats.files import UNITS_MM, parse_size
 from edged.vision.geometry.rectification import make_rectification
 
 

@@ -20,6 +20,8 @@ from edged.adapters.replay import find_pairs
 from edged.config import CameraSection, load
 from edged.domain import Image
 from edged.errors import UserError
+from edged.files.images import load_image
+from edged.files.rig import load_rig
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.clock import DeviceClock
 from edged.sim.console import SimConsole, number, set_fault
@@ -27,7 +29,6 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.faults import Faults, Quirk
 from edged.sim.gige import GigeCamera, moving_ramp
 from edged.sim.world import SERIALS, cross_wire
-from edged.store import load_image, load_rig
 
 SIDES = ("left", "right")
 ADDRESSES = ("127.0.0.2", "127.0.0.3")

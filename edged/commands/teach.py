@@ -10,12 +10,14 @@ import numpy as np
 from rich.console import Console
 
 from edged.domain import Image
-from edged.drawing import read_contour, read_dxf
 from edged.errors import FileFormatError, TeachError, UserError
-from edged.jobs import save_job
+from edged.files.atomic import write_atomically
+from edged.files.dxf import read_contour, read_dxf
+from edged.files.images import load_image
+from edged.files.jobs import save_job
+from edged.files.rig import load_rig
 from edged.pipeline import PreparedRig, prepare
 from edged.report.teaching import inspection_to_json, teaching_report
-from edged.store import load_image, load_rig, write_atomically
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams

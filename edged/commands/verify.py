@@ -16,9 +16,10 @@ from rich.table import Table
 from edged.domain import Circle3D, Frame, FramePair, Image, Target
 from edged.drift import TELLING
 from edged.errors import ImageError, UserError
-from edged.jobs import load_job
+from edged.files.images import load_image
+from edged.files.jobs import load_job
+from edged.files.rig import load_rig
 from edged.pipeline import locate, prepare
-from edged.store import load_image, load_rig
 from edged.vision.boards.board import Missed, StereoView, parse_boards
 from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration.verification import (

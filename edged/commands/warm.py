@@ -12,7 +12,7 @@ import cv2
 import numba
 
 import edged
-from edged.store import write_atomically
+from edged.files.atomic import write_atomically
 
 
 def warm(*, only_if_needed: bool) -> int:

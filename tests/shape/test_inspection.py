@@ -13,7 +13,7 @@ from rich.console import Console
 from shape import drawings
 
 from edged.commands.teach import PairSource, teach
-from edged.store import save_rig
+from edged.files.rig import save_rig
 from edged.vision.shape.inspection import NOISE, Inspection, inspect_model
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel

@@ -18,8 +18,8 @@ import numpy as np
 from cv2.typing import MatLike
 
 from edged.domain import CellState, Event, ExposureDone, FloatArray, FramePair, Snapshot, Status, Target
+from edged.logs import FaultMemory
 from edged.payload import Json, snapshot_to_json, state_to_json
-from edged.recording import FaultMemory
 from edged.vision.geometry.rectification import Rectification
 
 HISTORY = 600

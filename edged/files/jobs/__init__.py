@@ -13,9 +13,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from edged.errors import FileFormatError
-from edged.jobs.schema import JobFile
-from edged.jobs.text import to_toml
-from edged.store import load_arrays, pack_arrays, read_bytes, replace_folder
+from edged.files.arrays import load_arrays, pack_arrays
+from edged.files.atomic import read_bytes, replace_folder
+from edged.files.jobs.schema import JobFile
+from edged.files.jobs.text import to_toml
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 

@@ -13,7 +13,7 @@ import yaml
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError, UserError
-from edged.store import read_bytes
+from edged.files.atomic import read_bytes
 from edged.vision.geometry.camera import CameraModel, StereoRig, calibration_identity
 from edged.vision.geometry.rigid import nearest_rotation, transform
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from edged.errors import FileFormatError, UserError
-from edged.rigformats import halcon, kalibr, opencv, ros
-from edged.rigformats.files import DEFAULTS, Imported, Options
-from edged.store import load_rig, save_rig
+from edged.files.rig import load_rig, save_rig
+from edged.files.rigformats import halcon, kalibr, opencv, ros
+from edged.files.rigformats.files import DEFAULTS, Imported, Options
 from edged.vision.geometry.camera import StereoRig
 
 RigFormat = Literal["edged", "opencv", "ros", "kalibr", "halcon"]

@@ -13,9 +13,9 @@ import numpy as np
 import yaml
 
 from edged.errors import FileFormatError, UserError
-from edged.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation
-from edged.rigformats.lens import as_radtan
-from edged.store import write_atomically
+from edged.files.atomic import write_atomically
+from edged.files.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation
+from edged.files.rigformats.lens import as_radtan
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation
-from edged.rigformats.lens import from_polynomial, to_polynomial
-from edged.store import read_bytes, write_atomically
+from edged.files.atomic import read_bytes, write_atomically
+from edged.files.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation
+from edged.files.rigformats.lens import from_polynomial, to_polynomial
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix
 

@@ -23,7 +23,7 @@ from ezdxf.units import conversion_factor
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.store import read_bytes
+from edged.files.atomic import read_bytes
 
 FLATTENING_MM = 0.002
 """Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""

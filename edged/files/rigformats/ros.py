@@ -19,7 +19,8 @@ import yaml
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.rigformats.files import (
+from edged.files.atomic import write_atomically
+from edged.files.rigformats.files import (
     Fields,
     Imported,
     Options,
@@ -29,9 +30,8 @@ from edged.rigformats.files import (
     make_folder,
     make_rig,
 )
-from edged.rigformats.files import relation as checked_relation
-from edged.rigformats.lens import as_brown
-from edged.store import write_atomically
+from edged.files.rigformats.files import relation as checked_relation
+from edged.files.rigformats.lens import as_brown
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import platform
 import re
 import shutil
-import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -29,8 +27,9 @@ import cv2
 from edged import __version__
 from edged.domain import Frame, FramePair, Image, Snapshot
 from edged.errors import FileFormatError, ImageError
+from edged.files.atomic import MAX_FILE_BYTES, read_bytes, replace_folder, write_atomically
+from edged.files.images import decode_image
 from edged.payload import Json, snapshot_to_json
-from edged.store import MAX_FILE_BYTES, decode_image, read_bytes, replace_folder, write_atomically
 
 FORMAT = "edged-recording"
 VERSION = 1
@@ -40,27 +39,6 @@ NAME = re.compile(
 )
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
-
-
-RELAPSE_S = 60.0
-"""A fault that returns within this time is the same one: a loose plug, not a new event."""
-
-
-class FaultMemory:
-    """Tells faults that are news from known ones: evidence of the first must outlive the thousandth."""
-
-    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
-        self._monotonic_s = monotonic_s
-        self._seen_s: dict[tuple[int, str], float] = {}
-
-    def is_news(self, snapshot: Snapshot) -> bool:
-        """False for a fault that was seen within `RELAPSE_S`; its text may hold other figures."""
-        if not snapshot.error:
-            return True
-        # a text begins with the camera that it is about
-        fault, now_s = (snapshot.error_code, snapshot.error.partition(":")[0]), self._monotonic_s()
-        before_s, self._seen_s[fault] = self._seen_s.get(fault, -math.inf), now_s
-        return now_s - before_s > RELAPSE_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,149 +2,21 @@
 
 from __future__ import annotations
 
-import ctypes
-import errno
-import hashlib
-import io
 import json
-import math
-import os
-import shutil
-import tempfile
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
-from edged.errors import FileFormatError, ImageError
+from edged.domain import FloatArray
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes, write_atomically
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
-MAX_FILE_BYTES = 64 * 1024 * 1024  # a rig is kilobytes, a model is megabytes: more is a wrong file
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that after a power cut either the old or the new content is there."""
-    path = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)  # noqa: PTH101  (mkstemp makes it private; other users read rigs)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    _sync(path.parent)
-
-
-def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
-    """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
-
-    keep : beside it, where a former folder that was not empty remains; what was there before is removed.
-    Returns whether there was one. Raises `OSError`; then nothing has changed.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        for name, data in files.items():
-            file = draft / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(file, data)
-        draft.chmod(0o755)  # mkdtemp makes it private
-        in_use = folder.exists() and any(folder.iterdir())
-        if in_use:
-            if keep is not None and keep.exists():
-                shutil.rmtree(keep)
-            _exchange(draft, folder)
-        else:
-            draft.replace(folder)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
-    if in_use and keep is not None:
-        draft.rename(keep)
-    elif in_use:
-        shutil.rmtree(draft, ignore_errors=True)
-    _sync(folder.parent)
-    return in_use
-
-
-def _exchange(one: Path, other: Path) -> None:
-    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
-
-    renameat2(2) with RENAME_EXCHANGE, of Linux. File systems of networks may not know it: there it is
-    three steps, and a crash between them leaves `other` beside its name, as `one` with a dash.
-    """
-    at_fdcwd, rename_exchange = -100, 2
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0:
-        return
-    number = ctypes.get_errno()
-    if number not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
-        raise OSError(number, os.strerror(number), str(one))
-    aside = other.rename(one.with_name(f"{one.name}-"))
-    try:
-        one.rename(other)
-    except BaseException:
-        aside.rename(other)
-        raise
-    aside.rename(one)
-
-
-def _sync(folder: Path) -> None:
-    """Bring the names in a folder to the disc."""
-    directory = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
-
-
-def read_bytes(path: Path, what: str) -> bytes:
-    """Read a file of sane size, or raise `FileFormatError` that names it."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
-        return path.read_bytes()
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error
-
-
-def load_image(path: Path) -> Image:
-    """Read an 8-bit grey image (H, W) uint8; colour files are converted when all channels agree.
-
-    Raises `ImageError` for what is no image, has another depth, or is really coloured.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise ImageError(f"{path}: no such file")
-    return decode_image(path.read_bytes(), str(path))
-
-
-def decode_image(data: bytes, place: str) -> Image:
-    """`load_image` of bytes; place : what a message calls them."""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None:
-        raise ImageError(f"{place}: not an image that can be read (PNG, TIFF, BMP and JPEG are)")
-    if image.dtype != np.uint8:
-        raise ImageError(f"{place}: {image.dtype} pixels, expected 8-bit grey")
-    if image.ndim == 3:
-        colour = image[..., :3]
-        if np.ptp(colour.astype(np.int16), axis=2).max() > 0:
-            raise ImageError(f"{place}: a colour image, expected 8-bit grey")
-        image = colour[..., 0]
-    return np.ascontiguousarray(image, dtype=np.uint8)
 
 
 # --- rig.json ---------------------------------------------------------------------------------
@@ -324,61 +196,3 @@ class _Fields:
 
 
 # --- array containers ---------------------------------------------------------------------------
-
-
-def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """Named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
-    buffer = io.BytesIO()
-    header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
-    np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
-    return buffer.getvalue()
-
-
-def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
-    """Read a file of `pack_arrays`; damage, another kind or version is a `FileFormatError`."""
-    path = Path(path)
-    data = read_bytes(path, f"a {kind}")
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(member.file_size for member in archive.infolist())
-            if unpacked > MAX_FILE_BYTES:
-                raise FileFormatError(f"{path}: unpacks to {unpacked} bytes, too many for a {kind}")
-            for member in archive.infolist():
-                _check_claim(archive, member)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(str(arrays.pop("__header__")[()]))
-        found = (header["kind"], header["version"], header["sha256"])
-    except FileFormatError:
-        raise
-    except Exception as error:
-        raise FileFormatError(f"{path}: not a {kind} file, or damaged: {error}") from error
-    if found[0] != kind:
-        raise FileFormatError(f"{path}: a {found[0]!r} file, expected {kind!r}")
-    if found[1] != version:
-        raise FileFormatError(f"{path}: {kind} version {found[1]!r}, this edged reads {version}")
-    if found[2] != _digest(arrays):
-        raise FileFormatError(f"{path}: checksum does not match: the file is damaged")
-    return arrays
-
-
-def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
-    """numpy makes room for what an array's header claims before it reads: that must be what is there."""
-    with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"{member.filename}: unknown version of the .npy format {version}")
-        read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(file)
-        # python integers: no claim is too large to be counted
-        if math.prod(shape, start=dtype.itemsize) != member.file_size - file.tell():
-            raise ValueError(f"{member.filename}: claims {shape} {dtype}, which is not what the file holds")
-
-
-def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from edged.errors import FileFormatError
-from edged.store import write_atomically
+from edged.files.atomic import write_atomically
 from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 
 COLOURS = {CONTOUR: (255, 120, 0), FACE: (40, 110, 170)}

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 
 from edged.errors import FileFormatError, UserError
-from edged.rigformats.files import (
+from edged.files.atomic import write_atomically
+from edged.files.rigformats.files import (
     UNITS_MM,
     Fields,
     Imported,
@@ -25,8 +26,7 @@ from edged.rigformats.files import (
     make_rig,
     relation,
 )
-from edged.rigformats.lens import as_brown
-from edged.store import write_atomically
+from edged.files.rigformats.lens import as_brown
 from edged.vision.geometry.camera import StereoRig
 
 _SUFFIXES = (".yml", ".yaml")

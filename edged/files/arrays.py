@@ -1,0 +1,76 @@
+"""Named arrays in one checksummed file, read without pickle."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.errors import FileFormatError
+from edged.files.atomic import MAX_FILE_BYTES, read_bytes
+
+
+def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    """Named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
+    buffer = io.BytesIO()
+    header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
+    np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
+    """Read a file of `pack_arrays`; damage, another kind or version is a `FileFormatError`."""
+    path = Path(path)
+    data = read_bytes(path, f"a {kind}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(member.file_size for member in archive.infolist())
+            if unpacked > MAX_FILE_BYTES:
+                raise FileFormatError(f"{path}: unpacks to {unpacked} bytes, too many for a {kind}")
+            for member in archive.infolist():
+                _check_claim(archive, member)
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(str(arrays.pop("__header__")[()]))
+        found = (header["kind"], header["version"], header["sha256"])
+    except FileFormatError:
+        raise
+    except Exception as error:
+        raise FileFormatError(f"{path}: not a {kind} file, or damaged: {error}") from error
+    if found[0] != kind:
+        raise FileFormatError(f"{path}: a {found[0]!r} file, expected {kind!r}")
+    if found[1] != version:
+        raise FileFormatError(f"{path}: {kind} version {found[1]!r}, this edged reads {version}")
+    if found[2] != _digest(arrays):
+        raise FileFormatError(f"{path}: checksum does not match: the file is damaged")
+    return arrays
+
+
+def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+    """numpy makes room for what an array's header claims before it reads: that must be what is there."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"{member.filename}: unknown version of the .npy format {version}")
+        read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+        # python integers: no claim is too large to be counted
+        if math.prod(shape, start=dtype.itemsize) != member.file_size - file.tell():
+            raise ValueError(f"{member.filename}: claims {shape} {dtype}, which is not what the file holds")
+
+
+def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

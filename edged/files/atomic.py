@@ -1,0 +1,106 @@
+"""Files and folders that are whole or not there, also after a power cut."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from edged.errors import FileFormatError
+
+MAX_FILE_BYTES = 64 * 1024 * 1024  # a rig is kilobytes, a model is megabytes: more is a wrong file
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that after a power cut either the old or the new content is there."""
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)  # noqa: PTH101  (mkstemp makes it private; other users read rigs)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    _sync(path.parent)
+
+
+def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
+    """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
+
+    keep : beside it, where a former folder that was not empty remains; what was there before is removed.
+    Returns whether there was one. Raises `OSError`; then nothing has changed.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        for name, data in files.items():
+            file = draft / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(file, data)
+        draft.chmod(0o755)  # mkdtemp makes it private
+        in_use = folder.exists() and any(folder.iterdir())
+        if in_use:
+            if keep is not None and keep.exists():
+                shutil.rmtree(keep)
+            _exchange(draft, folder)
+        else:
+            draft.replace(folder)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    if in_use and keep is not None:
+        draft.rename(keep)
+    elif in_use:
+        shutil.rmtree(draft, ignore_errors=True)
+    _sync(folder.parent)
+    return in_use
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
+
+    renameat2(2) with RENAME_EXCHANGE, of Linux. File systems of networks may not know it: there it is
+    three steps, and a crash between them leaves `other` beside its name, as `one` with a dash.
+    """
+    at_fdcwd, rename_exchange = -100, 2
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0:
+        return
+    number = ctypes.get_errno()
+    if number not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        raise OSError(number, os.strerror(number), str(one))
+    aside = other.rename(one.with_name(f"{one.name}-"))
+    try:
+        one.rename(other)
+    except BaseException:
+        aside.rename(other)
+        raise
+    aside.rename(one)
+
+
+def _sync(folder: Path) -> None:
+    """Bring the names in a folder to the disc."""
+    directory = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Read a file of sane size, or raise `FileFormatError` that names it."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
+        return path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error
