@@ -11,7 +11,7 @@ from boards import board_poses, synthetic_views
 from rigs import make_rig
 
 from edged.commands.calibrate import quality_figures
-from edged.report import calibration_report
+from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Chessboard, Missed
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.crossvalidation import hold_out

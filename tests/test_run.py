@@ -59,7 +59,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
     assert "edged.app" in loaded
     others = (
         "edged.sim",
-        "edged.report",
+        "edged.report.calibration",
         "edged.vision.calibration.calibrate",
         "edged.vision.boards.chessboard",
         "edged.plc.clients",

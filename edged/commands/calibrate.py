@@ -24,7 +24,7 @@ from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
 from edged.files.rig import keep_old_rig, load_rig, save_rig
-from edged.report import calibration_report
+from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, Missed, NominalBoard, StereoView, parse_boards
 from edged.vision.boards.deformation import nominal
 from edged.vision.boards.detection import detect_board, remeasure_board
