@@ -15,7 +15,7 @@ from edged.capture.stereohead import StereoHead
 from edged.domain import Frame, Image
 from edged.errors import CaptureError
 from edged.sim.exposure import ExposureRequest
-from edged.sim.gige import GigeCamera
+from edged.sim.gige.camera import GigeCamera
 
 WIDTH, HEIGHT = 320, 240
 LEFT, RIGHT = "127.0.40.1", "127.0.40.2"

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 
-from edged.sim import genicam as g
-from edged.sim.gvcp import GVCP_PORT
-from edged.sim.registers import SUCCESS
+from edged.sim.gige import genicam as g
+from edged.sim.gige.gvcp import GVCP_PORT
+from edged.sim.gige.registers import SUCCESS
 
 LOOPBACK = int.from_bytes(socket.inet_aton("127.0.0.1"), "big")
 

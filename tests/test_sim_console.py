@@ -13,8 +13,8 @@ from edged.commands.sim import SimOptions, build
 from edged.errors import UserError
 from edged.sim.console import SimConsole, set_fault
 from edged.sim.exposure import ExposureRequest
-from edged.sim.faults import Faults
-from edged.sim.gige import GigeCamera, moving_ramp
+from edged.sim.gige.camera import GigeCamera, moving_ramp
+from edged.sim.gige.faults import Faults
 
 PATTERN = SimOptions(pattern="64x48")
 

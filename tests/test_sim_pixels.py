@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edged.sim.genicam import PIXEL_FORMATS
-from edged.sim.pixels import encode
+from edged.sim.gige.genicam import PIXEL_FORMATS
+from edged.sim.gige.pixels import encode
 from edged.vision.kernels.pixelformats import FORMATS, grey8
 
 

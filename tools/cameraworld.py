@@ -19,7 +19,7 @@ import numpy as np
 
 from edged.domain import Image
 from edged.sim.exposure import ExposureRequest
-from edged.sim.gige import GigeCamera
+from edged.sim.gige.camera import GigeCamera
 
 ADDRESSES = {"left": "127.0.60.1", "right": "127.0.60.2"}
 WIDTH, HEIGHT = 1280, 960

@@ -23,11 +23,11 @@ from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.rig import load_rig
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
-from edged.sim.clock import DeviceClock
 from edged.sim.console import SimConsole, number, set_fault
 from edged.sim.exposure import ExposureRequest
-from edged.sim.faults import Faults, Quirk
-from edged.sim.gige import GigeCamera, moving_ramp
+from edged.sim.gige.camera import GigeCamera, moving_ramp
+from edged.sim.gige.clock import DeviceClock
+from edged.sim.gige.faults import Faults, Quirk
 from edged.sim.world import SERIALS, cross_wire
 
 SIDES = ("left", "right")

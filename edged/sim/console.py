@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 
 from edged.errors import ListenError, UserError
-from edged.sim.faults import Faults
-from edged.sim.genicam import LINES
-from edged.sim.gige import GigeCamera
+from edged.sim.gige.camera import GigeCamera
+from edged.sim.gige.faults import Faults
+from edged.sim.gige.genicam import LINES
 
 HELP = """\
 WHO is left, right or both.

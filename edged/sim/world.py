@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
-from edged.sim.gige import GigeCamera
+from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")

@@ -23,7 +23,7 @@ from rich.console import Console
 
 from edged.commands.doctor import show
 from edged.doctor import Check, examine
-from edged.sim.gige import GigeCamera, moving_ramp
+from edged.sim.gige.camera import GigeCamera, moving_ramp
 
 HOST, LEFT, RIGHT = "192.168.77.1", "192.168.77.11", "192.168.77.12"
 SERIALS = {LEFT: "LAB-L", RIGHT: "LAB-R"}

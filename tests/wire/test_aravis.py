@@ -404,7 +404,7 @@ class Process:
     """A camera in a process of its own, to be killed."""
 
     def __init__(self, address: str, serial: str) -> None:
-        self._command = [sys.executable, "-m", "edged.sim.gige", address, serial]
+        self._command = [sys.executable, "-m", "edged.sim.gige.camera", address, serial]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:

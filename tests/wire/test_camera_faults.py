@@ -28,7 +28,7 @@ from edged.errors import (
     StreamStalled,
     WrongCamera,
 )
-from edged.sim.gige import GigeCamera
+from edged.sim.gige.camera import GigeCamera
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 

@@ -18,9 +18,9 @@ from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired
 from edged.head import head_of
-from edged.sim import genicam as g
-from edged.sim.clock import DeviceClock
-from edged.sim.faults import Quirk
+from edged.sim.gige import genicam as g
+from edged.sim.gige.clock import DeviceClock
+from edged.sim.gige.faults import Quirk
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 

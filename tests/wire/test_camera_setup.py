@@ -19,7 +19,7 @@ from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.head import camera_facts, camera_figures, head_of
-from edged.sim import genicam as g
+from edged.sim.gige import genicam as g
 from edged.vision.kernels.pixelformats import FORMATS
 
 pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")

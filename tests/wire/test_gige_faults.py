@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from edged.sim import genicam as g
-from edged.sim.faults import CLAMPED_EXPOSURE_US, Quirk
-from edged.sim.gige import GigeCamera, moving_ramp
-from edged.sim.gvcp import PACKET_RESEND
-from edged.sim.registers import ACCESS_DENIED, INVALID_ADDRESS, INVALID_PARAMETER, SUCCESS
+from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import GigeCamera, moving_ramp
+from edged.sim.gige.faults import CLAMPED_EXPOSURE_US, Quirk
+from edged.sim.gige.gvcp import PACKET_RESEND
+from edged.sim.gige.registers import ACCESS_DENIED, INVALID_ADDRESS, INVALID_PARAMETER, SUCCESS
 from tests.gigeclient import Client, Image, Stream, acquiring
 
 ADDRESS, OTHER = "127.0.52.1", "127.0.52.2"

@@ -15,10 +15,10 @@ import pytest
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.domain import Image
 from edged.errors import CaptureError, ListenError
-from edged.sim import genicam as g
 from edged.sim.exposure import ExposureRequest
-from edged.sim.gige import Faults, GigeCamera, moving_ramp
-from edged.sim.registers import (
+from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import Faults, GigeCamera, moving_ramp
+from edged.sim.gige.registers import (
     ACCESS_DENIED,
     BAD_ALIGNMENT,
     INVALID_ADDRESS,

@@ -10,11 +10,11 @@ from itertools import pairwise
 
 import pytest
 
-from edged.sim import genicam as g
-from edged.sim.clock import DeviceClock
-from edged.sim.gige import GigeCamera, moving_ramp
-from edged.sim.gvcp import ACTION, GVCP_PORT
-from edged.sim.registers import ACTION_LATE, INVALID_PARAMETER, NO_REFERENCE_TIME, SUCCESS
+from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import GigeCamera, moving_ramp
+from edged.sim.gige.clock import DeviceClock
+from edged.sim.gige.gvcp import ACTION, GVCP_PORT
+from edged.sim.gige.registers import ACTION_LATE, INVALID_PARAMETER, NO_REFERENCE_TIME, SUCCESS
 from edged.vision.kernels.pixelformats import FORMATS
 from tests.gigeclient import Client, Stream, acquiring
 

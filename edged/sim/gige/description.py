@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import quoteattr
 
-from edged.sim.genicam import Feature
+from edged.sim.gige.genicam import Feature
 
 
 def description(table: Sequence[Feature], model: str) -> bytes:

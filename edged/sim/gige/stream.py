@@ -8,8 +8,8 @@ import socket
 import time
 from collections import OrderedDict
 
-from edged.sim.faults import Faults
-from edged.sim.gvsp import Block, packet
+from edged.sim.gige.faults import Faults
+from edged.sim.gige.gvsp import Block, packet
 
 log = logging.getLogger(__name__)
 

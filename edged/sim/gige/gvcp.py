@@ -17,15 +17,9 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from edged.errors import ListenError
-from edged.sim import genicam as g
-from edged.sim.faults import Faults
-from edged.sim.registers import (
-    ACCESS_DENIED,
-    INVALID_PARAMETER,
-    NOT_IMPLEMENTED,
-    SUCCESS,
-    Registers,
-)
+from edged.sim.gige import genicam as g
+from edged.sim.gige.faults import Faults
+from edged.sim.gige.registers import ACCESS_DENIED, INVALID_PARAMETER, NOT_IMPLEMENTED, SUCCESS, Registers
 
 log = logging.getLogger(__name__)
 

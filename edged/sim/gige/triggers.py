@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from functools import partial
 
-from edged.sim import genicam as g
-from edged.sim.clock import DeviceClock
-from edged.sim.registers import ACTION_LATE, NO_REFERENCE_TIME, SUCCESS, Registers
-from edged.sim.wiring import Debouncer, Due, TriggerQueue, Wire
+from edged.sim.gige import genicam as g
+from edged.sim.gige.clock import DeviceClock
+from edged.sim.gige.registers import ACTION_LATE, NO_REFERENCE_TIME, SUCCESS, Registers
+from edged.sim.gige.wiring import Debouncer, Due, TriggerQueue, Wire
 
 LINE_SOURCES = {"Line1": g.LINE1, "Line3": g.LINE3}
 OUTPUT = 1  # LineMode

@@ -7,9 +7,9 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from edged.sim import genicam as g
-from edged.sim.description import description
-from edged.sim.faults import CLAMPED_EXPOSURE_US, Quirk
+from edged.sim.gige import genicam as g
+from edged.sim.gige.description import description
+from edged.sim.gige.faults import CLAMPED_EXPOSURE_US, Quirk
 from edged.vision.kernels.pixelformats import BY_CODE
 
 # GigE Vision 2.0, table 19-1

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from edged.sim.clock import PTP_STATES
-from edged.sim.faults import Quirk
+from edged.sim.gige.clock import PTP_STATES
+from edged.sim.gige.faults import Quirk
 from edged.vision.kernels.pixelformats import FORMATS
 
 XML_ADDRESS = 0x0020_0000

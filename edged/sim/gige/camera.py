@@ -27,17 +27,17 @@ import numpy as np
 
 from edged.domain import Image
 from edged.errors import ListenError
-from edged.sim import genicam as g
-from edged.sim.clock import DeviceClock, utc_minus_monotonic_ns
 from edged.sim.exposure import ExposureRequest
-from edged.sim.faults import Faults, Quirk
-from edged.sim.gvcp import POLL_S, ControlChannel
-from edged.sim.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, Block, with_chunks
-from edged.sim.pixels import encode
-from edged.sim.registers import INVALID_PARAMETER, SUCCESS, Identity, Registers
-from edged.sim.stream import Pacing, StreamChannel
-from edged.sim.triggers import Triggers
-from edged.sim.wiring import Wire
+from edged.sim.gige import genicam as g
+from edged.sim.gige.clock import DeviceClock, utc_minus_monotonic_ns
+from edged.sim.gige.faults import Faults, Quirk
+from edged.sim.gige.gvcp import POLL_S, ControlChannel
+from edged.sim.gige.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, Block, with_chunks
+from edged.sim.gige.pixels import encode
+from edged.sim.gige.registers import INVALID_PARAMETER, SUCCESS, Identity, Registers
+from edged.sim.gige.stream import Pacing, StreamChannel
+from edged.sim.gige.triggers import Triggers
+from edged.sim.gige.wiring import Wire
 from edged.vision.kernels.pixelformats import BY_CODE
 
 __all__ = ["Faults", "GigeCamera", "Pacing", "Quirk", "moving_ramp"]

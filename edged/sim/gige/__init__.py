@@ -1,0 +1,1 @@
+"""A GigE Vision camera in pure Python, over real UDP."""
