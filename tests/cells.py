@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Frame, FramePair, Image
 from edged.sim.cell import demo_part, demo_rig, stereo_views
-from edged.sim.scene import Part, Placed, Scene, Surface, Table
+from edged.sim.render.scene import Part, Placed, Scene, Surface, Table
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.teaching.region import Region

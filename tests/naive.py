@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.sim import scene
+from edged.sim.render import scene
 from edged.vision.curves.adjustment import Samples
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.projection import project_with_jacobians

@@ -23,7 +23,7 @@ from edged.domain import Image
 from edged.sim.cell import CAMERAS, Motion, VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
-from edged.sim.scene import Disc, Part, Surface
+from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import CameraModel, StereoRig
 

@@ -12,7 +12,7 @@ from test_features import METAL, cell, only
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
 from edged.errors import ImageError
 from edged.pipeline import locate
-from edged.sim.scene import Box, Disc, Part, Surface
+from edged.sim.render.scene import Box, Disc, Part, Surface
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 

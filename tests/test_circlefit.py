@@ -14,7 +14,7 @@ from rigs import make_rig
 
 from edged.domain import FloatArray, Image
 from edged.sim.cell import demo_rig
-from edged.sim.scene import Box, Disc, Hole, Part, Sensor, Surface
+from edged.sim.render.scene import Box, Disc, Hole, Part, Sensor, Surface
 from edged.vision.curves.circle import CircleFit, CircleGuess
 from edged.vision.curves.circlefit import fit_circle, fit_face
 from edged.vision.curves.circleprojection import circle_axes, project_circle

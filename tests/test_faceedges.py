@@ -10,7 +10,7 @@ import pytest
 from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
 
 from edged.domain import FloatArray
-from edged.sim.scene import Surface
+from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.background import without_background

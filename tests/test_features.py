@@ -15,7 +15,7 @@ from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
 from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import PreparedRig, cloud, inspect, judge, locate, prepare
-from edged.sim.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
+from edged.sim.render.scene import Box, Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
 from edged.vision.geometry.rigid import apply, invert

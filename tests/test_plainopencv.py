@@ -12,7 +12,7 @@ from boards import board_poses, draw_board, right_pose
 from cells import pictures, pose, scene, small_rig
 
 from edged.errors import CalibrationError
-from edged.sim.scene import Disc, Part, Surface
+from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.boards.board import Chessboard
 from edged.vision.curves.circleprojection import project_circle
 from edged.vision.geometry.camera import CameraModel, StereoRig

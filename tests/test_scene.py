@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from edged.domain import FloatArray
 from edged.errors import ImageError
-from edged.sim import lens, raster
 from edged.sim.cell import (
     CAMERAS,
     PAIR_WINDOW_NS,
@@ -26,7 +25,8 @@ from edged.sim.cell import (
     stereo_views,
 )
 from edged.sim.exposure import ExposureRequest
-from edged.sim.scene import (
+from edged.sim.render import lens, raster
+from edged.sim.render.scene import (
     Box,
     Checker,
     Disc,

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edged.domain import FloatArray, Image
-from edged.sim.scene import Disc, Part, Surface
+from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part import initialplane as startplane

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
-from edged.sim.scene import Surface
+from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.stereo import leastsquares, ncc

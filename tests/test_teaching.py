@@ -9,7 +9,7 @@ import pytest
 from cells import Flange, flange, pictures, pose, region_around, scene
 
 from edged.errors import ImageError, TeachError
-from edged.sim.scene import Box, Disc, Hole, Part, Slot, Surface
+from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job

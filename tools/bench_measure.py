@@ -31,7 +31,7 @@ from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, s
 
 from edged.domain import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
-from edged.sim.scene import Disc, Part, Sensor, Surface
+from edged.sim.render.scene import Disc, Part, Sensor, Surface
 from edged.vision.curves.circle import CircleGuess
 from edged.vision.curves.circlefit import fit_circle
 from edged.vision.curves.circleprojection import project_circle

@@ -20,7 +20,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
-from edged.sim.scene import (
+from edged.sim.render.scene import (
     Box,
     Disc,
     Hole,

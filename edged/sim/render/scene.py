@@ -6,7 +6,7 @@ Outlines are exact to 0.003 px; textures are attached to their surfaces, so both
 stereo pair agree. What is not modelled: height of edges, shadows, highlights.
 
 Lengths in mm. A part's frame has z away from the cameras, x and y in its face; a
-`rig_from_part` is (4, 4). Own projection on purpose: see `edged.sim.lens`.
+`rig_from_part` is (4, 4). Own projection on purpose: see `edged.sim.render.lens`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.sim import raster
-from edged.sim.lens import project, rays_of_pixels
-from edged.sim.raster import F32
+from edged.sim.render import raster
+from edged.sim.render.lens import project, rays_of_pixels
+from edged.sim.render.raster import F32
 from edged.vision.geometry.camera import CameraModel
 
 # --- outlines ------------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Scenes as values, and their pictures."""
