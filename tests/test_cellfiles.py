@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from edged.cellfiles import read_cell
+from edged.app.cellfiles import read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.errors import ConfigError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig

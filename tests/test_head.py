@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from edged.adapters.aravis import Action, FreeRun, Line, Output, Software
+from edged.app.cameras import Triggering, triggering_of
 from edged.config import TriggerSection
-from edged.head import Triggering, triggering_of
 
 DEVICES = ("192.0.2.1", "192.0.2.2")
 

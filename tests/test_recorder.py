@@ -19,7 +19,8 @@ from rich.console import Console
 from snapshots import make_snapshot
 
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.app import Daemon, load_cell
+from edged.app.cell import load_cell
+from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import compare, replay
 from edged.domain import Event, ExposureDone, Frame, FramePair, Snapshot, Status

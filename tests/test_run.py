@@ -11,7 +11,7 @@ from typing import cast
 
 import cv2
 
-from edged.app import Daemon
+from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.run import serve
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -56,7 +56,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
     """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
     loaded = _modules_after("edged.commands.run")
 
-    assert "edged.app" in loaded
+    assert "edged.app.daemon" in loaded
     others = (
         "edged.sim",
         "edged.report.calibration",
@@ -71,7 +71,7 @@ def test_a_check_and_a_status_need_no_compiler() -> None:
     """Nor the networks of the daemon: who edits a configuration has the answer at once."""
     loaded = _modules_after("edged.cli, edged.commands.check, edged.commands.status")
 
-    assert "edged.cellfiles" in loaded
+    assert "edged.app.cellfiles" in loaded
     others = ("numba", "llvmlite", "zenoh", "pymodbus", "aiohttp", "gi", "edged.adapters")
     assert [] == [name for name in loaded if name.startswith(others)]
 

@@ -38,11 +38,11 @@ from snapshots import make_target
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusSettings
+from edged.app.cameras import head_of
 from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection, TriggerSection
 from edged.domain import FramePair, Outcome, Status
 from edged.errors import CaptureError
-from edged.head import head_of
 from edged.logs import fields_of
 from edged.plc.registers import Flag
 

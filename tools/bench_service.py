@@ -48,7 +48,8 @@ from servicefaults import (
 )
 from smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
 
-from edged.app import Daemon, load_cell, warm_up
+from edged.app.cell import load_cell, warm_up
+from edged.app.daemon import Daemon
 from edged.commands.run import SWITCH_INTERVAL_S
 from edged.domain import Event, Snapshot, Status
 

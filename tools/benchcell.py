@@ -14,7 +14,8 @@ from pathlib import Path
 
 import cv2
 
-from edged.app import Daemon, load_cell, warm_up
+from edged.app.cell import load_cell, warm_up
+from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.run import SWITCH_INTERVAL_S
 from edged.domain import Event, Snapshot

@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from edged.cellfiles import read_cell
+from edged.app.cellfiles import read_cell
 from edged.errors import ConfigError
 
 

@@ -17,7 +17,8 @@ from rich.console import Console
 from edged.adapters.aravis import aravis_missing
 from edged.adapters.journal import set_up_logging
 from edged.adapters.terminal import DemoView, reading_hints
-from edged.app import Daemon, load_cell, warm_up
+from edged.app.cell import load_cell, warm_up
+from edged.app.daemon import Daemon
 from edged.commands.run import SWITCH_INTERVAL_S, serve
 from edged.domain import FloatArray, Snapshot
 from edged.files.atomic import write_atomically

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from edged.adapters.journal import set_up_logging
-from edged.app import Daemon, load_cell, warm_up
+from edged.app.cell import load_cell, warm_up
+from edged.app.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

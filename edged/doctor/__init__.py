@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.cellfiles import read_cell
+from edged.app.cellfiles import read_cell
 from edged.config import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict

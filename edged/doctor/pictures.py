@@ -7,6 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator
 
+from edged.app.cameras import camera_facts, head_of
 from edged.config import Config
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
@@ -20,7 +21,6 @@ from edged.errors import (
     PairingError,
     WrongCamera,
 )
-from edged.head import camera_facts, head_of
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 

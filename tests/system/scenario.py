@@ -189,7 +189,7 @@ def crash_is_restarted() -> str:
 def logs_in_fields() -> str:
     """What the daemon logs is in the journal under the unit's name, with fields to search for."""
     told = journal("edged", "EDGED_CELL=service")
-    assert {"edged.commands.run", "edged.app"} <= {entry["LOGGER"] for entry in told}
+    assert {"edged.commands.run", "edged.app.daemon"} <= {entry["LOGGER"] for entry in told}
     assert all({"PRIORITY", "CODE_FILE", "CODE_LINE", "EDGED_VERSION"} <= set(entry) for entry in told)
     refused = [entry for entry in told if "reload refused" in entry["MESSAGE"]]
     assert [("3", True)] == [(entry["PRIORITY"], "\n" in entry["MESSAGE"]) for entry in refused]

@@ -12,12 +12,12 @@ import pytest
 from gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
 
 from edged.adapters.aravis import AravisCamera, Output, aravis_missing
+from edged.app.cameras import head_of
 from edged.capture.pairing import Pairing
 from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired
-from edged.head import head_of
 from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Quirk

@@ -14,11 +14,11 @@ from gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run,
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
+from edged.app.cameras import camera_facts, camera_figures, head_of
 from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
-from edged.head import camera_facts, camera_figures, head_of
 from edged.sim.gige import genicam as g
 from edged.vision.kernels.pixelformats import FORMATS
 

@@ -10,13 +10,10 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from edged import __version__
 from edged.adapters.metrics import MetricsPublisher
@@ -25,8 +22,10 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
+from edged.app.cameras import camera_facts, camera_figures
+from edged.app.cameras import head_of as head_of
+from edged.app.cell import LoadedCell, load_cell, warm_up
 from edged.capture.stereohead import StereoHead
-from edged.cellfiles import CellFiles, read_cell
 from edged.config import (
     Config,
     ModbusSection,
@@ -34,17 +33,11 @@ from edged.config import (
     WebSection,
     ZenohSection,
 )
-from edged.cycle import Cycle, LoadedJob, Setup
-from edged.domain import Frame, FramePair, Outcome
-from edged.drift import DriftLimits
+from edged.cycle import Cycle
 from edged.errors import EdgedError
-from edged.head import camera_facts, camera_figures
-from edged.head import head_of as head_of
 from edged.logs import fields
-from edged.pipeline import PreparedRig, locate
 from edged.ports import Publisher
 from edged.robot.orientations import Convention
-from edged.vision.part.job import Job
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
@@ -53,52 +46,6 @@ log = logging.getLogger(__name__)
 
 STOP_GRACE_S = 1.0
 """A running cycle may end; what takes longer is cancelled, so that a stop takes less than 2 s."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadedCell:
-    """A cell's files and what they become: the rig with its maps, and what the loop measures by."""
-
-    cell: CellFiles
-    rig: PreparedRig
-    setup: Setup
-
-
-def load_cell(path: Path) -> LoadedCell:
-    """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
-    cell = read_cell(path)
-    config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
-    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in cell.jobs]
-    setup = Setup(
-        jobs={job.number: job for job in jobs},
-        active_job=next(job.number for job in jobs if job.name == config.cell.job),
-        period_s=config.cycle.period_s if config.cycle.mode == "free" else None,
-        calibration_id=cell.rig.calibration_id,
-        fingerprint=cell.fingerprint,
-        simulated=config.cameras.source.startswith("virtual"),
-        robot_from_rig=cell.rig.robot_from_rig,
-        registration_covariance=cell.rig.registration_covariance,
-        flange_from_rig=cell.rig.flange_from_rig,
-        listens=config.cycle.mode == "external",
-        drift=DriftLimits(**config.drift.model_dump()),
-    )
-    return LoadedCell(cell, rig, setup)
-
-
-def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], None]], Outcome]:
-    def locate_job(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
-        return locate(pair, job, rig, lap)
-
-    return locate_job
-
-
-def warm_up(loaded: LoadedCell) -> None:
-    """Run every job once on an empty pair: buffers are allocated and kernels are loaded."""
-    camera = loaded.cell.rig.left, loaded.cell.rig.right
-    blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
-    pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
-    for job in loaded.setup.jobs.values():
-        job.locate(pair, lambda _stage: None)
 
 
 def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:

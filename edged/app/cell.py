@@ -1,0 +1,67 @@
+"""From a configuration file to a cell that can measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edged.app.cameras import head_of as head_of
+from edged.app.cellfiles import CellFiles, read_cell
+from edged.cycle import LoadedJob, Setup
+from edged.domain import Frame, FramePair, Outcome
+from edged.drift import DriftLimits
+from edged.pipeline import PreparedRig, locate
+from edged.vision.part.job import Job
+
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
+    pass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedCell:
+    """A cell's files and what they become: the rig with its maps, and what the loop measures by."""
+
+    cell: CellFiles
+    rig: PreparedRig
+    setup: Setup
+
+
+def load_cell(path: Path) -> LoadedCell:
+    """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
+    cell = read_cell(path)
+    config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
+    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in cell.jobs]
+    setup = Setup(
+        jobs={job.number: job for job in jobs},
+        active_job=next(job.number for job in jobs if job.name == config.cell.job),
+        period_s=config.cycle.period_s if config.cycle.mode == "free" else None,
+        calibration_id=cell.rig.calibration_id,
+        fingerprint=cell.fingerprint,
+        simulated=config.cameras.source.startswith("virtual"),
+        robot_from_rig=cell.rig.robot_from_rig,
+        registration_covariance=cell.rig.registration_covariance,
+        flange_from_rig=cell.rig.flange_from_rig,
+        listens=config.cycle.mode == "external",
+        drift=DriftLimits(**config.drift.model_dump()),
+    )
+    return LoadedCell(cell, rig, setup)
+
+
+def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], None]], Outcome]:
+    def locate_job(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        return locate(pair, job, rig, lap)
+
+    return locate_job
+
+
+def warm_up(loaded: LoadedCell) -> None:
+    """Run every job once on an empty pair: buffers are allocated and kernels are loaded."""
+    camera = loaded.cell.rig.left, loaded.cell.rig.right
+    blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
+    pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
+    for job in loaded.setup.jobs.values():
+        job.locate(pair, lambda _stage: None)
