@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edged.adapters.zenoh import open_session, session_config
-from edged.cbor import decode_cbor
+from edged.adapters.zenoh.cbor import decode_cbor
 from edged.errors import UserError
 
 REFRESH_S = 0.25

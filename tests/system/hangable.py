@@ -12,11 +12,11 @@ import signal
 import threading
 from typing import Any
 
-import edged.app
+import edged.app.cell
 from edged.__main__ import main
 
 hang = threading.Event()
-locate = edged.app.locate
+locate = edged.app.cell.locate
 
 
 def locate_or_hang(*arguments: Any) -> Any:
@@ -31,7 +31,7 @@ def stand_still() -> None:
     threading.Event().wait()
 
 
-edged.app.locate = locate_or_hang  # type: ignore[assignment]
+edged.app.cell.locate = locate_or_hang  # type: ignore[assignment]
 signal.signal(signal.SIGUSR1, lambda *_: hang.set())
 signal.signal(signal.SIGUSR2, lambda *_: stand_still())
 main()

@@ -17,7 +17,7 @@ from snapshots import make_snapshot, make_transform
 from test_zenoh import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
-from edged.cbor import decode_cbor
+from edged.adapters.zenoh.cbor import decode_cbor
 from edged.commands.watch import CellView, News, watch
 from edged.domain import Calibrated, DriftState, Snapshot, Status
 from edged.errors import ConfigError, UserError

@@ -38,11 +38,11 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
+from edged.adapters.zenoh.cbor import encode_cbor
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
 from edged.adapters.zenoh.worker import Worker
-from edged.cbor import encode_cbor
 from edged.domain import (
     CellState,
     Command,

@@ -30,7 +30,7 @@ class ZenohSettings:
     config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
     mode, endpoints and scouting wins over the fields here.
     trigger_timeout_s : how long a trigger waits for its result when it does not say so itself.
-    encoding : of everything that is published or answered; the same fields in both (`edged.cbor`).
+    encoding : of everything that is published or answered; the same fields in both (`cbor.py`).
     ros2_domain_id : also publish for ROS 2 nodes of this domain (`edged.adapters.zenoh.ros2`).
     """
 

@@ -1,6 +1,6 @@
 """Robust least squares over curves that two cameras see, as kernels.
 
-The samples of a curve come in parts (see `pairs`): what both cameras see alike, what they see
+The samples of a curve come in parts (see `commonmode`): what both cameras see alike, what they see
 differently, what one of them sees alone. Each part scatters by its own scale and repeats itself along the
 edge (spread). A curve may be displaced slowly along its way: by texture beside the edge, by shading, by a
 second edge close by. A displacement is a combination of "waves" with sigmas that the samples tell (see

@@ -1,4 +1,4 @@
-"""Circles in space as the cameras see them, and what a fit says about one (`facefit` fits them)."""
+"""Circles in space as the cameras see them, and what a fit says about one (`circlefit` fits them)."""
 
 from __future__ import annotations
 

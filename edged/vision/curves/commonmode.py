@@ -41,7 +41,7 @@ class Pairs:
     both (N,) bool : seen by both cameras.  share (N,) : of the left one in the mean.  gain (2, N) : as `pair`
     has it.
     rows (M,) : which of the 4 N rows (means, differences, left alone, right alone) are used, curve by curve.
-    starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `jointsolver.Samples` has them.
+    starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `adjustment.Samples` has them.
     """
 
     both: npt.NDArray[np.bool_]

@@ -195,7 +195,7 @@ class Seen:
 
     pixels (N, 2); normals (N, 2) unit, along the curve's normal; design (N, 3 + free): motion along the
     image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame; gain (N,) :
-    motion along the image normal by motion along the curve's own; slant (N,) : see `displacements.slants`.
+    motion along the image normal by motion along the curve's own; slant (N,) : see `systematic.slants`.
     """
 
     pixels: FloatArray

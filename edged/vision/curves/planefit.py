@@ -1,7 +1,7 @@
 """Curves of one face, fitted together to the raw edges of both cameras.
 
 The unknowns are the plane and each curve's own parameters in it; the residuals are the offsets of edges
-measured across the projected curves (see `facefit`, which does the same for circles alone, from worse
+measured across the projected curves (see `circlefit`, which does the same for circles alone, from worse
 starts). One solution for all of them gives what distances and angles between features need: their joint
 covariance, in which the errors that they share, of the plane, of the light and of the calibration, cancel as
 they do in the result.

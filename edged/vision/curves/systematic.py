@@ -123,7 +123,7 @@ def displacement_of(
     A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
     samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the
     mean; found are for each family the sums of the squares, of g², and of g (1 - g) bias². The arguments are
-    those of one curve in `jointsolver`: moments and own_right of its design (C) and waves (A), the covariance
+    those of one curve in `adjustment`: moments and own_right of its design (C) and waves (A), the covariance
     (A, A) of the displacement if its unknowns were known, the solution and its covariance.
     """
     wide, size, many = len(columns), len(own_right), len(inverse)

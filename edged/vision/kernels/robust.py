@@ -1,7 +1,7 @@
 """Robust statistics of edge samples along a curve, as kernels.
 
 Samples scatter (scale) and repeat each other along the edge (correlation); both are estimated without the
-samples that are wrong. The solver that stands on them is `jointsolver`.
+samples that are wrong. The solver that stands on them is `curves.adjustment`.
 Source: P. J. Huber, "Robust Statistics", 1981; J. W. Tukey's biweight with c = 4.685.
 """
 

@@ -32,7 +32,7 @@ Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 CERTAIN = 3.0
 """Sigmas that chance may explain."""
 WALL_PX = 0.2
-"""Walls and light displace edges by up to this, and in both images differently (see `displacements`)."""
+"""Walls and light displace edges by up to this, and in both images differently (see `curves.systematic`)."""
 MIN_LEVEL = 0.2
 """Share of a shift across the rows that moves the edge along its normal; less is none."""
 MIN_POINTS = 8

@@ -1,7 +1,7 @@
 """All features of a part: straight edges, slots and corners beside its circles, and what follows from them.
 
-The circles come measured, with the plane of the face (see `measurement`); a part without circles gets its
-plane from the rows of its edges (see `edgestart`). Then every curve of the face is measured in one fit, and
+The circles come measured, with the plane of the face (see `circles`); a part without circles gets its
+plane from the rows of its edges (see `initialpose`). Then every curve of the face is measured in one fit, and
 from it come the pose, the features in the rig frame, and the sizes with their tolerances.
 """
 
