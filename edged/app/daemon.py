@@ -1,30 +1,24 @@
-"""The composition root: the only module that names adapters.
-
-`load_cell` turns a configuration file into a measuring set-up; `Daemon` connects cameras, loop and
-publishers, and exchanges parts of them on reload.
-"""
+"""The daemon: connects cameras, loop and publishers, and exchanges parts of them on reload."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-import math
 from collections.abc import Sequence
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from edged import __version__
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
-from edged.app.cameras import camera_facts, camera_figures
-from edged.app.cameras import head_of as head_of
+from edged.app.cameras import head_of
 from edged.app.cell import LoadedCell, load_cell, warm_up
+from edged.app.status import Running, config_summary, facts, figures, job_list, register_rows
 from edged.capture.stereohead import StereoHead
 from edged.config import (
     Config,
@@ -89,7 +83,7 @@ class Daemon:
         self._head = head_for(loaded, world)
         self._cycle = Cycle(self._head, loaded.setup)
         self._notifier = SystemdNotifier()
-        self._metrics = MetricsPublisher(loaded.cell.config.cell.name, self._figures)
+        self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
         self._servers: dict[str, Publisher] = {}
         self._reloading = asyncio.Lock()
@@ -242,7 +236,12 @@ class Daemon:
             trigger_timeout_s=section.trigger_timeout_s,
             ros2_domain_id=section.ros2_domain_id,
         )
-        return ZenohPublisher(settings, self._cycle, jobs=self._job_list, config=self._config_summary)
+        return ZenohPublisher(
+            settings,
+            self._cycle,
+            jobs=lambda: job_list(self._loaded),
+            config=lambda: config_summary(self._loaded),
+        )
 
     def _recorder(self, section: RecorderSection) -> Recorder:
         return Recorder(
@@ -253,98 +252,16 @@ class Daemon:
     def _web(self, cell: str, section: WebSection) -> WebPublisher:
         sources = Sources(
             rectification=lambda: self._loaded.rig.rectification,
-            jobs=self._job_list,
-            facts=self._facts,
-            registers=self._register_values,
+            jobs=lambda: job_list(self._loaded),
+            facts=lambda: facts(self._running),
+            registers=lambda: register_rows(self._servers.get("modbus")),
             metrics=self._metrics.render,
         )
         return WebPublisher(cell, WebSettings(**section.model_dump()), sources)
 
-    def _register_values(self) -> list[tuple[int, str, float, str, str]]:
-        """Rows for the status page."""
-        modbus = self._servers.get("modbus")
-        if not isinstance(modbus, ModbusPublisher):
-            return []
-        return [
-            (register.address, register.name, float(value), register.unit, register.help)
-            for register, value in modbus.values()
-        ]
-
-    def _facts(self) -> dict[str, dict[str, Any]]:
-        """What the status page says of the parts, group by group."""
-        config, setup = self._loaded.cell.config, self._loaded.setup
-        registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
-        if setup.flange_from_rig is not None:
-            registered = "on the flange: commands say where it is"
-        facts: dict[str, dict[str, Any]] = {
-            "Software": {"version": __version__, "configuration": setup.fingerprint},
-            "Calibration": {
-                "id": setup.calibration_id,
-                "registered to the robot": registered,
-                **self._drift_facts(),
-            },
-            "Cameras": {"source": config.cameras.source, **camera_facts(self._head)},
-        }
-        modbus, zenoh, recorder = (self._servers.get(name) for name in ("modbus", "zenoh", "recorder"))
-        if isinstance(modbus, ModbusPublisher):
-            facts["Modbus"] = {"port": modbus.port, "clients": modbus.clients}
-        if zenoh is not None:
-            facts["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
-        if isinstance(recorder, Recorder):
-            kept = recorder.figures
-            facts["Recorder"] = {
-                "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
-                "left out, failed": f"{kept.left_out}, {kept.failed}",
-            }
-            if kept.problem:
-                facts["Recorder"]["problem"] = kept.problem
-        return facts
-
-    def _drift_facts(self) -> dict[str, str]:
-        drift = self._cycle.drift
-        rows = "–" if math.isnan(drift.rows_px) else f"{drift.rows_px:.3f} px"
-        length = "–" if math.isnan(drift.length_percent) else f"{drift.length_percent:+.3f} %"
-        return {"verdict": drift.verdict.name.lower(), "rows, mean": rows, "known length, mean": length}
-
-    def _figures(self) -> dict[str, tuple[str, float]]:
-        """Figures of the parts for /metrics."""
-        drift = self._cycle.drift
-        figures: dict[str, tuple[str, float]] = {
-            "calibration_verdict": (
-                "0 the calibration holds, 1 it drifts, 2 results are refused",
-                drift.verdict,
-            ),
-            "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
-            "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
-            **camera_figures(self._head),
-        }
-        modbus, recorder = self._servers.get("modbus"), self._servers.get("recorder")
-        if isinstance(modbus, ModbusPublisher):
-            figures["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
-        if isinstance(recorder, Recorder):
-            kept = recorder.figures
-            figures |= {
-                "recordings": ("recordings on disk", kept.kept),
-                "recordings_bytes": ("size of all recordings", kept.kept_bytes),
-                "recordings_left_out": (
-                    "cycles left out since the start: the disk was slower",
-                    kept.left_out,
-                ),
-                "recordings_failed": ("recordings that could not be written since the start", kept.failed),
-            }
-        return figures
-
-    def _job_list(self) -> list[tuple[int, str]]:
-        return [(job.number, job.name) for job in self._loaded.setup.jobs.values()]
-
-    def _config_summary(self) -> dict[str, Any]:
-        """What `edged/<cell>/config` answers; there are no secrets in a configuration."""
-        return {
-            "version": __version__,
-            "fingerprint": self._loaded.setup.fingerprint,
-            "calibration": self._loaded.setup.calibration_id,
-            "config": self._loaded.cell.config.model_dump(mode="json"),
-        }
+    @property
+    def _running(self) -> Running:
+        return Running(self._loaded, self._cycle, self._head, self._servers)
 
     async def _start(self, name: str, publisher: Publisher) -> None:
         await publisher.start()

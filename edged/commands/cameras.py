@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.adapters.aravis import aravis_missing, list_cameras
-from edged.app.daemon import head_of
+from edged.app.cameras import head_of
 from edged.capture.stereohead import StereoHead
 from edged.config import load
 from edged.domain import FramePair

@@ -1,0 +1,119 @@
+"""What a running cell says of its parts: facts for people, figures for /metrics, rows of registers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edged import __version__
+from edged.adapters.modbus import ModbusPublisher
+from edged.adapters.recorder import Recorder
+from edged.app.cameras import camera_facts, camera_figures
+from edged.app.cell import LoadedCell
+from edged.capture.stereohead import StereoHead
+from edged.cycle import Cycle
+from edged.ports import Publisher
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Running:
+    """The parts of a running cell; servers by the name of their section."""
+
+    loaded: LoadedCell
+    cycle: Cycle
+    head: StereoHead
+    servers: Mapping[str, Publisher]
+
+
+def register_rows(modbus: Publisher | None) -> list[tuple[int, str, float, str, str]]:
+    """Address, name, value, unit and help of each register; none where Modbus is off."""
+    if not isinstance(modbus, ModbusPublisher):
+        return []
+    return [
+        (register.address, register.name, float(value), register.unit, register.help)
+        for register, value in modbus.values()
+    ]
+
+
+def facts(running: Running) -> dict[str, dict[str, Any]]:
+    """What the status page says of the parts, group by group."""
+    config, setup = running.loaded.cell.config, running.loaded.setup
+    registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
+    if setup.flange_from_rig is not None:
+        registered = "on the flange: commands say where it is"
+    groups: dict[str, dict[str, Any]] = {
+        "Software": {"version": __version__, "configuration": setup.fingerprint},
+        "Calibration": {
+            "id": setup.calibration_id,
+            "registered to the robot": registered,
+            **_drift_facts(running),
+        },
+        "Cameras": {"source": config.cameras.source, **camera_facts(running.head)},
+    }
+    modbus, zenoh, recorder = (running.servers.get(name) for name in ("modbus", "zenoh", "recorder"))
+    if isinstance(modbus, ModbusPublisher):
+        groups["Modbus"] = {"port": modbus.port, "clients": modbus.clients}
+    if zenoh is not None:
+        groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
+    if isinstance(recorder, Recorder):
+        kept = recorder.figures
+        groups["Recorder"] = {
+            "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
+            "left out, failed": f"{kept.left_out}, {kept.failed}",
+        }
+        if kept.problem:
+            groups["Recorder"]["problem"] = kept.problem
+    return groups
+
+
+def _drift_facts(running: Running) -> dict[str, str]:
+    drift = running.cycle.drift
+    rows = "–" if math.isnan(drift.rows_px) else f"{drift.rows_px:.3f} px"
+    length = "–" if math.isnan(drift.length_percent) else f"{drift.length_percent:+.3f} %"
+    return {"verdict": drift.verdict.name.lower(), "rows, mean": rows, "known length, mean": length}
+
+
+def figures(running: Running) -> dict[str, tuple[str, float]]:
+    """Figures of the parts for /metrics."""
+    drift = running.cycle.drift
+    result: dict[str, tuple[str, float]] = {
+        "calibration_verdict": (
+            "0 the calibration holds, 1 it drifts, 2 results are refused",
+            drift.verdict,
+        ),
+        "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
+        "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
+        **camera_figures(running.head),
+    }
+    modbus, recorder = running.servers.get("modbus"), running.servers.get("recorder")
+    if isinstance(modbus, ModbusPublisher):
+        result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
+    if isinstance(recorder, Recorder):
+        kept = recorder.figures
+        result |= {
+            "recordings": ("recordings on disk", kept.kept),
+            "recordings_bytes": ("size of all recordings", kept.kept_bytes),
+            "recordings_left_out": (
+                "cycles left out since the start: the disk was slower",
+                kept.left_out,
+            ),
+            "recordings_failed": ("recordings that could not be written since the start", kept.failed),
+        }
+    return result
+
+
+def job_list(loaded: LoadedCell) -> list[tuple[int, str]]:
+    """Number and name of each job."""
+    return [(job.number, job.name) for job in loaded.setup.jobs.values()]
+
+
+def config_summary(loaded: LoadedCell) -> dict[str, Any]:
+    """What `edged/<cell>/config` answers; there are no secrets in a configuration."""
+    return {
+        "version": __version__,
+        "fingerprint": loaded.setup.fingerprint,
+        "calibration": loaded.setup.calibration_id,
+        "config": loaded.cell.config.model_dump(mode="json"),
+    }
