@@ -108,10 +108,6 @@ class FaultLog:
         )
 
 
-RELAPSE_S = 60.0
-"""A fault that returns within this time is the same one: a loose plug, not a new event."""
-
-
 class FaultMemory:
     """Tells faults that are news from known ones: evidence of the first must outlive the thousandth."""
 

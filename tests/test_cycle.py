@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scriptedhead import Ear, Head, until
 
 from edged.cycle import QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
@@ -17,9 +18,7 @@ from edged.domain import (
     Command,
     CommandFailed,
     CommandKind,
-    Event,
     ExposureDone,
-    Frame,
     FramePair,
     Idle,
     JobChanged,
@@ -27,65 +26,7 @@ from edged.domain import (
     Snapshot,
     Status,
 )
-from edged.errors import CameraUnreachable, CommandRefused, FrameTimeout, FrameUnpaired
-
-
-class Head:
-    """A stereo head in memory; `broken` makes every capture fail."""
-
-    def __init__(self) -> None:
-        self.captures = 0
-        self.closed = 0
-        self.broken = False
-        self.capture_s = 0.0
-        self.exposures: asyncio.Queue[FramePair] = asyncio.Queue()
-
-    async def open(self) -> None:
-        if self.broken:
-            raise FrameTimeout("left", "unplugged")
-
-    async def capture(self) -> FramePair:
-        await asyncio.sleep(self.capture_s)
-        if self.broken:
-            raise FrameTimeout("left", "unplugged")
-        self.captures += 1
-        image = np.zeros((4, 4), np.uint8)
-        now_ns = time.time_ns()
-        left, right = (Frame(side, self.captures, image, now_ns, now_ns) for side in ("left", "right"))
-        return FramePair(left, right)
-
-    async def listen(self) -> FramePair:
-        return await self.exposures.get()
-
-    async def close(self) -> None:
-        self.closed += 1
-
-
-class Ear:
-    """A publisher that remembers."""
-
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    async def start(self) -> None:
-        pass
-
-    def announce(self, event: Event) -> None:
-        self.events.append(event)
-
-    async def close(self) -> None:
-        pass
-
-    def snapshots(self) -> list[Snapshot]:
-        return [event for event in self.events if isinstance(event, Snapshot)]
-
-    def state(self) -> str:
-        """The latest state that was told."""
-        return next((event.state for event in reversed(self.events) if isinstance(event, CellState)), "")
-
-    def answers(self, command: Command) -> list[Event]:
-        kinds = (Snapshot, JobChanged, CommandFailed)
-        return [event for event in self.events if isinstance(event, kinds) and event.command == command]
+from edged.errors import CameraUnreachable, CommandRefused, FrameUnpaired
 
 
 def found_nothing(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
@@ -118,14 +59,6 @@ def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
 
     asyncio.run(main())
     return ear, head
-
-
-async def until(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
-    """Wait for a condition on the event loop."""
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "condition not met in time"
-        await asyncio.sleep(0.001)
 
 
 def locate_command(sequence: int, job: int = 0) -> Command:

@@ -10,8 +10,8 @@ from dataclasses import replace
 import cells
 import numpy as np
 import pytest
+from scriptedhead import Ear, Head, until
 from snapshots import make_target
-from test_cycle import Ear, Head, until
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings

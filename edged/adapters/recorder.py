@@ -21,6 +21,7 @@ from pathlib import Path
 from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
 from edged.errors import ImageError
 from edged.files import recording
+from edged.logs import FaultMemory
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +78,7 @@ class Recorder:
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="recorder")
         self._waiting = 0
         self._exposed: tuple[int, FramePair] | None = None
-        self._faults = recording.FaultMemory(monotonic_s)
+        self._faults = FaultMemory(monotonic_s)
         # of the writer's thread alone
         self._kept: dict[bool, deque[tuple[recording.Entry, int]]] = {True: deque(), False: deque()}
         self._kept_bytes = 0

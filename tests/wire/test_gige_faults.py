@@ -8,13 +8,13 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from gigeclient import Client, Image, Stream, acquiring
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, moving_ramp
 from edged.sim.gige.faults import CLAMPED_EXPOSURE_US, Quirk
 from edged.sim.gige.gvcp import PACKET_RESEND
 from edged.sim.gige.registers import ACCESS_DENIED, INVALID_ADDRESS, INVALID_PARAMETER, SUCCESS
-from tests.gigeclient import Client, Image, Stream, acquiring
 
 ADDRESS, OTHER = "127.0.52.1", "127.0.52.2"
 BY_SOFTWARE = {"TRIGGER_MODE": 1, "PACKET_SIZE": 576}

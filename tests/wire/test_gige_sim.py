@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from gigeclient import Client
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.domain import Image
@@ -27,7 +28,6 @@ from edged.sim.gige.registers import (
     SUCCESS,
     WRITE_PROTECT,
 )
-from tests.gigeclient import Client
 
 ADDRESS, OTHER = "127.0.50.1", "127.0.50.2"
 needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")

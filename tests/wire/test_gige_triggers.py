@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
+from gigeclient import Client, Stream, acquiring
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, moving_ramp
@@ -16,7 +17,6 @@ from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.gvcp import ACTION, GVCP_PORT
 from edged.sim.gige.registers import ACTION_LATE, INVALID_PARAMETER, NO_REFERENCE_TIME, SUCCESS
 from edged.vision.kernels.pixelformats import FORMATS
-from tests.gigeclient import Client, Stream, acquiring
 
 ADDRESS, OTHER = "127.0.51.1", "127.0.51.2"
 KEYS = {"ACTION_DEVICE_KEY": 7, "ACTION_GROUP_KEY": 3, "ACTION_GROUP_MASK": 0b0110}

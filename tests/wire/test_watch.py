@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 from snapshots import make_snapshot, make_transform
-from test_zenoh import READY, WAIT_S, Cell, free_port
+from zenohcell import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from snapshots import make_snapshot
-from test_zenoh import WAIT_S, Cell, free_port, is_message, peer
+from zenohcell import WAIT_S, Cell, free_port, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 

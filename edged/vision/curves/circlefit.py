@@ -7,10 +7,10 @@ projected through lens and pose of each camera, edges are measured across the pr
 and their offsets along the normals are the residuals of one robust least-squares problem.
 Nothing is rectified, no ellipse is formed, no point needs a partner in the other image.
 
-What both cameras say in common and what they say against each other are different witnesses (see `commonmode`),
-each with a scatter and a correlation along the edge of its own. Half of the variance of the slow
-displacements is each curve's own, half is shared by the curves of one kind: five holes in one light are not
-five independent witnesses (see `systematic`).
+What both cameras say in common and what they say against each other are different witnesses (see
+`commonmode`), each with a scatter and a correlation along the edge of its own. Half of the variance of the
+slow displacements is each curve's own, half is shared by the curves of one kind: five holes in one light
+are not five independent witnesses (see `systematic`).
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Limits:
 FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (1000.0, 0.3), (math.inf, 0.5))
 """Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
 DISPLACED_PX = 0.5
-"""Another light displaces the edges of one part by up to a third of this (`curves.systematic`), walls by more."""
+"""Another light displaces the edges of one part by up to a third of this, walls by more (`systematic`)."""
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:

@@ -1,8 +1,8 @@
 """Points in space of a measured part: its contours, and its faces by NCC (paper, 5.2 and Fig. 9).
 
 Contour points are edges that both cameras measured on one curve. Face points are matched by NCC with
-least-squares matching along their rows (see `stereo.matching`), on a grid over the part, within the depth limits of
-its job.
+least-squares matching along their rows (see `stereo`), on a grid over the part, within the depth
+limits of its job.
 """
 
 from __future__ import annotations

@@ -1,0 +1,230 @@
+"""The notify protocol on a real datagram socket, and the unit file."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from snapshots import make_snapshot
+
+from edged.adapters.systemd import SystemdNotifier
+from edged.domain import CellState, Event, Idle
+
+UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"
+READY = CellState("READY", True, True, "flange", 1, 0)
+BUSY = CellState("BUSY", True, True, "flange", 1, 0)
+FAULT = CellState("FAULT", False, False, "flange", 1, 0, "camera left:\nunplugged", 101)
+STOPPING = CellState("STOPPING", False, False, "flange", 1, 0)
+
+
+class Manager:
+    """systemd's end of the socket."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self.socket.setblocking(False)
+
+    def messages(self) -> list[list[str]]:
+        """What has come so far, one list of assignments a datagram."""
+        found = []
+        while True:
+            try:
+                found.append(self.socket.recv(4096).decode().split("\n"))
+            except BlockingIOError:
+                return found
+
+    def told(self) -> list[str]:
+        """All assignments, flat."""
+        return [line for message in self.messages() for line in message]
+
+
+class Bench:
+    """A notifier with a clock that only moves when told."""
+
+    def __init__(self, address: str, watchdog_us: str = "") -> None:
+        self.now_s = 100.0
+        environment = {"NOTIFY_SOCKET": address} | ({"WATCHDOG_USEC": watchdog_us} if watchdog_us else {})
+        self.notifier = SystemdNotifier(environment, lambda: self.now_s)
+        asyncio.run(self.notifier.start())
+
+    def announce(self, *events: Event, after_s: float = 1.0) -> None:
+        for event in events:
+            self.now_s += after_s
+            self.notifier.announce(event)
+
+    def close(self) -> None:
+        asyncio.run(self.notifier.close())
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request, tmp_path):
+    """A manager that listens on a path or in the abstract name space."""
+    address = f"@edged-test-{os.getpid()}" if request.param == "abstract" else str(tmp_path / "notify")
+    end = Manager(address)
+    end.address = address
+    yield end
+    end.socket.close()
+
+
+def test_ready_comes_with_the_cameras_and_only_once(manager):
+    """READY=1 is told when the first state is ready, not while the cameras are missing, and once."""
+    bench = Bench(manager.address)
+    bench.announce(FAULT, Idle(), FAULT)
+    before = manager.told()
+    assert "READY=1" not in before
+    assert any(line.startswith("EXTEND_TIMEOUT_USEC=") for line in before), "waiting extends the start"
+    bench.announce(READY, READY, BUSY, READY)
+    assert 1 == manager.told().count("READY=1")
+    bench.close()
+
+
+def test_only_events_of_the_loop_feed_the_watchdog(manager):
+    """Cycles and idle turns feed; when they cease nothing does, however long it lasts."""
+    bench = Bench(manager.address, watchdog_us="3000000")
+    bench.announce(READY)
+    manager.messages()
+    bench.announce(make_snapshot(), Idle(), make_snapshot(2))
+    assert 3 == manager.told().count("WATCHDOG=1")
+    bench.now_s += 3600
+    assert [] == manager.messages()
+    bench.close()
+    assert "WATCHDOG=1" not in manager.told()
+
+
+def test_a_fast_cell_does_not_flood_the_manager(manager):
+    """1000 cycles in a second are a handful of datagrams, and more than two a watchdog period."""
+    bench = Bench(manager.address, watchdog_us="1000000")
+    bench.announce(READY)
+    manager.messages()
+    bench.announce(*(make_snapshot(cycle) for cycle in range(1000)), after_s=0.001)
+    assert 2 < manager.told().count("WATCHDOG=1") < 10
+    bench.close()
+
+
+def test_status_is_one_line(manager):
+    """The fault is shown in `systemctl status`; its newline cannot begin another assignment."""
+    bench = Bench(manager.address)
+    bench.announce(READY, FAULT)
+    last = manager.messages()[-1]
+    assert "STATUS=FAULT: camera left: unplugged; 0 cycles" in last
+    assert all("=" in line for line in last)
+    bench.close()
+
+
+def test_reload_begins_with_a_time_stamp_and_ends_with_ready(manager):
+    """RELOADING=1 carries MONOTONIC_USEC; READY=1 ends it, and a refusal is told as the status."""
+    bench = Bench(manager.address)
+    bench.announce(READY)
+    manager.messages()
+    bench.notifier.reloading()
+    bench.notifier.reloaded("cell.toml: 1 problem\n  modbus.port: 0")
+    begun, ended = manager.messages()
+    assert "RELOADING=1" == begun[0]
+    assert int(begun[1].removeprefix("MONOTONIC_USEC=")) > 0
+    assert ["READY=1", "STATUS=reload refused: cell.toml: 1 problem modbus.port: 0"] == ended
+    bench.close()
+
+
+def test_stopping_is_told_once(manager):
+    """The state STOPPING and the closing of the publisher are one message together."""
+    bench = Bench(manager.address)
+    bench.announce(READY, STOPPING, make_snapshot())
+    bench.close()
+    assert 1 == manager.told().count("STOPPING=1")
+
+
+def test_a_datagram_that_was_lost_is_sent_with_the_next_event(manager):
+    """READY is not lost for ever when the manager's queue was full."""
+    bench = Bench(manager.address)
+    filler = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    filler.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        while True:
+            filler.sendto(b"X=1", manager.socket.getsockname())
+    filler.close()
+    bench.announce(READY)
+    assert "READY=1" not in manager.told()
+    bench.announce(Idle())
+    assert "READY=1" in manager.told()
+    bench.close()
+
+
+@pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative", "/nowhere/notify"])
+def test_without_a_manager_nothing_happens(address, caplog):
+    """Outside of systemd, or with one that is gone, events pass without an exception."""
+    bench = Bench(address)
+    bench.announce(READY, make_snapshot(), STOPPING)
+    bench.close()
+    assert len(caplog.records) <= 1, "a missing manager is one line in the log, not one per event"
+
+
+@pytest.mark.parametrize("watchdog_us", ["0", "-5", "abc", "1e6", "²"])
+def test_a_strange_watchdog_time_is_ignored(manager, watchdog_us):
+    """A WATCHDOG_USEC that is no positive number leaves the default period."""
+    bench = Bench(manager.address, watchdog_us)
+    bench.announce(READY, Idle())
+    assert 2 == manager.told().count("WATCHDOG=1")
+    bench.close()
+
+
+needs_analyze = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is missing"
+)
+
+
+@pytest.fixture(params=["edged.service", "edged@.service"])
+def unit_file(request):
+    """Each of the units: the one of a single cell, and the template for several."""
+    return UNIT.with_name(request.param)
+
+
+def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run systemd-analyze on a unit, with a program in its place that exists."""
+    unit = tmp_path / unit_file.name.replace("@", "@cell1")
+    unit.write_text(unit_file.read_text().replace("/opt/edged/current/bin/edged", "/bin/true"))
+    command = ["systemd-analyze", *arguments, str(unit)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+
+
+@needs_analyze
+def test_the_unit_is_understood_completely(unit_file, tmp_path):
+    """`systemd-analyze verify` says nothing: it returns 0 for unknown keys too."""
+    result = analyze(unit_file, tmp_path, "verify", "--man=no")
+    assert (0, "", "") == (result.returncode, result.stdout, result.stderr)
+
+
+@needs_analyze
+def test_the_unit_is_hardened(unit_file, tmp_path):
+    """The exposure that systemd computes is at most 2.5 of 10."""
+    result = analyze(unit_file, tmp_path, "security", "--offline=true", "--threshold=25", "--no-pager")
+    assert 0 == result.returncode, result.stdout[-300:]
+
+
+def test_the_template_is_the_unit_with_names() -> None:
+    """What one of them may do or says, the other does: they differ in the cell's name only."""
+    single, template = (UNIT.with_name(name).read_text() for name in ("edged.service", "edged@.service"))
+    for named, plain in (
+        ("edged-%i", "edged"),
+        ("edged@%i", "edged"),
+        ("/%i.toml", "/cell.toml"),
+        (", cell %i", ""),
+    ):
+        template = template.replace(named, plain)
+    assert single[single.index("[Unit]") :] == template[template.index("[Unit]") :]
+
+
+def test_the_unit_asks_for_what_the_notifier_tells(unit_file):
+    """Type=notify, a watchdog, a reload by SIGHUP: the words that this protocol stands on."""
+    lines = unit_file.read_text().splitlines()
+    assert {
+        "Type=notify",
+        "NotifyAccess=main",
+        "ExecReload=/bin/kill -HUP $MAINPID",
+        "WatchdogSec=30",
+    } <= set(lines)

@@ -1,0 +1,71 @@
+"""Small least-squares problems of curves with known answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.vision.curves.adjustment import Samples
+
+
+def ring(count: int) -> FloatArray:
+    """(N, 5) slow waves around a circle."""
+    angle = np.arange(count) * (2 * np.pi / count)
+    rest = [math.sqrt(2) * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
+    return np.column_stack([np.ones(count), *rest])
+
+
+COUNTS = ((120, 120), (48,), (110, 110, 40), (300,))
+"""Samples of the parts of each curve; where there are two or three, the first two are paired."""
+
+
+def smooth(count: int, rng: np.random.Generator) -> FloatArray:
+    """(N, 4) random changes around a circle, as smooth as the derivatives of projected curves."""
+    angle = np.arange(count) * (2 * np.pi / count)
+    waves = [f(m * angle) for m in range(1, 4) for f in (np.cos, np.sin)]
+    return np.asarray(np.column_stack([np.ones(count), *waves]) @ rng.normal(0, 0.5, (7, 4)))
+
+
+def problem(
+    seed: int, bias: float = 0.0, noise: float = 0.1, wrong: float = 0.0
+) -> tuple[Samples, FloatArray]:
+    """Four curves, unknowns of which curves 0, 2 and curves 1, 3 share their own, and the true step.
+
+    Unknowns: 3 common ones, one for each pair, and 5 shared slow displacements of the curves 1 and 3.
+    """
+    rng = np.random.default_rng(seed)
+    counts = [count for curve in COUNTS for count in curve]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    parts = np.concatenate([[0], np.cumsum([len(curve) for curve in COUNTS])])
+    waves = np.concatenate([ring(count) for count in counts])
+    own = np.concatenate([smooth(count, rng) for count in counts])
+    columns = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 3], [0, 1, 2, 4]])
+    truth = rng.normal(0, 0.3, 5)
+    curve = np.repeat(np.arange(4), [sum(c) for c in COUNTS])
+    values = np.sum(own[:, :3] * truth[:3], axis=1) + own[:, 3] * truth[3 + curve % 2]
+    values += rng.normal(0, noise, len(values))
+    for k in range(4):
+        values[curve == k] += waves[curve == k] @ rng.normal(0, bias, 5)
+    values[curve % 2 == 1] += waves[curve % 2 == 1] @ rng.normal(0, bias, 5)
+    base = np.where(rng.random(len(values)) < 0.1, 0.0, 1.0)
+    for k in (0, 2):  # paired parts have the same gaps
+        a, b, c = starts[parts[k] : parts[k] + 3]
+        base[b:c] = base[a:b]
+    values[rng.random(len(values)) < wrong] += 3.0
+    samples = Samples(
+        design=own,
+        columns=columns,
+        starts=starts,
+        parts=parts,
+        paired=np.array([True, False, True, False]),
+        values=values,
+        base=base,
+        waves=waves,
+        families=np.array([0, 0, 0, 1, 1]),
+        expected=np.full((4, 2), max(bias, 1e-3)),
+        shared=np.array([-1, 5, -1, 5]),
+        kinds=np.array([0, 1, 0, 1]),
+    )
+    return samples, truth

@@ -1,0 +1,1 @@
+"""The plain-loop twin of each fast kernel, a module for each room."""

@@ -1,0 +1,132 @@
+"""Plain-loop twins of the kernels of `vision/shape`: slow, and easy to believe."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.domain import FloatArray
+
+
+def shape_responses(gx: np.ndarray, gy: np.ndarray, minimum: int, unsigned: bool) -> np.ndarray:
+    """(16, H, W): 7 cos(gradient direction - orientation), not rounded; of twice the angle when unsigned."""
+    maps = np.zeros((16, *gx.shape))
+    for y in range(gx.shape[0]):
+        for x in range(gx.shape[1]):
+            if math.hypot(gx[y, x], gy[y, x]) < max(math.sqrt(minimum), 1):
+                continue
+            direction = math.atan2(gy[y, x], gx[y, x])
+            for o in range(16):
+                turn = direction - 2 * math.pi * o / 16
+                maps[o, y, x] = 7 * math.cos(2 * turn if unsigned else turn)
+    return maps
+
+
+def shape_similarity(
+    maps: np.ndarray, points: np.ndarray, directions: np.ndarray, x: int, y: int, pose: np.ndarray
+) -> int:
+    """Sum of the responses (16, H, W) under the points of a pose (angle, scale x, scale y) at (x, y)."""
+    total = 0
+    for (px, py), direction in zip(points, directions, strict=True):
+        u, v = px * pose[1], py * pose[2]
+        i = x + math.floor(math.cos(pose[0]) * u - math.sin(pose[0]) * v + 0.5)
+        j = y + math.floor(math.sin(pose[0]) * u + math.cos(pose[0]) * v + 0.5)
+        o = math.floor((direction + pose[0]) * 16 / (2 * math.pi) + 0.5) % 16
+        if 0 <= i < maps.shape[2] and 0 <= j < maps.shape[1]:
+            total += int(maps[o, j, i])
+    return total
+
+
+def shape_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Where a pose vector puts a model point."""
+    return pose[:2] + pose[2:6].reshape(2, 2) @ point / (1 + pose[6:] @ point)
+
+
+def shape_step(pose: np.ndarray, step: np.ndarray, freedom: int) -> np.ndarray:
+    """A pose after a step of 3, 4, 5, 6 or 8 unknowns."""
+    moved = pose.copy()
+    moved[:2] += step[:2]
+    if freedom <= 5:
+        scales = {3: (1, 1), 4: (1 + step[-1], 1 + step[-1]), 5: (1 + step[-2], 1 + step[-1])}[freedom]
+        turn = np.array([[math.cos(step[2]), -math.sin(step[2])], [math.sin(step[2]), math.cos(step[2])]])
+        moved[2:6] = (turn @ pose[2:6].reshape(2, 2) @ np.diag(scales)).ravel()
+    else:
+        moved[2:freedom] += step[2:]
+    return moved
+
+
+def shape_edge(
+    gx: np.ndarray, gy: np.ndarray, place: np.ndarray, reach: float, sign: int, minimum: float
+) -> tuple[float, float]:
+    """Offset and cos of the strongest, nearest extremum of the gradient along a normal; NaN, 0 for none."""
+
+    def at(image: np.ndarray, x: float, y: float) -> float:
+        i, j = math.floor(x), math.floor(y)
+        a, b = x - i, y - j
+        top = (1 - a) * image[j, i] + a * image[j, i + 1]
+        return float((1 - b) * top + b * ((1 - a) * image[j + 1, i] + a * image[j + 1, i + 1]))
+
+    x, y, nx, ny = place
+    inner = math.ceil(reach) + 1
+    best, offset, cosine = 0.0, math.nan, 0.0
+    samples = []
+    for s in range(-inner, inner + 1):
+        u, v = at(gx, x + s * nx, y + s * ny), at(gy, x + s * nx, y + s * ny)
+        samples.append((u * nx + v * ny, math.hypot(u, v)))
+    for s in range(1, 2 * inner):
+        factor = -1 if sign < 0 or (sign == 0 and samples[s][0] < 0) else 1
+        before, here, after = (factor * samples[s + k][0] for k in (-1, 0, 1))
+        if here < minimum or here < before or here <= after:
+            continue
+        position = s - inner + (before - after) / (2 * (before - 2 * here + after))
+        weight = here * math.exp(-0.5 * (position / reach) ** 2)
+        if abs(position) <= reach and weight > best:
+            best, offset, cosine = weight, position, here / samples[s][1]
+    return offset, cosine
+
+
+def shape_agreement(gx: np.ndarray, gy: np.ndarray, place: np.ndarray, sign: int, minimum: float) -> float:
+    """cos, of twice the angle for sign 0, between a placed normal and the gradient at the nearest pixel."""
+    i, j = math.floor(place[0] + 0.5), math.floor(place[1] + 0.5)
+    if not (0 <= i < gx.shape[1] and 0 <= j < gx.shape[0]):
+        return 0.0
+    if math.hypot(gx[j, i], gy[j, i]) < max(minimum, 1e-9):
+        return 0.0
+    turn = math.atan2(gy[j, i], gx[j, i]) - math.atan2(place[3], place[2])
+    return math.cos(2 * turn) if sign == 0 else sign * math.cos(turn)
+
+
+def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+    """How far along x or y the farthest of the points moves between two poses."""
+    return max(
+        float(np.abs(shape_point(after, point) - shape_point(before, point)).max()) for point in points
+    )
+
+
+def lies_beside(place: np.ndarray, outline: np.ndarray, across: float, along: float, alike: float) -> bool:
+    """Whether a place (x, y, nx, ny) has a point of the outline (M, 4) beside it, normals alike."""
+    for other in outline:
+        dx, dy = place[:2] - other[:2]
+        near = abs(dx * place[2] + dy * place[3]) < across and abs(dx * place[3] - dy * place[2]) < along
+        if near and abs(place[2:] @ other[2:]) > alike:
+            return True
+    return False
+
+
+def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: float) -> np.ndarray:
+    """Robust least squares with Tukey's weights by numpy's solver."""
+    weights = np.ones(len(values))
+    solution = np.zeros(design.shape[1])
+    for _ in range(iterations):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+        residuals = values - design @ solution
+        ratio = residuals / (4.685 * max(1.4826 * float(np.median(np.abs(residuals))), floor))
+        weights = np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0)
+    return solution
+
+
+def repetition(points: FloatArray) -> float:
+    """Mean over the points of the sum of exp(-2 d^2) over all of them, at their distances d."""
+    return sum(math.exp(-2 * math.dist(p, q) ** 2) for p in points for q in points) / len(points)

@@ -1,0 +1,85 @@
+"""Slow displacements: their shapes follow the view, and their size is learned from the samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustments import problem
+
+from edged.domain import FloatArray
+from edged.vision.curves.adjustment import solve
+from edged.vision.curves.systematic import FAMILIES, displacements, slants
+
+
+def ring(count: int) -> FloatArray:
+    """(N, 3) directions around the z axis."""
+    angle = np.arange(count) * (2 * np.pi / count)
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+
+
+def test_a_wall_is_seen_where_the_ray_runs_outwards() -> None:
+    """From above a ring every ray runs outwards, by radius over height; from the side half of them."""
+    radial, normal = ring(60), np.array([0.0, 0.0, -1.0])
+    above = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, normal, np.eye(4))
+    np.testing.assert_allclose(above, 0.05)
+    camera = np.eye(4)
+    camera[:3, 3] = -100.0, 0.0, 0.0  # stands at x = 100: the ring lies to its left
+    aside = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, normal, camera)
+    assert aside[0] == pytest.approx((10.0 - 100.0) / 200.0)
+    assert aside[30] == pytest.approx((10.0 + 100.0) / 200.0)
+
+
+def test_walls_displace_one_side_only() -> None:
+    """Where the ray runs outwards the first of the two walls displaces, else the second; at a glance most."""
+    slant = np.array([-0.4, -0.05, -0.01, 0.0, 0.01, 0.05, 0.4])
+    left, right = displacements(np.tile([1.0, 0.0], (7, 1)), np.ones((2, 7)), np.stack([slant, slant[::-1]]))
+    shapes = left[:, 10:]
+    np.testing.assert_allclose(right[:, 10:], shapes[::-1])
+    assert (shapes[:4, 0] == 0).all()
+    assert (shapes[3:, 1] == 0).all()
+    np.testing.assert_allclose(shapes[:, 0], shapes[::-1, 1])
+    assert shapes[5, 0] == shapes[:, 0].max() > 10 * shapes[6, 0]
+
+
+@pytest.mark.parametrize(("true_px", "expected_px"), [(0.05, 0.002), (0.05, 0.2), (0.0, 0.05)])
+def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
+    """Whatever is expected, the sigma of the displacements comes out near the one they were drawn with."""
+    learned = []
+    for seed in range(20):
+        samples, _ = problem(seed, bias=true_px, noise=0.02)
+        samples = replace(samples, families=np.zeros(5, np.int64), expected=np.full((4, 1), expected_px))
+        solution = solve(samples, 10, 5)
+        assert solution is not None
+        learned.append(solution.bias)
+    # two kinds: the second has curves that share a displacement besides
+    rms = np.sqrt(np.mean(np.square(learned), axis=0))
+    assert (rms > 0.8 * true_px).all()
+    assert (rms < 1.25 * true_px + 0.4 * min(expected_px, 0.05)).all()
+
+
+def test_the_covariance_follows_what_was_learned() -> None:
+    """Told to expect a tenth of the displacements that there are, chi² is near 1 all the same."""
+    chi2 = []
+    for seed in range(60):
+        samples, truth = problem(seed, bias=0.05, noise=0.03)
+        samples.expected[:] = 0.005
+        solution = solve(samples, 10, 5)
+        assert solution is not None
+        error = solution.delta[:5] - truth
+        chi2.append(float(error @ np.linalg.solve(solution.covariance[:5, :5], error)) / 5)
+    assert 0.8 < np.mean(chi2) < 1.4
+
+
+def test_cameras_see_the_same_or_the_opposite() -> None:
+    """The first waves displace both images by a motion in space, the others against each other."""
+    angle = np.arange(40) * (2 * np.pi / 40)
+    normals, gain = (
+        np.column_stack([np.cos(angle), np.sin(angle)]),
+        np.stack([np.full(40, 12.0), np.full(40, 8.0)]),
+    )
+    left, right = displacements(normals, gain, np.zeros((2, 40)))
+    np.testing.assert_allclose(left[:, :5] / 12.0, right[:, :5] / 8.0)
+    np.testing.assert_allclose(left[:, 5:10] / 12.0, -right[:, 5:10] / 8.0)
+    assert left.shape[1] == len(FAMILIES)

@@ -1,0 +1,173 @@
+"""Pictures not to be trusted: a stated reason, or the truth with a larger sigma; never a confident error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
+from flatparts import HONEST, METAL, cell, chi2, only
+
+from edged.domain import Image, Outcome, Reject, Status, Target
+from edged.errors import ImageError
+from edged.pipeline import locate
+from edged.sim.render.scene import Box, Disc, Part, Surface
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+COVER = Surface(albedo=0.3, contrast=0.1, seed=3)
+LAMP = Surface(albedo=3.0)
+
+
+def seen(job: Job, left: Image, right: Image) -> Outcome:
+    """What the pipeline says of the pair, looked at by the disc's rig."""
+    return locate(frame_pair(left, right), job, cell("disc").rig)
+
+
+def patient(job: Job, min_support: float = 0.2) -> Job:
+    """The job for parts of which half may be hidden."""
+    return replace(
+        job,
+        search=replace(job.search, min_score=0.4),
+        limits=replace(job.limits, min_support=min_support),
+    )
+
+
+def whole() -> Target:
+    """The part as it should be seen."""
+    here = cell("disc")
+    return only(seen(here.job, *here.see(pose())))
+
+
+@pytest.mark.parametrize(("shift_mm", "vaguer"), [(25.0, 0.8), (30.0, 1.3)])
+def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
+    """What the picture still holds gives the truth, with a larger sigma when it is little; asked for more, it
+    is refused. A sigma is itself an estimate, good to about a fifth."""
+    here = cell("disc")
+    where = pose((PLACE_MM[0], PLACE_MM[1] + shift_mm, PLACE_MM[2]))
+    images = here.see(where)
+    target = only(seen(patient(here.job), *images))
+    assert target.reject is Reject.NONE
+    assert chi2(target, here.true_pose(where)[:3, 3]) < HONEST
+    assert target.sigma_mm[2] > vaguer * whole().sigma_mm[2]
+    assert only(seen(patient(here.job, 0.95), *images)).reject & Reject.FEW_EDGES
+
+
+@pytest.mark.parametrize("hidden", ["left", "right"])
+def test_half_hidden_in_one_camera(hidden: str) -> None:
+    """The other camera's whole circle does not make up for it: larger sigma, or too few edges."""
+    here = cell("disc")
+    cover = Part("cover", Box(10.0, 0.0, 20.0, 40.0), COVER)
+    nearer = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] - 2.0))
+    left, right = here.see(pose())
+    covered = pictures(here.rig.rig, scene((here.part, pose()), (cover, nearer)), 7)
+    images = (covered[0], right) if hidden == "left" else (left, covered[1])
+    target = only(seen(patient(here.job), *images))
+    assert target.reject is Reject.NONE
+    assert chi2(target, here.true_pose(pose())[:3, 3]) < HONEST
+    assert target.sigma_mm[2] > 1.3 * whole().sigma_mm[2]
+    assert only(seen(patient(here.job, 0.9), *images)).reject & Reject.FEW_EDGES
+
+
+@pytest.mark.parametrize("chamfer_mm", [0.2, 0.3, 0.4, 0.7])
+@pytest.mark.parametrize("albedo", [0.45, 0.55])
+def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:
+    """Rim and foot, 1.5 to 5 px apart, of a part taught without: the face's place, or a refusal.
+
+    The foot has the radius that was taught, but lies lower: the holes of the face then stand off its plane.
+    Where blur makes one edge of both, a circle between them fits both pictures; its sigma is larger.
+    """
+    here = cell("disc")
+    foot = pose()
+    foot[:3, 3] += chamfer_mm * foot[:3, 2]
+    body = Part("body", Disc(0, 0, 13), replace(METAL, albedo=albedo))
+    top = replace(here.part, outline=Disc(0, 0, 13.0 - chamfer_mm))
+    images = pictures(here.rig.rig, scene((body, foot), (top, pose())), 7)
+    outcome = seen(here.job, *images)
+    if outcome.status is Status.OK:
+        assert chi2(only(outcome), here.true_pose(pose())[:3, 3]) < HONEST
+        assert only(outcome).sigma_mm[0] > 5 * whole().sigma_mm[0]
+    else:
+        assert only(outcome).reject & (Reject.TOLERANCE | Reject.AMBIGUOUS_EDGE | Reject.LEFT_RIGHT_MISMATCH)
+    if chamfer_mm > 0.3:
+        assert only(outcome).reject & Reject.AMBIGUOUS_EDGE
+
+
+def test_a_second_edge_beside_a_lone_circle() -> None:
+    """A bevel of 0.5 mm in similar contrast, nothing else on the part: refused, unless it was taught so."""
+    here = cell("round")
+    foot = pose()
+    foot[:3, 3] += 0.5 * foot[:3, 2]
+    body = Part("body", Disc(0, 0, 12), replace(METAL, albedo=0.45))
+    top = replace(here.part, outline=Disc(0, 0, 11.5))
+    images = pictures(here.rig.rig, scene((body, foot), (top, pose())), 7)
+    assert not here.job.reference_circle.double
+    assert only(locate(frame_pair(*images), here.job, here.rig)).reject == Reject.AMBIGUOUS_EDGE
+    region = region_around(here.rig.rig, pose()[:3, 3], 15.0)
+    bevelled = teach(*images, here.rig.rectification, region, "bevelled")
+    assert bevelled.reference_circle.double
+    again = pictures(here.rig.rig, scene((body, foot), (top, pose())), 8)
+    assert only(locate(frame_pair(*again), bevelled, here.rig)).reject is Reject.NONE
+
+
+def test_a_saturated_highlight_along_the_edge() -> None:
+    """A burnt-out spot over a sixth of the rim: the truth, with a larger sigma."""
+    here = cell("disc")
+    lamp = Part("lamp", Disc(11.0, 3.0, 7.0), LAMP)
+    images = pictures(here.rig.rig, scene((here.part, pose()), (lamp, pose())), 7)
+    assert np.mean(images[0] == 255) > 0.01
+    target = only(seen(here.job, *images))
+    assert target.reject is Reject.NONE
+    assert chi2(target, here.true_pose(pose())[:3, 3]) < HONEST
+    assert target.sigma_mm[2] > whole().sigma_mm[2]
+
+
+@pytest.mark.parametrize(("nearest_mm", "farthest_mm"), [(150.0, 200.0), (210.0, 260.0)])
+def test_a_disparity_outside_of_the_range(nearest_mm: float, farthest_mm: float) -> None:
+    """A part nearer or farther than the job allows is measured and refused for that."""
+    here = cell("disc")
+    job = replace(here.job, limits=replace(here.job.limits, depth_mm=(nearest_mm, farthest_mm)))
+    outcome = seen(job, *here.see(pose()))
+    assert outcome.status is Status.LOW_QUALITY
+    assert only(outcome).reject == Reject.OUT_OF_VOLUME
+
+
+def test_a_depth_that_the_size_contradicts() -> None:
+    """A camera that was knocked shifts every disparity: by the tolerance of its size the part is refused."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    assert seen(here.job, left, right).status is Status.OK
+    for shift_px in (-60, -25, 25, 60):
+        outcome = seen(here.job, left, np.roll(right, shift_px, axis=1))
+        reasons = [one.reject for one in outcome.targets] + [one.reject for one in outcome.dismissed]
+        assert len(reasons) == 1
+        assert reasons[0] & (Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH)
+
+
+@pytest.mark.parametrize("case", ["left twice", "right upside down"])
+def test_a_right_image_that_is_none(case: str) -> None:
+    """What the left camera finds the right one does not show: no target, for a left-right mismatch."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    outcome = seen(here.job, left, left if case == "left twice" else right[::-1].copy())
+    assert outcome.status is Status.NO_TARGET
+    assert [one.reject for one in outcome.dismissed] == [Reject.LEFT_RIGHT_MISMATCH]
+
+
+def test_swapped_images() -> None:
+    """Nothing is found; and what a lenient search finds is dismissed for a left-right mismatch."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    assert seen(here.job, right, left).status is Status.NO_TARGET
+    outcome = seen(patient(here.job), right, left)
+    assert outcome.status is Status.NO_TARGET
+    assert [one.reject for one in outcome.dismissed] == [Reject.LEFT_RIGHT_MISMATCH]
+
+
+def test_images_of_another_size() -> None:
+    """They are not those of the calibrated cameras: an error that says both sizes."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    with pytest.raises(ImageError, match="right image: 600x480, the rig was calibrated for 640x480"):
+        seen(here.job, left, right[:, :600].copy())

@@ -1,0 +1,139 @@
+"""A job from a drawing finds and measures the part as well as one from a picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cells
+import ezdxf
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive import teaching as naive
+
+from edged.commands.teach import DrawingSource, PairSource, chosen_source
+from edged.domain import FloatArray, Status
+from edged.errors import TeachError, UserError
+from edged.files.dxf import read_dxf
+from edged.files.jobs import load_job, save_job
+from edged.pipeline import locate, prepare
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.teaching.coverage import coverage
+from edged.vision.teaching.drawing import teach_drawing
+
+DEPTH_MM = 205.0
+
+
+def flange_drawing(folder: Path) -> Path:
+    """The demo's flange as a DXF: y up, so that what the image shows below is drawn below."""
+    document = ezdxf.new(units=4)
+    space = document.modelspace()
+    space.add_circle((100, 50), 14)
+    half = math.degrees(math.asin(1.1 / 4.0))
+    space.add_arc((100, 50), 4, half, 360 - half)
+    at = 4 * math.cos(math.radians(half))
+    for start, end in (((at, 1.1), (6.2, 1.1)), ((6.2, 1.1), (6.2, -1.1)), ((6.2, -1.1), (at, -1.1))):
+        space.add_line((100 + start[0], 50 + start[1]), (100 + end[0], 50 + end[1]))
+    for name, disc in cells.demo_part().circles:
+        if name.startswith("bolt"):
+            space.add_circle((100 + disc.x_mm, 50 - disc.y_mm), disc.radius_mm)
+    path = folder / "flange.dxf"
+    document.saveas(path)
+    return path
+
+
+def square(size_mm: float) -> FloatArray:
+    """A square outline about the origin."""
+    return size_mm / 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10_000))
+def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
+    """A convex polygon anywhere, also beyond the picture, against counting sub-pixels."""
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 6))
+    points = rng.uniform(0, 12, 2) + rng.uniform(1, 7) * np.column_stack([np.cos(angles), np.sin(angles)])
+
+    assert coverage(points, 10, 12) == pytest.approx(naive.coverage(points, 10, 12), abs=0.04)
+    assert np.array_equal(coverage(points[::-1].copy(), 10, 12) > 0.01, coverage(points, 10, 12) > 0.01)
+
+
+def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
+    """Position to microns, the true rotation, through a saved and loaded job."""
+    rig = cells.small_rig()
+    outlines = read_dxf(flange_drawing(tmp_path))
+    job, _ = teach_drawing(outlines, make_rectification(rig), DEPTH_MM, "flange")
+    save_job(tmp_path / "flange", job)
+    job = load_job(tmp_path / "flange")
+    assert [round(circle.radius_mm, 2) for circle in job.circles] == [14.0, 1.6, 1.6, 1.6, 1.6, 0.9]
+
+    for turn_deg, tilt_deg in ((0.0, 0.0), (77.0, 6.0)):
+        where = cells.pose((5.0, -3.0, DEPTH_MM + 4), turn_deg, tilt_deg)
+        left, right = cells.pictures(rig, cells.scene((cells.demo_part(), where)), seed=3)
+        outcome = locate(cells.frame_pair(left, right), job, prepare(rig))
+        assert outcome.status is Status.OK
+        found = outcome.targets[0].rig_from_part
+        assert np.abs(found[:3, 3] - where[:3, 3]).max() < 0.02
+        assert (
+            np.degrees(np.arccos(np.clip((np.trace(found[:3, :3].T @ where[:3, :3]) - 1) / 2, -1, 1))) < 0.3
+        )
+
+
+def test_a_part_of_edges_is_referred_to_a_corner() -> None:
+    """Without a circle the origin is a corner, and every long side is an edge with its bright side named."""
+    rectification = make_rectification(cells.small_rig())
+    outline = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 12.0], [18.0, 20.0], [0.0, 20.0]])
+
+    job, _ = teach_drawing([outline], rectification, DEPTH_MM, "plate")
+
+    assert job.reference == job.corners[0].name
+    assert np.allclose(job.place_of(job.reference), 0, atol=1e-9)
+    lengths = sorted(round(edge.length_mm, 6) for edge in job.edges)
+    assert lengths == pytest.approx([12, math.hypot(12, 8), 18, 20, 30])
+    inside = job.corners[0], np.mean([edge.start_mm for edge in job.edges], axis=0)
+    for edge in job.edges:
+        along = edge.end_mm - edge.start_mm
+        aside = along[0] * (inside[1] - edge.start_mm)[1] - along[1] * (inside[1] - edge.start_mm)[0]
+        assert edge.polarity == np.sign(aside), "the material was painted bright"
+
+
+@pytest.mark.parametrize(
+    ("outlines", "depth_mm", "expected"),
+    [
+        ([], DEPTH_MM, "the drawing is empty"),
+        ([square(500.0)], DEPTH_MM, "does not fit the image at this distance"),
+        ([square(0.5)], DEPTH_MM, "no circle and no corner"),
+        ([square(20.0)], math.nan, "expected the distance"),
+        ([square(20.0)], -5.0, "expected the distance"),
+    ],
+)
+def test_a_drawing_that_cannot_be_a_job_is_refused(
+    outlines: list[FloatArray], depth_mm: float, expected: str
+) -> None:
+    """With the reason; unit and distance are what is usually wrong."""
+    with pytest.raises(TeachError, match=expected):
+        teach_drawing(outlines, make_rectification(cells.small_rig()), depth_mm, "x")
+
+
+def test_the_source_is_a_pair_or_a_drawing() -> None:
+    """Nothing, both, or half of one: what is missing is said."""
+    pair, drawing = (
+        PairSource(Path("l"), Path("r"), "0,0,9,9"),
+        DrawingSource(Path("d"), None, 200.0, [], None),
+    )
+    nothing, none = PairSource(None, None, None), DrawingSource(None, None, None, [], None)
+    assert chosen_source(pair, none) is pair
+    assert chosen_source(nothing, drawing) is drawing
+    for one, other, expected in (
+        (nothing, none, "either"),
+        (pair, drawing, "either"),
+        (replace(pair, right=None), none, "--right missing"),
+        (nothing, replace(drawing, depth_mm=None), "--depth missing"),
+        (nothing, replace(drawing, dxf=None, contour=Path("c"), unit="mm"), "belong to --dxf"),
+    ):
+        with pytest.raises(UserError, match=expected):
+            chosen_source(one, other)
