@@ -80,9 +80,9 @@ FIRST_CYCLE = """
 import sys
 from pathlib import Path
 from numba.core import event
-from edged.app import load_cell, warm_up
+from edged.app.cell import load_cell, warm_up
 from edged.domain import Frame, FramePair
-from edged.store import load_image
+from edged.files.images import load_image
 
 folder = Path(sys.argv[1])
 loaded = load_cell(folder / "cell.toml")

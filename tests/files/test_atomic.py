@@ -13,7 +13,7 @@ from edged.files.atomic import replace_folder
 KILLED = """
 import ctypes, errno, os, sys
 from pathlib import Path
-from edged.store import replace_folder
+from edged.files.atomic import replace_folder
 
 if sys.argv[2] == "refused":
     class Refusing:

@@ -14,7 +14,7 @@ from edged.vision.kernels.jit import kernel
 
 STORED = """
 import numpy as np
-from edged.vision.jit import kernel
+from edged.vision.kernels.jit import kernel
 
 @kernel("f8[::1](f8[::1], f8)")
 def scaled(values, factor):
