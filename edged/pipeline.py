@@ -8,17 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from edged.domain import Dismissed, FramePair, Match, Outcome, Reject, Status
-from edged.errors import ImageError
+from edged.domain import Dismissed, FramePair, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Images, Measured
+from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import PointCloud, point_cloud
-from edged.vision.shape.search import ShapeMatch, find_shapes
+from edged.vision.part.prediction import match_in_raw
+from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 
 
@@ -68,11 +67,11 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
     lap("find")
     measured, dismissed = [], []
     for match in matches:
-        result = measure_part(images, rig.rectification, job, match)
+        result = measure_part(images, job, match)
         if isinstance(result, Measured):
             measured.append(result)
         else:
-            dismissed.append(Dismissed(_in_raw(match, rig.rectification), result))
+            dismissed.append(Dismissed(match_in_raw(rig.rectification, match), result))
     lap("measure")
     return Inspection(tuple(measured), tuple(dismissed))
 
@@ -90,20 +89,8 @@ def judge(inspection: Inspection) -> Outcome:
 
 def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: Inspection) -> PointCloud:
     """Points in space of every part that was measured (paper, Fig. 9)."""
-    return point_cloud(_rectified(pair, rig), rig.rectification, job, inspection.measured)
+    return point_cloud(_rectified(pair, rig), job, inspection.measured)
 
 
-def _in_raw(match: ShapeMatch, rectification: Rectification) -> Match:
-    x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
-    return Match(float(x), float(y), match.angle_rad, match.scale_x, match.scale_y, match.score)
-
-
-def _rectified(pair: FramePair, rig: PreparedRig) -> Images:
-    for side, frame, camera in (("left", pair.left, rig.rig.left), ("right", pair.right, rig.rig.right)):
-        if frame.image.shape != (camera.height, camera.width):
-            height, width = frame.image.shape[:2]
-            raise ImageError(
-                f"{side} image: {width}x{height}, the rig was calibrated for {camera.width}x{camera.height}"
-            )
-    left, right = pair.left.image, pair.right.image
-    return Images(left, right, rig.rectification.left_image(left), rig.rectification.right_image(right))
+def _rectified(pair: FramePair, rig: PreparedRig) -> StereoImages:
+    return StereoImages.of(rig.rectification, pair.left.image, pair.right.image)

@@ -32,14 +32,15 @@ from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, s
 from edged.domain import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Disc, Part, Sensor, Surface
-from edged.vision.curves.circle import CircleGuess
-from edged.vision.curves.circlefit import fit_circle
-from edged.vision.curves.circleprojection import project_circle
+from edged.vision.curves.outlineprojection import circle_axes, project_circle
+from edged.vision.curves.planefit import fit_circle
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.frames import circle_in_rig
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Images, Measured
+from edged.vision.part.measured import Measured
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
@@ -87,31 +88,40 @@ def bound(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float) ->
         profiles, _ = edge_profiles(plain, curve.pixels, curve.normals, PLATEAU_PX)
         contrast = profiles[:, -1] - profiles[:, 0]
         weight = arc_px * contrast**2 / (variance * 2 * np.sqrt(np.pi) * blur_px)
-        information += curve.jacobian.T @ (curve.jacobian * weight[:, None])
-    kept = [0, 1, 2, 5]
-    return np.asarray(np.linalg.inv(information)[np.ix_(kept, kept)])
+        information += curve.design.T @ (curve.design * weight[:, None])
+    by_unknowns = centre_and_radius()
+    return np.asarray(by_unknowns @ np.linalg.inv(information) @ by_unknowns.T)
+
+
+def centre_and_radius() -> FloatArray:
+    """(4, 6): the disc's centre and radius by height and slopes of its plane, its place there, its radius."""
+    u, v = circle_axes(-WHERE[:3, 2])
+    result = np.zeros((4, 6))
+    result[:3, 0], result[:3, 3], result[:3, 4], result[3, 5] = -WHERE[:3, 2], u, v, 1.0
+    return result
 
 
 def precision(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float, draws: int) -> Precision:
     """Fit the same circle under many draws of noise."""
     truth = np.append(WHERE[:3, 3], RADIUS_MM)
-    guess = CircleGuess("disc", WHERE[:3, 3] + (0.1, -0.1, 0.1), RADIUS_MM + 0.05, -1)
+    start = WHERE[:3, 3] + (0.1, -0.1, 0.1)
     errors, spreads = [], []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
         left, right = (noisy(grey, noise, rng) for grey in greys)
-        fit = fit_circle(rig, left, right, guess, -WHERE[:3, 2])
-        if fit is None:
+        fit = fit_circle(rig, (left, right), start, -WHERE[:3, 2], RADIUS_MM + 0.05, -1)
+        found = None if fit is None else circle_in_rig(fit, "circle")
+        if found is None:
             raise SystemExit(f"noise {noise}, draw {seed}: the disc was not measured")
-        errors.append(np.append(fit.circle.centre_mm, fit.circle.radius_mm) - truth)
-        spreads.append(fit.circle.covariance)
+        errors.append(np.append(found.circle.centre_mm, found.circle.radius_mm) - truth)
+        spreads.append(found.circle.covariance)
     error = np.array(errors)
     least = bound(rig, greys, noise)
     scatter = np.cov(error.T)
     mean = error.mean(axis=0)
-    phase, kept = np.arange(0.0, 6.2, 0.1), [0, 1, 2, 5]
+    phase, unknowns = np.arange(0.0, 6.2, 0.1), np.linalg.pinv(centre_and_radius()) @ mean
     curves = (project_circle(rig, side, WHERE[:3, 3], -WHERE[:3, 2], RADIUS_MM, phase) for side in SIDES)
-    shift = max(float(np.abs(curve.jacobian[:, kept] @ mean).max()) for curve in curves)
+    shift = max(float(np.abs(curve.design @ unknowns).max()) for curve in curves)
     chi2 = [float(e[:3] @ np.linalg.solve(s[:3, :3], e[:3])) / 3 for e, s in zip(error, spreads, strict=True)]
     chi2_radius = [float(e[3] ** 2 / s[3, 3]) for e, s in zip(error, spreads, strict=True)]
     # mean over all directions in space: each has its own bound
@@ -146,13 +156,13 @@ def cost(rig: StereoRig) -> Cost:
     taught = pictures(rig, scene((demo_part(), pose())))
     job = teach(*taught, rectification, region_around(rig, pose()[:3, 3], 14.0), "flange")
     left, right = pictures(rig, scene((demo_part(), WHERE)), seed=1)
-    images = Images(left, right, rectification.left_image(left), rectification.right_image(right))
+    images = StereoImages.of(rectification, left, right)
     match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
-    measured = measure_part(images, rectification, job, match)
+    measured = measure_part(images, job, match)
     if not isinstance(measured, Measured):
         raise SystemExit(f"the flange was not measured: {measured}")
     floor_ms = median_ms(lambda: floor(rectification, left, right))
-    part_ms = median_ms(lambda: measure_part(images, rectification, job, match))
+    part_ms = median_ms(lambda: measure_part(images, job, match))
     return Cost(floor_ms, part_ms, part_ms / floor_ms, len(measured.target.circles))
 
 

@@ -102,31 +102,18 @@ def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool
 def feature_lines(job: Job, measured: Measured) -> list[FeatureLine]:
     """Every feature: circles first, as the job orders them; those that were not measured last."""
     target = measured.target
-    fits = {fit.circle.name: fit for fit in measured.fits}
-    curves = {fit.curve.name: fit for fit in measured.curves}
-    lines = []
-    for circle in target.circles:
-        fit = fits.get(circle.name)
-        lines.append(
-            FeatureLine(
-                circle.name,
-                f"r {circle.radius_mm:.4f} ± {circle.sigma_radius_mm:.4f} mm",
-                "" if fit is None else f"{fit.rms_px:.2f}",
-                "" if fit is None else _seen(fit.support_left, fit.support_right),
-            )
-        )
-    sizes = {slot.name: f"{slot.length_mm:.4f} x {slot.width_mm:.4f} mm" for slot in target.slots}
+    fits = {fit.name: fit for fit in measured.fits}
+    sizes = {
+        circle.name: f"r {circle.radius_mm:.4f} ± {circle.sigma_radius_mm:.4f} mm"
+        for circle in target.circles
+    }
+    sizes |= {slot.name: f"{slot.length_mm:.4f} x {slot.width_mm:.4f} mm" for slot in target.slots}
     sizes |= {edge.name: "straight edge" for edge in target.edges}
+    lines = []
     for name, size in sizes.items():
-        curve = curves.get(name)
-        lines.append(
-            FeatureLine(
-                name,
-                size,
-                "" if curve is None else f"{curve.rms_px:.2f}",
-                "" if curve is None else _seen(*curve.support),
-            )
-        )
+        fit = fits.get(name)
+        rms, seen = ("", "") if fit is None else (f"{fit.rms_px:.2f}", _seen(*fit.support))
+        lines.append(FeatureLine(name, size, rms, seen))
     known = measured_names(measured.target)
     taught = (
         [one.name for one in job.circles] + [one.name for one in job.slots] + [one.name for one in job.edges]

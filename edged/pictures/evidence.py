@@ -90,12 +90,7 @@ def features_of(measured: Measured) -> list[Feature]:
         (edge.name, np.linspace(edge.start_mm, edge.end_mm, OUTLINE_POINTS), False) for edge in target.edges
     ]
     seen = {
-        fit.circle.name: ((fit.points_left, fit.points_right), (fit.weights_left, fit.weights_right))
-        for fit in measured.fits
-    }
-    seen |= {
-        fit.curve.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1]))
-        for fit in measured.curves
+        fit.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1])) for fit in measured.fits
     }
     reference = reference_name(target)
     nothing = (np.zeros((0, 2)),) * 2, (np.zeros(0),) * 2

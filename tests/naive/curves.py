@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.curves.adjustment import Samples
+from edged.vision.curves.outlines import Outline
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from naive.kernels import median_scale, tukey_weights
@@ -198,29 +199,27 @@ def choose_width(
     return best, bases[best], bias, blur2
 
 
-def circle_samples(
-    camera: CameraModel,
-    pose: FloatArray,
-    frame: FloatArray,
-    centres: FloatArray,
-    radii: FloatArray,
-    phase: FloatArray,
+def outline_samples(
+    camera: CameraModel, pose: FloatArray, axes: FloatArray, origin: FloatArray, outline: Outline
 ) -> FloatArray:
-    """(N, 10) of points on circles: pixel, outward normal, derivatives along it (see `project_samples`)."""
+    """(N, 8 + F) of points of a face: pixel, normal, gain, then the design (see `ProjectedOutline`).
+
+    axes (3, 3) : rows u, v, n of the face, origin (3,), rig frame.  pose (4, 4) : camera_from_rig.
+    """
     rows = []
-    for centre, radius, angle in zip(centres, radii, phase, strict=True):
-        radial = np.cos(angle) * frame[0] + np.sin(angle) * frame[1]
-        across = np.cos(angle) * frame[1] - np.sin(angle) * frame[0]
-        point = pose[:3, :3] @ (centre + radius * radial) + pose[:3, 3]
+    u, v, n = axes
+    for (x, y, height), (a, b), speed in zip(outline.points, outline.normals, outline.speed, strict=True):
+        across, along = a * u + b * v, a * v - b * u
+        point = pose[:3, :3] @ (origin + x * u + y * v + height * n) + pose[:3, 3]
         pixels, by_point, _ = project_with_jacobians(camera, point[None])
         by_rig = by_point[0] @ pose[:3, :3]
-        tangent = by_rig @ across
+        tangent = by_rig @ along
         normal = np.array([tangent[1], -tangent[0]]) / np.linalg.norm(tangent)
-        normal *= np.sign(normal @ by_rig @ radial)
-        along = normal @ by_rig
-        up = along @ frame[2] * radius
-        tilts = [up * np.sin(angle), up * np.cos(angle)]
-        rows.append(np.concatenate([pixels[0], normal, along, tilts, [along @ radial]]))
+        normal *= np.sign(normal @ by_rig @ across)
+        motion = normal @ by_rig
+        # a slope of 1 along u lifts the point by x, and leans what stands on the plane against u
+        plane = [motion @ n, motion @ (x * n - height * u), motion @ (y * n - height * v)]
+        rows.append(np.concatenate([pixels[0], normal, [motion @ across], plane, motion @ across * speed]))
     return np.array(rows)
 
 

@@ -1,4 +1,4 @@
-"""Outlines in a plane: circles, straight edges and slots, and how both cameras see them.
+"""Outlines in a plane: circles, straight edges and slots.
 
 A curve lives in a face: a plane with an origin and axes u, v, normal (away from the cameras, as z of a part
 frame). What moves it in an image is only its motion across itself, so each sample carries one number per
@@ -14,10 +14,6 @@ from typing import Literal
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.curves.systematic import slants
-from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.projection import project_with_jacobians
-from edged.vision.geometry.rigid import apply
 
 Kind = Literal["circle", "edge", "slot"]
 PARAMETERS: dict[Kind, tuple[str, ...]] = {
@@ -125,35 +121,46 @@ class Curve:
     def outline(self, share: FloatArray, margin_mm: float = 0.0) -> Outline:
         """Samples at shares (N,) in [0, 1) of the outline; an edge keeps a margin from its ends."""
         if self.kind == "circle":
-            return _circle(self, share)
-        return _edge(self, share, margin_mm) if self.kind == "edge" else _slot(self, share)
+            points, normals, speed = _circle(self, share)
+        elif self.kind == "edge":
+            points, normals, speed = _edge(self, share, margin_mm)
+        else:
+            points, normals, speed = _slot(self, share)
+        return Outline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """points, normals (N, 2) in the face; speed (N, free): motion along the normal by the unknowns."""
+    """Samples of curves: points (N, 3), u, v and height; normals (N, 2) in the face.
+
+    speed (N, F) : motion along the normal by the unknowns of the sample's curve.
+    """
 
     points: FloatArray
     normals: FloatArray
     speed: FloatArray
 
 
-def _circle(curve: Curve, share: FloatArray) -> Outline:
+Samples = tuple[FloatArray, FloatArray, FloatArray]
+"""Points (N, 2), normals (N, 2) and speed (N, free), as an `Outline` has them."""
+
+
+def _circle(curve: Curve, share: FloatArray) -> Samples:
     x, y, radius = curve.parameters
     phase = 2 * np.pi * share
     normals = np.column_stack([np.cos(phase), np.sin(phase)])
-    return Outline((x, y) + radius * normals, normals, np.column_stack([normals, np.ones(len(share))]))
+    return (x, y) + radius * normals, normals, np.column_stack([normals, np.ones(len(share))])
 
 
-def _edge(curve: Curve, share: FloatArray, margin_mm: float) -> Outline:
+def _edge(curve: Curve, share: FloatArray, margin_mm: float) -> Samples:
     direction = curve.direction
     along = (share - 0.5) * max(curve.length_mm - 2 * margin_mm, 0.0)
     normal = np.array([-direction[1], direction[0]])
     points = curve.parameters[:2] + along[:, None] * direction
-    return Outline(points, np.tile(normal, (len(share), 1)), np.column_stack([np.ones(len(share)), along]))
+    return points, np.tile(normal, (len(share), 1)), np.column_stack([np.ones(len(share)), along])
 
 
-def _slot(curve: Curve, share: FloatArray) -> Outline:
+def _slot(curve: Curve, share: FloatArray) -> Samples:
     """Around from the middle of the right end: arc, upper line, left arc, lower line, arc."""
     x, y, _, length, width = curve.parameters
     half, radius = 0.5 * (length - width), 0.5 * width
@@ -184,50 +191,4 @@ def _slot(curve: Curve, share: FloatArray) -> Outline:
     by_length = np.where(on_line, 0.0, 0.5 * np.abs(normals[:, 0]))
     turn = np.stack([curve.direction, [-curve.direction[1], curve.direction[0]]])
     turned = normals @ turn
-    return Outline(
-        points @ turn + (x, y), turned, np.column_stack([turned, swing, by_length, 0.5 - by_length])
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """Samples of a curve in one raw image.
-
-    pixels (N, 2); normals (N, 2) unit, along the curve's normal; design (N, 3 + free): motion along the
-    image normal by the plane's parameters and the curve's unknowns; points_mm (N, 3) rig frame; gain (N,) :
-    motion along the image normal by motion along the curve's own; slant (N,) : see `systematic.slants`.
-    """
-
-    pixels: FloatArray
-    normals: FloatArray
-    design: FloatArray
-    points_mm: FloatArray
-    gain: FloatArray
-    slant: FloatArray
-
-
-def see(rig: StereoRig, side: str, face: Face, curve: Curve, outline: Outline) -> Seen:
-    """Project samples of a curve into a raw image."""
-    u, v, n = face.axes
-    flat = np.column_stack([outline.points, np.full(len(outline.points), curve.height_mm)])
-    points = face.to_rig(flat)
-    if side == "left":
-        pixels, by_point, _ = project_with_jacobians(rig.left, points)
-        pose = np.eye(4)
-    else:
-        pose = rig.right_from_left
-        pixels, by_point, _ = project_with_jacobians(rig.right, apply(pose, points))
-        by_point = by_point @ rig.right_from_left[:3, :3]
-    across = outline.normals @ np.stack([u, v])
-    along = np.column_stack([-outline.normals[:, 1], outline.normals[:, 0]]) @ np.stack([u, v])
-    tangent = np.einsum("nij,nj->ni", by_point, along)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    outward = np.einsum("nij,nj->ni", by_point, across)
-    normals *= np.where(np.sum(normals * outward, axis=1) < 0, -1.0, 1.0)[:, None]
-    by_space = np.einsum("ni,nij->nj", normals, by_point)
-    up, out = by_space @ n, np.sum(by_space * across, axis=1)
-    design = np.column_stack(
-        [up, up * outline.points[:, 0], up * outline.points[:, 1], out[:, None] * outline.speed]
-    )
-    return Seen(pixels, normals, design, points, out, slants(points, across, n, pose))
+    return points @ turn + (x, y), turned, np.column_stack([turned, swing, by_length, 0.5 - by_length])

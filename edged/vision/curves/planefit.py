@@ -1,10 +1,18 @@
-"""Curves of one face, fitted together to the raw edges of both cameras.
+"""Circles, straight edges and slots of one face, fitted in space to the raw edges of both cameras at once.
 
-The unknowns are the plane and each curve's own parameters in it; the residuals are the offsets of edges
-measured across the projected curves (see `circlefit`, which does the same for circles alone, from worse
-starts). One solution for all of them gives what distances and angles between features need: their joint
-covariance, in which the errors that they share, of the plane, of the light and of the calibration, cancel as
-they do in the result.
+The paper fits an ellipse in each rectified image and triangulates its centre; but the image of a circle's
+centre is not the centre of its ellipse (0.1-0.3 mm at 24° vergence). Here the unknowns are the plane and each
+curve's own parameters in it. The curves are projected through lens and pose of each camera, edges are
+measured across the projected curves, and their offsets along the normals are the residuals of one robust
+least-squares problem. Nothing is rectified, no ellipse is formed, no point needs a partner in the other
+image.
+
+One solution for all curves gives what distances and angles between features need: their joint covariance, in
+which the errors that they share, of the plane, of the light and of the calibration, cancel as they do in the
+result. What both cameras say in common and what they say against each other are different witnesses (see
+`commonmode`), each with a scatter and a correlation along the edge of its own. Half of the variance of the
+systematic edge shifts is each curve's own, half is shared by the curves of one kind: five holes in one light
+are not five independent witnesses (see `systematic`).
 """
 
 from __future__ import annotations
@@ -17,15 +25,22 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import SIDES, FloatArray, Image
-from edged.vision.curves.adjustment import ROUGHLY, SETTLED, Samples, Solution, propagate, solve
-from edged.vision.curves.circleprojection import bends
-from edged.vision.curves.commonmode import Pairs, pair, samples_of
+from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
+from edged.vision.curves.commonmode import pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline, Seen, see
-from edged.vision.curves.systematic import displacements, slow_waves
+from edged.vision.curves.outlineprojection import (
+    ProjectedOutline,
+    bends,
+    camera_pose,
+    circle_axes,
+    project_outline,
+)
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
+from edged.vision.curves.systematic import displacements, slants, slow_waves
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
+from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 
 AGREE_PX = 0.5
@@ -33,34 +48,45 @@ AGREE_PX = 0.5
 MARGIN_PX = 5.0
 """Of an edge at both ends: the corner's blur, seen through the widest operator."""
 MIN_SPOKES, MAX_SPOKES = 24, 2000
-MIN_SIZE_PX = 3.0
+MIN_SPOKES_AROUND = 48
+MIN_RADIUS_PX, MIN_LENGTH_PX, MAX_LENGTH_PX = 3.0, 3.0, 1e6
+COARSE_SPACING_PX = 3.0  # while the curves still move
 STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
+RUNAWAY = 0.5
+"""Of its size: a curve that would move by more in one step stays, and must not take the others with it."""
+MAX_SLOPE, MAX_RISE = 0.5, 0.2
+"""Of the plane in one step: slope, and height in shares of the distance."""
+PROBE_MM = 0.01  # for the scale of the image at a curve
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneFitParams:
+class FitParams:
     """How curves are measured.
 
     reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
-    stand still, `repeats` times at most. spacing_px : of the samples. min_slope : grey values per px below
-    which there is no edge. min_support : share of its samples that a curve must show in each image.
+    stand still, `repeats` times at most; with 0 repeats the curves are only laid where they are.
+    spacing_px : of the samples. min_slope : grey values per px below which there is no edge. min_support :
+    share of its samples that a curve must show in each image.
     """
 
-    reach_px: tuple[float, ...] = (3.0, 2.0)
+    reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
     spacing_px: float = 1.0
     min_slope: float = 1.5
     min_support: float = 0.4
-    repeats: int = 3
+    repeats: int = 4
+
+
+DEFAULT_PARAMS = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveFit:
     """A fitted curve and how well it is supported.
 
-    support (2,), left and right : share of the samples with an edge that agrees.  rms_px : of those.
-    mismatch_px : mean offset in the left image minus that in the right one.
+    support (2,), left and right : share of the samples with an edge that agrees.  rms_px : weighted,
+    of those.  mismatch_px : mean offset in the left image minus that in the right one.
     points (2, N, 2) raw px, NaN where there is no edge; weights (2, N) in [0, 1].
     """
 
@@ -70,6 +96,16 @@ class CurveFit:
     mismatch_px: float
     points: FloatArray
     weights: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Of the curve."""
+        return self.curve.name
+
+    @property
+    def least_support(self) -> float:
+        """Of the camera that sees less of it."""
+        return float(self.support.min())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,10 +131,14 @@ class PlaneFit:
         first = PLANE_PARAMETERS
         for fit in self.fits:
             last = first + len(fit.curve.parameters)
-            if fit.curve.name == name:
+            if fit.name == name:
                 return slice(first, last)
             first = last
         return None
+
+    def fit_of(self, name: str) -> CurveFit | None:
+        """The fit of a curve; None when the images do not show it."""
+        return next((fit for fit in self.fits if fit.name == name), None)
 
 
 def fit_plane(
@@ -106,49 +146,91 @@ def fit_plane(
     images: tuple[Image, Image],
     face: Face,
     curves: Sequence[Curve],
-    params: PlaneFitParams | None = None,
+    params: FitParams = DEFAULT_PARAMS,
+    *,
+    fixed_normal: bool = False,
+    fixed_radius: bool = False,
 ) -> PlaneFit | None:
     """Measure curves of one plane together; None when the images show none, or too few to know the plane.
 
     images : left and right, raw (H, W) uint8.  face, curves : a start, as good as params.reach_px[0].
+    fixed_normal : the plane's direction is known better from elsewhere (a small hole in a large face).
+    fixed_radius : circles keep theirs; rivals beside a rim then do not fit.
     """
-    params = params or PlaneFitParams()
-    state: _State | None = _State(rig, face, tuple(curves))
-    for number, reach in enumerate(params.reach_px):
+    start = _State(rig, images, face, tuple(curves), params, fixed_normal, fixed_radius)
+    return None if not start.is_visible() else _fitted(start, params)
+
+
+def fit_circle(
+    rig: StereoRig,
+    images: tuple[Image, Image],
+    centre_mm: FloatArray,
+    normal: FloatArray,
+    radius_mm: float,
+    polarity: int = 0,
+    params: FitParams = DEFAULT_PARAMS,
+    *,
+    name: str = "circle",
+    fixed_normal: bool = False,
+    fixed_radius: bool = False,
+) -> PlaneFit | None:
+    """Measure one circle near a first guess; the rest as `fit_plane`.
+
+    centre_mm, normal (3,) : rig frame; the normal points towards the cameras.
+    polarity : +1 brighter outside, -1 darker outside, 0 whichever most of its edge shows.
+    """
+    face = Face(np.asarray(centre_mm, np.float64), np.vstack([circle_axes(-normal), -normal]))
+    circle = Curve(name, "circle", np.array([0.0, 0.0, radius_mm]), polarity)
+    return fit_plane(
+        rig, images, face, [circle], params, fixed_normal=fixed_normal, fixed_radius=fixed_radius
+    )
+
+
+def _fitted(start: _State, params: FitParams) -> PlaneFit | None:
+    """Lay the curves where they are, then measure them."""
+    state: _State | None = start
+    step: _Step | None = None
+    spacing_px = max(params.spacing_px, COARSE_SPACING_PX)
+    for number, reach in enumerate(params.reach_px[:-1] if params.repeats else params.reach_px):
         if number == 1 and state is not None:
-            state = state.with_polarity(images, reach, params)
-        step = None if state is None else state.step(images, reach, params, final=False)
-        state = None if state is None or step is None else state.moved(step.delta)
+            # far away there is one dominant edge; from here on each curve keeps its sign
+            state = state.with_polarity(reach, spacing_px)
+        step = None if state is None else state.step(reach, spacing_px, final=False)
+        state = None if state is None or step is None else state.moved(step)
+        if number > 0 and step is not None and step.moved_px.max() < STILL_PX:
+            break
     if state is None:
         return None
-    state = state.with_polarity(images, params.reach_px[-1], params)
-    for _ in range(params.repeats + 1):
-        step = state.step(images, params.reach_px[-1], params, final=True)
+    if params.repeats:
+        state = state.with_polarity(params.reach_px[-1], params.spacing_px)
+    for _ in range(params.repeats):
+        step = state.step(params.reach_px[-1], params.spacing_px, final=True)
         kept = [] if step is None else step.supported(params.min_support)
         if step is None or not kept:
             return None
-        if len(kept) < len(state.curves):  # what is not there must not pull the others
-            state = replace(state, curves=tuple(state.curves[k] for k in kept))
+        if params.min_support and len(kept) < len(state.curves):  # what is not there must not pull the others
+            state, step = replace(state, curves=tuple(state.curves[k] for k in kept)), None
             continue
-        moved = state.moved(step.delta)
+        moved = state.moved(step)
         if moved is None:
             return None
         state = moved
-        if step.moved_px < STILL_PX:
-            return state.result(step)
-    return None
+        if step.moved_px.max() < STILL_PX:
+            break
+    return None if step is None else state.result(step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
     """One step of the joint problem.
 
-    moved_px : farthest that a curve moves.  offsets, weights, residuals (2, N), points (2, N, 2).
+    delta (U,), covariance (U, U) : 0 for what is held or not seen.  moved_px (K,) : farthest that each curve
+    moves.  starts (K + 1,) : where its samples begin.  offsets, weights, residuals (2, N), points (2, N, 2).
     """
 
     delta: FloatArray
     covariance: FloatArray
-    moved_px: float
+    moved_px: FloatArray
     starts: npt.NDArray[np.int64]
     points: FloatArray
     offsets: FloatArray
@@ -161,84 +243,109 @@ class _Step:
         return np.asarray(agree.mean(axis=1))
 
     def supported(self, share: float) -> list[int]:
-        return [k for k in range(len(self.starts) - 1) if self.support(k).min() >= share]
+        """The curves that were seen, by so much of both images."""
+        return [k for k in range(len(self.starts) - 1) if self._is_seen(k) and self.support(k).min() >= share]
+
+    def _is_seen(self, k: int) -> bool:
+        return float(self.weights[:, slice(*self.starts[k : k + 2])].sum()) >= MIN_SAMPLES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """All curves of a state in one image; as `Seen`, with designs in columns of the widest curve."""
+class _Edges:
+    """What the curves show in both images.
 
-    pixels: FloatArray
-    normals: FloatArray
-    design: FloatArray
-    points_mm: FloatArray
-    gain: FloatArray
-    slant: FloatArray
+    offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
+    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.
+    """
+
+    offset_px: FloatArray
+    base: FloatArray
+    bias_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """Plane and curves at one moment of the fit."""
+    """Plane and curves at one moment of the fit; what is held: the normal, the circles' radii."""
 
     rig: StereoRig
+    images: tuple[Image, Image]
     face: Face
     curves: tuple[Curve, ...]
+    params: FitParams
+    fixed_normal: bool
+    fixed_radius: bool
 
-    def _outlines(self, spacing_px: float) -> list[Outline] | None:
+    def is_visible(self) -> bool:
+        """Whether the curves lie before the cameras, in sizes that an image can show."""
+        scales = self._px_per_mm()
+        for curve, scale in zip(self.curves, scales, strict=True):
+            length = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
+            least = 2 * math.pi * MIN_RADIUS_PX if curve.kind == "circle" else MIN_LENGTH_PX
+            if not least < length < MAX_LENGTH_PX:  # False for NaN
+                return False
+        return True
+
+    def _px_per_mm(self) -> FloatArray:
+        """(K,) scale of the left image at each curve; NaN behind the camera."""
+        middles = np.array([[*curve.parameters[:2], curve.height_mm] for curve in self.curves])
+        probes = middles[:, None] + PROBE_MM * np.eye(3)[[0, 1, 2], :] * np.array([[1.0], [1.0], [0.0]])
+        space = self.face.to_rig(probes.reshape(-1, 3))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            pixels = self.rig.left.project(space).reshape(-1, 3, 2)
+        scales = np.linalg.norm(pixels[:, :2] - pixels[:, 2:], axis=2).mean(axis=1) / PROBE_MM
+        return np.where(space[2::3, 2] > 0, scales, np.nan)
+
+    def _sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
+        """Samples of all curves, and where each curve's begin (K + 1,); None when one is out of sight."""
+        if not self.is_visible():
+            return None
+        free = max(curve.free for curve in self.curves)
         outlines = []
-        for curve in self.curves:
-            steps = curve.outline(np.zeros(1)).points + np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]])
-            with np.errstate(invalid="ignore", divide="ignore"):
-                pixels = self.rig.left.project(self.face.to_rig(steps))
-            px_per_mm = float(np.linalg.norm(pixels[1:] - pixels[0], axis=1).mean()) / 0.01
-            size_px = curve.perimeter_mm * px_per_mm - (0.0 if curve.closed else 2 * MARGIN_PX)
-            if not MIN_SIZE_PX < size_px < 1e6:  # False for NaN
-                return None
-            count = int(np.clip(size_px / spacing_px, MIN_SPOKES, MAX_SPOKES))
-            outlines.append(curve.outline((np.arange(count) + 0.5) / count, MARGIN_PX / px_per_mm))
-        return outlines
-
-    def _seen(self, outlines: list[Outline]) -> tuple[_Side, _Side]:
-        sides = []
-        for side in SIDES:
-            seen = [see(self.rig, side, self.face, c, o) for c, o in zip(self.curves, outlines, strict=True)]
-            width = max(one.design.shape[1] for one in seen)
-            sides.append(
-                _Side(
-                    np.concatenate([one.pixels for one in seen]),
-                    np.concatenate([one.normals for one in seen]),
-                    np.concatenate([_widened(one, width) for one in seen]),
-                    np.concatenate([one.points_mm for one in seen]),
-                    np.concatenate([one.gain for one in seen]),
-                    np.concatenate([one.slant for one in seen]),
-                )
-            )
-        return sides[0], sides[1]
-
-    def _columns(self) -> npt.NDArray[np.int64]:
-        """(K, C): which unknown each column of the design is, -1 where a curve has none."""
-        columns = np.full((len(self.curves), PLANE_PARAMETERS + max(c.free for c in self.curves)), -1)
-        columns[:, :PLANE_PARAMETERS] = np.arange(PLANE_PARAMETERS)
-        first = PLANE_PARAMETERS
-        for k, curve in enumerate(self.curves):
-            columns[k, PLANE_PARAMETERS : PLANE_PARAMETERS + curve.free] = first + np.arange(curve.free)
-            first += curve.free
-        return columns
+        for curve, scale in zip(self.curves, self._px_per_mm(), strict=True):
+            size_px = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
+            fewest = MIN_SPOKES_AROUND if curve.closed else MIN_SPOKES
+            count = min(max(int(size_px / spacing_px), fewest), MAX_SPOKES)
+            outlines.append(curve.outline((np.arange(count) + 0.5) / count, MARGIN_PX / scale))
+        starts = np.cumsum([0, *(len(one.points) for one in outlines)])
+        speed = np.zeros((starts[-1], free))
+        for k, one in enumerate(outlines):
+            speed[starts[k] : starts[k + 1], : one.speed.shape[1]] = one.speed
+        points = np.concatenate([one.points for one in outlines])
+        return Outline(points, np.concatenate([one.normals for one in outlines]), speed), starts
 
     @property
     def unknowns(self) -> int:
         return PLANE_PARAMETERS + sum(curve.free for curve in self.curves)
 
-    def with_polarity(self, images: tuple[Image, Image], reach: float, params: PlaneFitParams) -> _State:
+    def _columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """(K, C): which unknown each column of the design is, -1 where a curve has none, or it is held.
+
+        seen (K,) : of the others nothing is known.
+        """
+        columns = np.full((len(self.curves), PLANE_PARAMETERS + max(c.free for c in self.curves)), -1)
+        columns[:, :PLANE_PARAMETERS] = np.arange(PLANE_PARAMETERS)
+        if self.fixed_normal:
+            columns[:, 1:PLANE_PARAMETERS] = -1
+        first = PLANE_PARAMETERS
+        for k, curve in enumerate(self.curves):
+            columns[k, PLANE_PARAMETERS : PLANE_PARAMETERS + curve.free] = first + np.arange(curve.free)
+            if self.fixed_radius and curve.kind == "circle":
+                columns[k, PLANE_PARAMETERS + 2] = -1
+            first += curve.free
+        columns[~seen] = -1
+        return columns
+
+    def with_polarity(self, reach: float, spacing_px: float) -> _State:
         """Give curves of unknown polarity the sign of most of their contrast."""
-        outlines = None if all(c.polarity for c in self.curves) else self._outlines(params.spacing_px)
-        if outlines is None:
+        sampled = None if all(curve.polarity for curve in self.curves) else self._sampled(spacing_px)
+        if sampled is None:
             return self
-        starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
+        outline, starts = sampled
         total = np.zeros(len(self.curves))
-        for image, seen in zip(images, self._seen(outlines), strict=True):
+        for side, image in zip(SIDES, self.images, strict=True):
+            seen = project_outline(self.rig, side, self.face, outline)
             slope = edges_at_widths(image, seen.pixels, seen.normals, reach, 0, START_WIDTHS_PX).slope[0]
-            strong = np.abs(np.nan_to_num(slope)) >= params.min_slope
+            strong = np.abs(np.nan_to_num(slope)) >= self.params.min_slope
             total += np.add.reduceat(np.where(strong, slope, 0.0), starts[:-1])
         signs = np.where(total < 0, -1, 1)
         return replace(
@@ -249,135 +356,167 @@ class _State:
             ),
         )
 
-    def step(
-        self, images: tuple[Image, Image], reach: float, params: PlaneFitParams, *, final: bool
-    ) -> _Step | None:
-        """Measure the edges at the present curves, and solve for the step that fits them best."""
-        outlines = self._outlines(params.spacing_px)
-        if outlines is None:
+    def step(self, reach: float, spacing_px: float, *, final: bool) -> _Step | None:
+        """Measure the edges at the present curves, and solve for the step that fits them best.
+
+        final : each curve chooses its operator width, and systematic shifts are reckoned with.
+        """
+        sampled = self._sampled(spacing_px)
+        if sampled is None:
             return None
-        starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
-        sides = self._seen(outlines)
-        offsets, base, bias = self._measure(images, sides, starts, reach, params, final)
-        gain = np.stack([seen.gain for seen in sides])
-        pairs = pair(offsets, base, gain, starts, together=final)
-        slant = np.stack([seen.slant for seen in sides])
+        outline, starts = sampled
+        sides, edges = self._measure(outline, starts, reach, final)
+        gain = np.stack([side.gain for side in sides])
+        pairs = pair(edges.offset_px, edges.base, gain, starts, together=final)
+        columns = self._columns(np.diff(pairs.parts) > 0)
+        # unknowns that are held leave no gap: the solver would find them undetermined
+        used = np.unique(columns[columns >= 0])
         samples, priors = samples_of(
             pairs,
-            tuple(seen.design for seen in sides),
-            self._columns(),
-            offsets,
-            bias,
+            tuple(side.design for side in sides),
+            np.where(columns < 0, -1, np.searchsorted(used, columns)),
+            edges.offset_px,
+            edges.bias_px,
             np.array([curve.polarity for curve in self.curves]),
-            displacements(sides[0].normals, gain, slant) if final else None,
-            self.unknowns,
+            self._displacements(outline, sides, gain) if final else None,
+            len(used),
         )
-        solution = solve(samples, self.unknowns + priors, priors, SETTLED if final else ROUGHLY)
+        solution = solve(samples, len(used) + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
-        delta = solution.delta[: self.unknowns]
+        known = solution.covariance[: len(used), : len(used)]
+        if final and self.rig.covariance is not None:
+            space = self.face.to_rig(outline.points)
+            causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
+            by_cause = propagate(samples, solution, causes)[: len(used)]
+            known = known + by_cause @ self.rig.covariance @ by_cause.T
+        delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        delta[used] = solution.delta[: len(used)]
+        covariance[np.ix_(used, used)] = known
         return _Step(
             delta,
-            self._covariance(samples, solution, pairs, sides) if final else solution.covariance,
-            float(np.abs(samples.motion(delta)).max()),
+            covariance,
+            self._motion(sides, delta, starts),
             starts,
             np.stack(
-                [s.pixels + s.normals * offset[:, None] for s, offset in zip(sides, offsets, strict=True)]
+                [
+                    side.pixels + side.normals * offset[:, None]
+                    for side, offset in zip(sides, edges.offset_px, strict=True)
+                ]
             ),
-            offsets,
+            edges.offset_px,
             pairs.weights_by_camera(solution.weights),
             pairs.by_camera(solution.residuals),
         )
 
     def _measure(
-        self,
-        images: tuple[Image, Image],
-        sides: tuple[_Side, _Side],
-        starts: npt.NDArray[np.int64],
-        reach: float,
-        params: PlaneFitParams,
-        final: bool,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Offsets (2, N), prior weights (2, N), and one sigma (2, K) of each slow displacement."""
+        self, outline: Outline, starts: npt.NDArray[np.int64], reach: float, final: bool
+    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], _Edges]:
+        """The present curves in both images, and the edges across them."""
         counts = np.diff(starts)
         signs = np.repeat([curve.polarity for curve in self.curves], counts)
-        offsets, bases, biases = [], [], []
-        for image, seen in zip(images, sides, strict=True):
-            widths = WIDTHS_PX if final else START_WIDTHS_PX
-            fine = FINE_STEP_PX if final else 1.0
-            edges = edges_at_widths(image, seen.pixels, seen.normals, reach, signs, widths, fine)
-            chosen = choose_widths(edges, starts, self._slow_changes(seen, starts), params.min_slope)
-            if final:
-                bend = np.repeat(chosen.blur2_px2, counts) * self._curvature(seen, starts)
-                chosen.offset_px[:] += 0.5 * bend
-            offsets.append(chosen.offset_px)
-            bases.append(chosen.base)
-            biases.append(chosen.bias_px)
-        base = np.stack(bases)
-        few = np.add.reduceat(base > 0, starts[:-1], axis=1) < MIN_SAMPLES
-        base[np.repeat(few, counts, axis=1)] = 0.0
-        return np.stack(offsets), base, np.stack(biases)
+        widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
+        nothing = np.zeros((starts[-1], 0))
 
-    def _slow_changes(self, seen: _Side, starts: npt.NDArray[np.int64]) -> FloatArray:
-        """(N, 5): what tells a slow displacement from scatter; an edge, of one direction, has half waves."""
+        def side(number: int) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray]:
+            seen = project_outline(self.rig, SIDES[number], self.face, outline)
+            image = self.images[number]
+            edges = edges_at_widths(image, seen.pixels, seen.normals, reach, signs, widths, fine)
+            waves = self._waves(seen, starts) if final else nothing
+            chosen = choose_widths(edges, starts, waves, self.params.min_slope)
+            offsets = chosen.offset_px
+            if final:
+                # blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to
+                # the centre of the bend by blur² x curvature / 2
+                blur2_px2 = np.repeat(chosen.blur2_px2, counts)
+                offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
+            return seen, offsets, chosen.base, chosen.bias_px
+
+        (left, *of_left), (right, *of_right) = for_both(side)
+        offsets, base, bias = (np.stack(both) for both in zip(of_left, of_right, strict=True))
+        few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
+        return (left, right), _Edges(offsets, np.where(np.repeat(few, counts), 0.0, base), bias)
+
+    def _displacements(
+        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N, A) each: the shapes of systematic shifts in both images."""
+        points, across = self.face.to_rig(outline.points), outline.normals @ self.face.axes[:2]
+        poses = (camera_pose(self.rig, side)[1] for side in SIDES)
+        slant = np.stack([slants(points, across, self.face.normal, pose) for pose in poses])
+        return displacements(sides[0].normals, gain, slant)
+
+    def _motion(
+        self,
+        sides: tuple[ProjectedOutline, ProjectedOutline],
+        delta: FloatArray,
+        starts: npt.NDArray[np.int64],
+    ) -> FloatArray:
+        """(K,) farthest that a step of the unknowns moves each curve, px."""
+        by_curve = np.append(delta, 0.0)[self._columns(np.ones(len(self.curves), bool))]
+        by_sample = by_curve.repeat(np.diff(starts), axis=0)
+        moved = np.abs([np.sum(side.design * by_sample, axis=1) for side in sides]).max(axis=0)
+        return np.asarray(np.maximum.reduceat(moved, starts[:-1]))
+
+    def _waves(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+        """(N, 5): what tells a systematic shift from scatter; an edge, of one direction, has half waves."""
         waves = slow_waves(seen.normals)
         for k, curve in enumerate(self.curves):
             if not curve.closed:
                 waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
         return waves
 
-    def _curvature(self, seen: _Side, starts: npt.NDArray[np.int64]) -> FloatArray:
-        """(N,) of the projected curves, 1 / px: blur draws an edge to the centre of its bend."""
+    def _curvature(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+        """(N,) of the projected curves, 1 / px."""
         closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
         return np.where(closed, bends(seen.pixels, seen.normals, starts), 0.0)
 
-    def _covariance(
-        self, samples: Samples, solution: Solution, pairs: Pairs, sides: tuple[_Side, _Side]
-    ) -> FloatArray:
-        covariance = solution.covariance[: self.unknowns, : self.unknowns]
-        if self.rig.covariance is None:
-            return covariance
-        left, right = sides
-        causes = shifts_by_calibration(self.rig, left.points_mm, left.normals, right.normals)
-        gain = propagate(samples, solution, pairs.rows_of(*causes))[: self.unknowns]
-        return np.asarray(covariance + gain @ self.rig.covariance @ gain.T)
-
-    def moved(self, delta: FloatArray) -> _State | None:
+    def moved(self, step: _Step) -> _State | None:
         """The state after a step; None when it has run away."""
-        if not np.isfinite(delta).all() or np.abs(delta[1:3]).max() > 0.5:
+        plane = step.delta[:PLANE_PARAMETERS]
+        if not np.isfinite(step.delta).all() or np.abs(plane[1:]).max() > MAX_SLOPE:
             return None
-        if abs(delta[0]) > 0.2 * abs(self.face.origin[2]):
+        if abs(plane[0]) > MAX_RISE * abs(self.face.origin[2]):
             return None
         curves, first = [], PLANE_PARAMETERS
         for curve in self.curves:
-            fresh = curve.moved(delta[first : first + curve.free])
-            if fresh is None:
-                return None
-            curves.append(fresh)
+            own = step.delta[first : first + curve.free]
             first += curve.free
-        return replace(self, face=self.face.moved(delta[:PLANE_PARAMETERS]), curves=tuple(curves))
+            away = curve.kind == "circle" and np.abs(own).max() >= RUNAWAY * curve.parameters[2]
+            fresh = None if away else curve.moved(own)
+            if fresh is None and len(self.curves) == 1:
+                return None
+            curves.append(curve if fresh is None else fresh)
+        return replace(self, face=self.face.moved(plane), curves=tuple(curves))
 
-    def result(self, step: _Step) -> PlaneFit:
+    def result(self, step: _Step) -> PlaneFit | None:
+        """What was measured; None for nothing."""
+        kept = step.supported(self.params.min_support)
+        if not kept:
+            return None
         fits = []
-        for k, curve in enumerate(self.curves):
+        for k in kept:
             rows = slice(*step.starts[k : k + 2])
             weights = step.weights[:, rows]
-            total = max(float(weights.sum()), 1e-9)
             with np.errstate(invalid="ignore"):
                 means = np.nansum(step.offsets[:, rows] * weights, axis=1) / weights.sum(axis=1)
             fits.append(
                 CurveFit(
-                    curve,
+                    self.curves[k],
                     step.support(k),
-                    float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / total)),
+                    float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
                     float(means[0] - means[1]),
                     step.points[:, rows],
                     weights,
                 )
             )
-        lifts = [np.eye(PLANE_PARAMETERS), *(curve.lift() for curve in self.curves)]
-        lift = _block_diagonal(lifts)
-        return PlaneFit(self.face, tuple(fits), np.asarray(lift @ step.covariance @ lift.T))
+        first = np.cumsum([PLANE_PARAMETERS, *(curve.free for curve in self.curves)])
+        unknowns = np.concatenate(
+            [np.arange(PLANE_PARAMETERS), *(np.arange(*first[k : k + 2]) for k in kept)]
+        )
+        lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(self.curves[k].lift() for k in kept)])
+        inner = step.covariance[np.ix_(unknowns, unknowns)]
+        return PlaneFit(self.face, tuple(fits), np.asarray(lift @ inner @ lift.T))
 
 
 def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -392,10 +531,6 @@ def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tupl
         axis=-1,
     )
     return function(parameters), np.asarray(jacobian @ fit.covariance @ jacobian.T)
-
-
-def _widened(seen: Seen, width: int) -> FloatArray:
-    return np.pad(seen.design, ((0, 0), (0, width - seen.design.shape[1])))
 
 
 def _half_waves(count: int) -> FloatArray:

@@ -106,10 +106,10 @@ class Rectification:
         side: Side,
     ) -> Image:
         if image.shape != (camera.height, camera.width) or image.dtype != np.uint8:
-            found = " x ".join(str(n) for n in reversed(image.shape))
+            found = "x".join(str(n) for n in reversed(image.shape))
             raise ImageError(
                 f"{side} image: {found} {image.dtype}, the rig was calibrated for "
-                f"{camera.width} x {camera.height} uint8 grey"
+                f"{camera.width}x{camera.height}, 8-bit grey"
             )
         result = cv2.remap(
             image,

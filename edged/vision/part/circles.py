@@ -11,20 +11,21 @@ from statistics import median
 import cv2
 import numpy as np
 
-from edged.domain import Circle3D, FloatArray, Match, Reject, Target
-from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess, FaceFit
-from edged.vision.curves.circlefit import fit_circle, fit_face
+from edged.domain import Circle3D, FloatArray, Reject, Target
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, cross, rotation_matrix, transform, unit
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.consistency import growth_of, row_shift_px
 from edged.vision.part.edgeidentity import is_doubtful
+from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, Job
-from edged.vision.part.measured import Evidence, Images, Measured
-from edged.vision.part.prediction import predicted
-from edged.vision.part.prediction import rays as rays_of
+from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.prediction import match_in_raw, predicted
 from edged.vision.shape.search import ShapeMatch
 
 DEPTH_MARGIN = 0.05
@@ -43,105 +44,101 @@ MIN_OTHER_SUPPORT = 0.4
 ENOUGH_SUPPORT = 0.8
 """Of a start that both cameras agree with this much there is no better one."""
 PNP_POINTS = 16
-LOCK_PARAMS = CircleFitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0)
-WIDE_LOCK_PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
-OTHER_PARAMS = CircleFitParams(reach_px=(3.0, 2.0), repeats=0)
-TOGETHER_PARAMS = CircleFitParams(reach_px=(2.0,))
+LOCK_PARAMS = FitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0, min_support=0.0)
+WIDE_LOCK_PARAMS = replace(LOCK_PARAMS, reach_px=(6.0, 4.0, 2.5, 2.0))
+OTHER_PARAMS = FitParams(reach_px=(3.0, 2.0), repeats=0, min_support=MIN_OTHER_SUPPORT)
+TOGETHER_PARAMS = FitParams(reach_px=(2.0,), min_support=0.0)
 
 
-def measure(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Measured | None:
+def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | None:
     """Measure one found part; None when the right camera does not show what the left one found.
 
     First the reference circle, for the plane of the face; then the other circles near the places where
     the pose puts them; then all that were found, together.
     """
-    main = _reference(images, rectification, job, match)
+    main = _reference(images, job, match)
     if main is None:
         return None
-    start = _start_rotation(rectification, job, match, main)
-    turn, others, ambiguous = _decided(images, rectification, job, match, main, start)
-    together = _together(images, rectification, job, main, others)
-    if together is None:
+    start = _start_rotation(images, job, match, main.circle)
+    turn, others, ambiguous = _decided(images, job, match, main, start)
+    fit = _together(images, job, main, others, start @ about_z(turn))
+    measured = None if fit is None else circle_in_rig(fit, job.reference)
+    if fit is None or measured is None:
         return None
-    main, others = together.first, [fit for fit in together.others if fit is not None]
-    if abs(main.circle.radius_mm - job.reference_circle.radius_mm) > 0.1 * job.reference_circle.radius_mm:
+    main, radius_mm = measured, job.reference_circle.radius_mm
+    if abs(main.circle.radius_mm - radius_mm) > 0.1 * radius_mm:
         return None
-    start = _start_rotation(rectification, job, match, main) @ about_z(turn)
-    rotation, sigma_turn, used = _rotation(job, main, others, start)
-    rig_from_part = np.eye(4)
-    rig_from_part[:3, :3] = rotation
-    rig_from_part[:3, 3] = main.circle.centre_mm
-    fits = (main, *(others[index] for index in used))
-    origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
-    circles = tuple(_in_order(job, fits))
+    beside = [one for one in circles_in_rig(fit) if one.circle.name != job.reference]
+    start = _start_rotation(images, job, match, main.circle) @ about_z(turn)
+    rotation, sigma_turn, used = _rotation(job, main.circle, [one.circle for one in beside], start)
+    agreeing = [beside[index] for index in used]
+    circles = _in_order(job, [main, *agreeing])
     target = Target(
         job=job.name,
-        match=Match(
-            float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
-        ),
-        rig_from_part=rig_from_part,
+        match=match_in_raw(images.rectification, match),
+        rig_from_part=transform(rotation, main.circle.centre_mm),
         covariance=_pose_covariance(main, sigma_turn),
         circles=circles,
-        epipolar_rms_px=_epipolar_rms(rectification, main),
+        epipolar_rms_px=_epipolar_rms(images.rectification, main.fit),
         reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,
     )
-    if is_doubtful((images.left, images.right), rectification, job, main, fits[1:], rotation):
+    if is_doubtful(images, job, main, agreeing, rotation):
         target = replace(target, reject=target.reject | Reject.AMBIGUOUS_EDGE)
     evidence = Evidence(
-        min(main.support_left, main.support_right),
-        main.rms_px,
-        row_shift_px(rectification, main),
+        main.fit.least_support,
+        main.fit.rms_px,
+        row_shift_px(images.rectification, main.fit),
         *growth_of(job, circles),
     )
-    return Measured(target, evidence, fits)
+    return Measured(target, evidence, tuple(one.fit for one in (main, *agreeing)))
 
 
-def _reference(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> CircleFit | None:
+def _reference(images: StereoImages, job: Job, match: ShapeMatch) -> FoundCircle | None:
     """The reference circle, measured on its own, from the start that both cameras agree with best.
 
     The foot of a thick disc's wall, a shadow or a chamfer beside the rim is an edge, too, and in one view it
     may be the stronger one over a third of the circle. From a poor start a tilted circle through both
     would be found; so each start locks on with the taught radius first.
     """
-    best: CircleFit | None = None
-    for start in _starts(images, rectification, job, match):
-        locked = fit_circle(
-            rectification.rig,
-            images.left,
-            images.right,
-            start.guess,
+    best: FoundCircle | None = None
+    for start in _starts(images, job, match):
+        fit = fit_circle(
+            images.rig,
+            images.raw,
+            start.centre_mm,
             start.normal,
+            job.reference_circle.radius_mm,
+            start.polarity,
             start.params,
+            name=job.reference,
             fixed_radius=True,
         )
+        locked = None if fit is None else circle_in_rig(fit, job.reference)
         if locked is None or not _plausible(locked, start):
             continue
-        if best is None or _agreement(locked) > _agreement(best):
+        if best is None or locked.fit.support.sum() > best.fit.support.sum():
             best = locked
-        if min(best.support_left, best.support_right) > ENOUGH_SUPPORT:
+        if best.fit.least_support > ENOUGH_SUPPORT:
             break
     return best
 
 
-def _agreement(fit: CircleFit) -> float:
-    return fit.support_left + fit.support_right
-
-
-def _plausible(fit: CircleFit, start: _Start) -> bool:
-    moved = float(np.linalg.norm(fit.circle.centre_mm - start.guess.centre_mm))
-    return moved < 0.2 * start.guess.radius_mm and min(fit.support_left, fit.support_right) >= MIN_SUPPORT
+def _plausible(found: FoundCircle, start: _Start) -> bool:
+    moved = float(np.linalg.norm(found.circle.centre_mm - start.centre_mm))
+    return moved < 0.2 * found.circle.radius_mm and found.fit.least_support >= MIN_SUPPORT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """Where the reference circle may be, and how far to look around."""
+    """Where the reference circle may be: centre and normal (3,), rig frame; and how far to look around."""
 
-    guess: CircleGuess
+    centre_mm: FloatArray
     normal: FloatArray
-    params: CircleFitParams
+    polarity: int
+    params: FitParams
 
 
-def _starts(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> Iterator[_Start]:
+def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[_Start]:
     """Likely places of the reference circle, best first.
 
     The match is a perspective view of a known plane: it has two poses in space (T. Collins and A. Bartoli,
@@ -151,25 +148,22 @@ def _starts(images: Images, rectification: Rectification, job: Job, match: Shape
     reference = job.reference_circle
     expected = _polarity(reference, match)
     if job.search.polarity in EACH_EDGE_ITSELF:
-        expected = _seen_polarity(images, rectification, job, match)
+        expected = _seen_polarity(images, job, match)
     polarities = (expected,) if job.search.polarity == "same" else (expected, -expected)
-    for pose in _plane_poses(rectification, job, match):
-        centre = apply(pose, reference.centre_mm)
-        guess = CircleGuess(reference.name, centre, reference.radius_mm, expected)
-        yield _Start(guess, -pose[:3, 2], LOCK_PARAMS)
-    rays = rays_of(rectification, predicted(rectification, job, match, reference.centre_mm[None]))
+    for pose in _plane_poses(images, job, match):
+        yield _Start(apply(pose, reference.centre_mm), -pose[:3, 2], expected, LOCK_PARAMS)
+    rays = images.rays("left", predicted(images.rectification, job, match, reference.centre_mm[None]))
     for polarity in polarities:
-        face = _face(images, rectification, job, match, polarity)
+        face = _face(images, job, match, polarity)
         if face is not None and np.isfinite(rays).all():
-            guess = CircleGuess(reference.name, face.meet(rays)[0], reference.radius_mm, polarity)
-            yield _Start(guess, face.normal, WIDE_LOCK_PARAMS)
+            yield _Start(face.meet(rays)[0], face.normal, polarity, WIDE_LOCK_PARAMS)
 
 
-def _plane_poses(rectification: Rectification, job: Job, match: ShapeMatch) -> list[FloatArray]:
+def _plane_poses(images: StereoImages, job: Job, match: ShapeMatch) -> list[FloatArray]:
     """The rig_from_part (4, 4) under which the part's face looks like the match; better one first."""
     flat = _outline(job.reference_circle, PNP_POINTS)
     flat[:, 2] = 0.0
-    rays = rays_of(rectification, predicted(rectification, job, match, flat))
+    rays = images.rays("left", predicted(images.rectification, job, match, flat))
     if not np.isfinite(rays).all():
         return []
     count, turns, places, _ = cv2.solvePnPGeneric(
@@ -184,61 +178,62 @@ def _plane_poses(rectification: Rectification, job: Job, match: ShapeMatch) -> l
     return poses
 
 
+def _face_curves(job: Job, main: FoundCircle, rotation: FloatArray) -> tuple[Face, Curve]:
+    """The plane of the reference circle with the axes of the part, and the circle at its origin."""
+    circle = main.circle
+    face = Face(circle.centre_mm, rotation.T)
+    return face, Curve(
+        job.reference, "circle", np.array([0.0, 0.0, circle.radius_mm]), main.fit.curve.polarity
+    )
+
+
 def _others(
-    images: Images,
-    rectification: Rectification,
-    job: Job,
-    match: ShapeMatch,
-    main: CircleFit,
-    rotation: FloatArray,
-) -> list[CircleFit]:
-    """The other circles of the face that are where this rotation of the part puts them."""
-    wanted = [circle for circle in job.circles if circle.name != job.reference]
+    images: StereoImages, job: Job, match: ShapeMatch, main: FoundCircle, rotation: FloatArray
+) -> list[CurveFit]:
+    """The other circles of the face that are where this rotation of the part puts them; with its axes.
+
+    A circle that was taught off the face keeps that distance.
+    """
+    face, first = _face_curves(job, main, rotation)
+    wanted = {}
+    for circle in job.circles:
+        if circle.name != job.reference:
+            x, y, height = circle.centre_mm - job.reference_circle.centre_mm
+            # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
+            polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
+            parameters = np.array([x, y, circle.radius_mm])
+            wanted[circle.name] = Curve(circle.name, "circle", parameters, polarity, height_mm=float(height))
     if not wanted:
         return []
-    origin = main.circle.centre_mm - rotation @ job.reference_circle.centre_mm
-    places = {circle.name: origin + rotation @ circle.centre_mm for circle in wanted}
-    guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
-    for circle in wanted:
-        # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
-        polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
-        guesses.append(CircleGuess(circle.name, places[circle.name], circle.radius_mm, polarity))
-    face = fit_face(
-        rectification.rig,
-        images.left,
-        images.right,
-        guesses,
-        main.circle.normal,
-        OTHER_PARAMS,
-        fixed_normal=True,
-    )
-    if face is None:
+    fit = fit_plane(images.rig, images.raw, face, [first, *wanted.values()], OTHER_PARAMS, fixed_normal=True)
+    if fit is None:
         return []
-    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    limit = _tolerance_mm(job)
+    rise = float(face.from_rig(fit.face.origin)[2])
     found = []
-    for circle, fit in zip(wanted, face.others, strict=True):
-        if fit is None or min(fit.support_left, fit.support_right) < MIN_OTHER_SUPPORT:
+    for one in fit.fits:
+        if one.name == job.reference:
             continue
-        near = np.linalg.norm(fit.circle.centre_mm - places[circle.name]) < limit
-        if near and abs(fit.circle.radius_mm - circle.radius_mm) < limit:
-            found.append(fit)
+        x, y, grown = one.curve.parameters - wanted[one.name].parameters
+        if math.hypot(x, y, rise) < limit and abs(grown) < limit:
+            found.append(one)
     return found
 
 
+def _tolerance_mm(job: Job) -> float:
+    """How far from its place, and from its size, a circle may be."""
+    return PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+
+
 def _decided(
-    images: Images,
-    rectification: Rectification,
-    job: Job,
-    match: ShapeMatch,
-    main: CircleFit,
-    start: FloatArray,
-) -> tuple[float, list[CircleFit], bool]:
+    images: StereoImages, job: Job, match: ShapeMatch, main: FoundCircle, start: FloatArray
+) -> tuple[float, list[CurveFit], bool]:
     """The turn about the normal against the match, the other circles there, and whether it is in doubt.
 
     Where the search could not tell nearly equal rotations apart, the circles can: at a wrong rotation one of
     them has another size, or none is there.
     """
-    others = _others(images, rectification, job, match, main, start)
+    others = _others(images, job, match, main, start)
     if not match.ambiguous:
         return 0.0, others, False
     turns = _rival_turns(job)
@@ -247,7 +242,7 @@ def _decided(
         return 0.0, others, any(_maps_on_itself(job, turn) for turn in turns)
     best, best_turn, rival_count = others, 0.0, 0
     for turn in turns:
-        rivals = _others(images, rectification, job, match, main, start @ about_z(turn))
+        rivals = _others(images, job, match, main, start @ about_z(turn))
         if len(rivals) > len(best):
             best, best_turn, rival_count = rivals, turn, len(best)
         else:
@@ -259,7 +254,7 @@ def _rival_turns(job: Job) -> list[float]:
     """Turns about the reference circle's axis that lay one circle of the part on another one's place."""
     arms = np.array([c.centre_mm[:2] - job.reference_circle.centre_mm[:2] for c in job.circles])
     lengths = np.linalg.norm(arms, axis=1)
-    tolerance = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    tolerance = _tolerance_mm(job)
     turns: list[float] = []
     for i, j in itertools.permutations(range(len(arms)), 2):
         if min(lengths[i], lengths[j]) < 2 * tolerance or abs(lengths[i] - lengths[j]) > tolerance:
@@ -273,7 +268,7 @@ def _rival_turns(job: Job) -> list[float]:
 def _maps_on_itself(job: Job, turn: float) -> bool:
     """Whether this turn about the reference circle's axis lays each circle on one of its size."""
     centre = job.reference_circle.centre_mm
-    limit = PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    limit = _tolerance_mm(job)
     return all(
         any(
             np.linalg.norm(centre + about_z(turn) @ (circle.centre_mm - centre) - other.centre_mm) < limit
@@ -285,25 +280,14 @@ def _maps_on_itself(job: Job, turn: float) -> bool:
 
 
 def _together(
-    images: Images, rectification: Rectification, job: Job, main: CircleFit, others: list[CircleFit]
-) -> FaceFit | None:
-    """Measure all circles in one common plane, now with free radii.
-
-    A circle that was taught off the face keeps that distance.
-    """
-    normal = main.circle.normal
-    heights = {circle.name: float(circle.centre_mm[2]) for circle in job.circles}
-    guesses = [CircleGuess(main.circle.name, main.circle.centre_mm, main.circle.radius_mm, main.polarity)]
-    for fit in others:
-        off = float(normal @ (fit.circle.centre_mm - main.circle.centre_mm))
-        wanted = heights[main.circle.name] - heights[fit.circle.name]  # part z points away from the cameras
-        centre = fit.circle.centre_mm + (wanted - off) * normal
-        guesses.append(CircleGuess(fit.circle.name, centre, fit.circle.radius_mm, fit.polarity))
-    rig, left, right = rectification.rig, images.left, images.right
-    face = fit_face(rig, left, right, guesses, normal, TOGETHER_PARAMS)
-    if face is None and others:  # one of the others may be at fault
-        face = fit_face(rig, left, right, guesses[:1], normal, TOGETHER_PARAMS)
-    return face
+    images: StereoImages, job: Job, main: FoundCircle, others: list[CurveFit], rotation: FloatArray
+) -> PlaneFit | None:
+    """Measure all circles in one common plane, now with free radii. others : in the axes of the rotation."""
+    face, first = _face_curves(job, main, rotation)
+    fit = fit_plane(images.rig, images.raw, face, [first, *(one.curve for one in others)], TOGETHER_PARAMS)
+    if (fit is None or fit.fit_of(job.reference) is None) and others:  # one of the others may be at fault
+        fit = fit_plane(images.rig, images.raw, face, [first], TOGETHER_PARAMS)
+    return fit
 
 
 def _outline(circle: CircleFeature, count: int) -> FloatArray:
@@ -312,17 +296,14 @@ def _outline(circle: CircleFeature, count: int) -> FloatArray:
     return np.asarray(circle.centre_mm + circle.radius_mm * ring)
 
 
-def _face(
-    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, polarity: int
-) -> Plane | None:
+def _face(images: StereoImages, job: Job, match: ShapeMatch, polarity: int) -> Plane | None:
     """The plane of the part's face, from the reference circle's outline in both rectified images."""
+    rectification = images.rectification
     points, normals = _predicted_outline(rectification, job, match)
     taught_depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
     depth = taught_depth / np.sqrt(match.scale_x * match.scale_y)
     return find_plane(
-        rectification,
-        images.rectified_left,
-        images.rectified_right,
+        images,
         points,
         normals,
         polarity,
@@ -342,9 +323,9 @@ def _predicted_outline(
     return points, normals * np.where(outward < 0, -1.0, 1.0)[:, None]
 
 
-def _seen_polarity(images: Images, rectification: Rectification, job: Job, match: ShapeMatch) -> int:
+def _seen_polarity(images: StereoImages, job: Job, match: ShapeMatch) -> int:
     """+1 when most of the reference circle's contrast in the left image is brighter outside, else -1."""
-    points, normals = _predicted_outline(rectification, job, match)
+    points, normals = _predicted_outline(images.rectification, job, match)
     _, slopes = edges_along_normals(images.rectified_left, points, normals, OUTLINE_REACH_PX, 0)
     strong = np.nan_to_num(slopes)[np.abs(np.nan_to_num(slopes)) >= job.search.min_contrast]
     return 1 if strong.sum() > 0 else -1
@@ -354,14 +335,13 @@ def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
     return -circle.polarity if match.inverted else circle.polarity
 
 
-def _start_rotation(rectification: Rectification, job: Job, match: ShapeMatch, main: CircleFit) -> FloatArray:
+def _start_rotation(images: StereoImages, job: Job, match: ShapeMatch, main: Circle3D) -> FloatArray:
     """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
-    normal = main.circle.normal
-    face = Plane(normal, float(normal @ main.circle.centre_mm))
+    face = Plane(main.normal, float(main.normal @ main.centre_mm))
     radius = job.reference_circle.radius_mm
     tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
-    space = face.meet(rays_of(rectification, predicted(rectification, job, match, tips)))
-    return _frame(main.circle.normal, space[0] - space[1], space[2] - space[3])
+    space = face.meet(images.rays("left", predicted(images.rectification, job, match, tips)))
+    return _frame(main.normal, space[0] - space[1], space[2] - space[3])
 
 
 def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
@@ -373,7 +353,7 @@ def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> Floa
 
 
 def _rotation(
-    job: Job, main: CircleFit, others: list[CircleFit], start: FloatArray
+    job: Job, main: Circle3D, others: list[Circle3D], start: FloatArray
 ) -> tuple[FloatArray, float, list[int]]:
     """Turn the start rotation about the normal until the circles lie where they were taught.
 
@@ -383,16 +363,14 @@ def _rotation(
     taught = {circle.name: circle.centre_mm for circle in job.circles}
     reference = taught[job.reference]
     angles, variances, indices = [], [], []
-    for index, fit in enumerate(others):
-        arm = (taught[fit.circle.name] - reference)[:2]
+    for index, circle in enumerate(others):
+        arm = (taught[circle.name] - reference)[:2]
         lever = float(np.linalg.norm(arm))
         if lever < 0.15 * job.reference_circle.radius_mm:
             continue
-        seen = (start.T @ (fit.circle.centre_mm - main.circle.centre_mm))[:2]
+        seen = (start.T @ (circle.centre_mm - main.centre_mm))[:2]
         angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
-        in_face = (
-            start[:, :2].T @ (fit.circle.covariance[:3, :3] + main.circle.covariance[:3, :3]) @ start[:, :2]
-        )
+        in_face = start[:, :2].T @ (circle.covariance[:3, :3] + main.covariance[:3, :3]) @ start[:, :2]
         across = np.array([-arm[1], arm[0]]) / lever
         variances.append(float(across @ in_face @ across) / lever**2)
         indices.append(index)
@@ -411,31 +389,24 @@ def _rotation(
     return start @ about_z(turn), sigma, sorted(concentric + agreeing)
 
 
-def _pose_covariance(main: CircleFit, sigma_turn: float) -> FloatArray:
+def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:
     """(6, 6) of position (mm) and rotation vector (rad, rig axes)."""
-    u, v = main.axes
-    normal = cross(u, v)
-    # a tilt about u moves the point at v up the normal: rotation vector +u; about v, the point at u: -v
-    spread = np.zeros((6, 6))
-    spread[:3, :3] = np.eye(3)
-    spread[3:, 3], spread[3:, 4], spread[3:, 5] = u, -v, normal
-    inner = np.zeros((6, 6))
-    inner[:5, :5] = main.covariance[:5, :5]
-    inner[5, 5] = sigma_turn**2
-    return np.asarray(spread @ inner @ spread.T)
+    covariance = main.pose_covariance.copy()
+    covariance[3:, 3:] += sigma_turn**2 * np.outer(main.circle.normal, main.circle.normal)
+    return covariance
 
 
-def _epipolar_rms(rectification: Rectification, fit: CircleFit) -> float:
+def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
     """Rms row difference of the reference circle's edge points, left against right.
 
     Both cameras measure the same points of the circle only up to a motion along the edge; the part of the
     row difference that a motion along the edge can explain is taken out.
     """
-    both = (fit.weights_left > 0.1) & (fit.weights_right > 0.1)
+    both = fit.weights.min(axis=0) > 0.1
     if both.sum() < 8:
         return float("nan")
-    right = rectification.rectify_points("right", fit.points_right)
-    rows = rectification.rectify_points("left", fit.points_left[both])[:, 1] - right[both, 1]
+    right = rectification.rectify_points("right", fit.points[1])
+    rows = rectification.rectify_points("left", fit.points[0][both])[:, 1] - right[both, 1]
     tangent = (np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0))[both]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
@@ -443,6 +414,6 @@ def _epipolar_rms(rectification: Rectification, fit: CircleFit) -> float:
     return float(np.sqrt(np.mean(usable**2))) if len(usable) >= 4 else float("nan")
 
 
-def _in_order(job: Job, fits: tuple[CircleFit, ...]) -> list[Circle3D]:
-    by_name = {fit.circle.name: fit.circle for fit in fits}
-    return [by_name[circle.name] for circle in job.circles if circle.name in by_name]
+def _in_order(job: Job, found: list[FoundCircle]) -> tuple[Circle3D, ...]:
+    by_name = {one.circle.name: one.circle for one in found}
+    return tuple(by_name[circle.name] for circle in job.circles if circle.name in by_name)

@@ -23,7 +23,7 @@ from typing import TypeVar
 import numpy as np
 
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
-from edged.vision.curves.circle import CircleFit
+from edged.vision.curves.planefit import CurveFit
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import Job
 
@@ -43,16 +43,16 @@ ARM = 0.15
 """Share of the reference radius from which on the place of a circle is a size."""
 
 
-def row_shift_px(rectification: Rectification, fit: CircleFit) -> float:
+def row_shift_px(rectification: Rectification, fit: CurveFit) -> float:
     """By how much the circle lies lower in the left image than in the right one, rectified px, or NaN.
 
     Least squares over its edge points: where the edge is slanted a shift moves it less along its normal.
     """
-    left = rectification.rectify_points("left", fit.points_left)
-    right = rectification.rectify_points("right", fit.points_right)
+    left = rectification.rectify_points("left", fit.points[0])
+    right = rectification.rectify_points("right", fit.points[1])
     along = np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0)
     rows = left[:, 1] - right[:, 1]
-    weights = np.minimum(fit.weights_left, fit.weights_right)
+    weights = fit.weights.min(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         level = along[:, 0] ** 2 / np.sum(along**2, axis=1)
         usable = (weights > 0.1) & np.isfinite(rows) & (level > MIN_LEVEL)

@@ -13,15 +13,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Image
-from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess
-from edged.vision.curves.circlefit import fit_circle
-from edged.vision.curves.circleprojection import project_circle
+from edged.domain import SIDES, FloatArray
+from edged.vision.curves.outlineprojection import project_circle
+from edged.vision.curves.planefit import FitParams, fit_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.frames import FoundCircle, circle_in_rig
 from edged.vision.part.job import CircleFeature, Job
 
-PARAMS = CircleFitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
+PARAMS = FitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
 MIN_SUPPORT = 0.6
 SAME = 0.1
 """Share of its radius by which a circle may differ in size and place."""
@@ -46,34 +46,31 @@ one; the wall of a part, or its shadow, is seen on one side only.
 
 
 def is_doubtful(
-    images: tuple[Image, Image],
-    rectification: Rectification,
+    images: StereoImages,
     job: Job,
-    main: CircleFit,
-    others: Sequence[CircleFit],
+    main: FoundCircle,
+    others: Sequence[FoundCircle],
     rotation: FloatArray,
 ) -> bool:
     """Whether the reference circle, measured as `main`, may be another edge. Arguments as in `stands_off`."""
-    if stands_off(images, rectification, job, main, others, rotation):
+    if stands_off(images, job, main, others, rotation):
         return True
     alone = not others and not job.reference_circle.double
-    return alone and is_double(images, rectification, main)
+    return alone and is_double(images, main)
 
 
-def is_double(images: tuple[Image, Image], rectification: Rectification, circle: CircleFit) -> bool:
+def is_double(images: StereoImages, found: FoundCircle) -> bool:
     """Whether a second edge of the same sign runs beside a circle, around most of it and in both images."""
     shares = []
     phase = np.linspace(0, 2 * np.pi, SECTORS * SPOKES, endpoint=False, dtype=np.float64)
-    for side, image in zip(SIDES, images, strict=True):
-        measured = circle.circle
-        seen = project_circle(
-            rectification.rig, side, measured.centre_mm, measured.normal, measured.radius_mm, phase
-        )
+    for side, image in zip(SIDES, images.raw, strict=True):
+        circle = found.circle
+        seen = project_circle(images.rig, side, circle.centre_mm, circle.normal, circle.radius_mm, phase)
         size_px = 0.25 * float(np.ptp(seen.pixels, axis=0).sum())
         half_px = float(np.clip(RIVAL_REACH * size_px, MIN_REACH_PX, MAX_REACH_PX))
         profiles, places = edge_profiles(image, seen.pixels, seen.normals, half_px, STEP_PX)
         means = profiles.reshape(SECTORS, SPOKES, -1).mean(axis=1)
-        shares.append(_rival_share(circle.polarity * np.gradient(means, STEP_PX, axis=1), places))
+        shares.append(_rival_share(found.fit.curve.polarity * np.gradient(means, STEP_PX, axis=1), places))
     return float(np.mean(shares)) >= RIVAL_SHARE and min(shares) >= LEAST_SHARE
 
 
@@ -102,46 +99,53 @@ def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
 
 
 def stands_off(
-    images: tuple[Image, Image],
-    rectification: Rectification,
+    images: StereoImages,
     job: Job,
-    main: CircleFit,
-    others: Sequence[CircleFit],
+    main: FoundCircle,
+    others: Sequence[FoundCircle],
     rotation: FloatArray,
 ) -> bool:
     """Whether more of the job's circles lie off the plane of the reference circle than in it.
 
-    images : raw left and right.  main, others : what was found in one plane.  rotation (3, 3) : of the part.
+    main, others : what was found in one plane.  rotation (3, 3) : of the part.
     """
-    found = {fit.circle.name for fit in (main, *others)}
+    found = {one.circle.name for one in (main, *others)}
     missing = [circle for circle in job.circles if circle.name not in found]
     if len(missing) <= len(others):
         return False
-    off = sum(_is_off(images, rectification, job, main, circle, rotation) for circle in missing)
+    off = sum(_is_off(images, job, main, circle, rotation) for circle in missing)
     return off > len(others)
 
 
 def _is_off(
-    images: tuple[Image, Image],
-    rectification: Rectification,
+    images: StereoImages,
     job: Job,
-    main: CircleFit,
+    main: FoundCircle,
     circle: CircleFeature,
     rotation: FloatArray,
 ) -> bool:
     """Whether both images show the circle whole, in its size, over or under its place."""
     normal = main.circle.normal
     place = main.circle.centre_mm + rotation @ (circle.centre_mm - job.reference_circle.centre_mm)
-    guess = CircleGuess(circle.name, place, circle.radius_mm)
-    fit = fit_circle(rectification.rig, *images, guess, normal, PARAMS, fixed_normal=True)
-    if fit is None or min(fit.support_left, fit.support_right) < MIN_SUPPORT:
+    fit = fit_circle(
+        images.rig,
+        images.raw,
+        place,
+        normal,
+        circle.radius_mm,
+        params=PARAMS,
+        name=circle.name,
+        fixed_normal=True,
+    )
+    found = None if fit is None else circle_in_rig(fit, circle.name)
+    if found is None or found.fit.least_support < MIN_SUPPORT:
         return False
-    gap = fit.circle.centre_mm - place
+    gap = found.circle.centre_mm - place
     height = float(normal @ gap)
-    sigma = float(np.sqrt(normal @ fit.circle.covariance[:3, :3] @ normal))
+    sigma = float(np.sqrt(normal @ found.circle.covariance[:3, :3] @ normal))
     aside = float(np.linalg.norm(gap - height * normal))
     depth = float(place[2])
-    pixel_mm = depth / rectification.focal_px
-    least = max(OFF_FACE_PX * pixel_mm * depth / rectification.baseline_mm, CERTAIN * sigma)
-    same = max(abs(fit.circle.radius_mm - circle.radius_mm), aside) < SAME * circle.radius_mm + pixel_mm
+    pixel_mm = depth / images.rectification.focal_px
+    least = max(OFF_FACE_PX * pixel_mm * depth / images.rectification.baseline_mm, CERTAIN * sigma)
+    same = max(abs(found.circle.radius_mm - circle.radius_mm), aside) < SAME * circle.radius_mm + pixel_mm
     return same and abs(height) > least

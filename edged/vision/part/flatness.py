@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import FloatArray, Measurement
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Images, Measured
+from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import face_points, heights_mm
 from edged.vision.part.sizes import as_measurement
 
@@ -27,7 +27,7 @@ TUKEY = 4.685
 ROUNDS = 8
 
 
-def with_flatness(measured: Measured, images: Images, rectification: Rectification, job: Job) -> Measured:
+def with_flatness(measured: Measured, images: StereoImages, job: Job) -> Measured:
     """A measured part with the flatness of its face, where the job asks for it."""
     if not any(spec.kind == "flatness" for spec in job.measurements):
         return measured
@@ -35,7 +35,7 @@ def with_flatness(measured: Measured, images: Images, rectification: Rectificati
     depth = float(target.position_mm[2])
     slope = float(np.linalg.norm(target.rig_from_part[:2, 2]))
     reach = REACH_MM + slope * _extent_mm(measured)
-    face = face_points(images, rectification, measured, (depth - reach, depth + reach), GRID_PX)
+    face = face_points(images, measured, (depth - reach, depth + reach), GRID_PX)
     local = heights_mm(face.points_mm, target.rig_from_part)
     near = np.abs(local[:, 2]) < REACH_MM
     value, sigma = form_of(local[near], face.sigma_mm[near])

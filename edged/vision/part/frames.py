@@ -2,15 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import Corner3D, Edge3D, FloatArray, Slot3D, Target
+from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Slot3D, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
-from edged.vision.curves.planefit import PlaneFit, derived
+from edged.vision.curves.planefit import CurveFit, PlaneFit, derived
 from edged.vision.part.job import Job
 from edged.vision.part.sizes import place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCircle:
+    """A circle in the rig frame, and the edges it stands on.
+
+    pose_covariance (6, 6) : of its centre (mm) and of the rotation of its plane (rad, rig axes), in which
+    nothing turns about the normal.
+    """
+
+    circle: Circle3D
+    pose_covariance: FloatArray
+    fit: CurveFit
+
+
+def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
+    """A circle of a fit in the rig frame; None when it was not measured."""
+    one, where = fit.fit_of(name), fit.place(name)
+    if one is None or where is None:
+        return None
+    x, y, radius = one.curve.parameters
+    height, face = one.curve.height_mm, fit.face
+    u, v, n = face.axes
+    # by height and slopes of the plane, x, y, radius: as the plane tilts, what stands on it moves sideways
+    lift = np.zeros((7, 6))
+    lift[:3, 0], lift[:3, 1], lift[:3, 2] = n, x * n - height * u, y * n - height * v
+    lift[:3, 3], lift[:3, 4] = u, v
+    lift[3:6, 1], lift[3:6, 2] = -v, u
+    lift[6, 5] = 1.0
+    used = np.r_[0:PLANE_PARAMETERS, where]
+    covariance = lift @ fit.covariance[np.ix_(used, used)] @ lift.T
+    keep = [0, 1, 2, 6]
+    circle = Circle3D(
+        name,
+        face.to_rig(np.array([[x, y, height]]))[0],
+        n if n[2] < 0 else -n,
+        float(radius),
+        covariance[np.ix_(keep, keep)],
+    )
+    return FoundCircle(circle, covariance[:6, :6], one)
+
+
+def circles_in_rig(fit: PlaneFit) -> list[FoundCircle]:
+    """All circles of a fit, in its order."""
+    found = (circle_in_rig(fit, one.name) for one in fit.fits if one.curve.kind == "circle")
+    return [one for one in found if one is not None]
 
 
 def with_features(target: Target, job: Job, fit: PlaneFit) -> Target:

@@ -13,7 +13,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.kernels.jit import for_kernel, kernel
 
@@ -27,9 +27,7 @@ TRIALS = 1500
 
 
 def find_plane(
-    rectification: Rectification,
-    left: Image,
-    right: Image,
+    images: StereoImages,
     points_px: FloatArray,
     normals: FloatArray,
     polarity: int,
@@ -38,12 +36,13 @@ def find_plane(
 ) -> Plane | None:
     """The plane of a contour; None when the right image does not show it.
 
-    left, right : rectified images.  points_px, normals (N, 2) : the contour in the left one, a few px
-    accurate.  polarity : +1 brighter along the normals.  depth_mm : search range of the rectified depth.
+    points_px, normals (N, 2) : the contour in the rectified left image, a few px accurate.
+    polarity : +1 brighter along the normals.  depth_mm : search range of the rectified depth.
     """
+    rectification = images.rectification
     across = np.abs(normals[:, 0]) >= MIN_ALONG_ROW
     points, directions = points_px[across], normals[across]
-    offsets, slopes = edges_along_normals(left, points, directions, 4.0, polarity)
+    offsets, slopes = edges_along_normals(images.rectified_left, points, directions, 4.0, polarity)
     seen = np.isfinite(offsets) & (np.abs(slopes) >= min_slope)
     if seen.sum() < 12:
         return None
@@ -52,7 +51,7 @@ def find_plane(
     shift = rectification.centre_right_px[0] - rectification.centre_left_px[0]
     strength = rectification.focal_px * rectification.baseline_mm
     low, high = strength / depth_mm[1] - shift, strength / depth_mm[0] - shift
-    rivals = _rivals(right, points, sign, low, high, min_slope)
+    rivals = _rivals(images.rectified_right, points, sign, low, high, min_slope)
     plane = _vote_and_fit(points, rivals, low, high)
     if plane is None:
         return None

@@ -10,11 +10,10 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import fit_rigid
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Images
 from edged.vision.part.prediction import predicted
 from edged.vision.shape.search import ShapeMatch
 
@@ -26,10 +25,10 @@ BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is
 
 
 def start_pose(
-    images: Images, rectification: Rectification, job: Job, match: ShapeMatch, curves: Sequence[Curve]
+    images: StereoImages, job: Job, match: ShapeMatch, curves: Sequence[Curve]
 ) -> FloatArray | None:
     """rig_from_part (4, 4) of the face of these curves; None when the right image does not show it."""
-    part = _samples(curves)
+    rectification, part = images.rectification, _samples(curves)
     points = predicted(rectification, job, match, part[:, 0])
     ahead = predicted(rectification, job, match, part[:, 1])
     normals = ahead - points
@@ -42,15 +41,11 @@ def start_pose(
     depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
     depth /= float(np.sqrt(match.scale_x * match.scale_y))
     low, high = depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)
-    plane = find_plane(
-        rectification, images.rectified_left, images.rectified_right, points, normals, 1, (low, high)
-    )
+    plane = find_plane(images, points, normals, 1, (low, high))
     if plane is None:
         return None
-    pixels = rectification.raw_points("left", points)
-    rays = np.column_stack([rectification.rig.left.normalise(pixels), np.ones(len(pixels))])
     try:
-        return fit_rigid(part[:, 0], plane.meet(rays)).to_from_from
+        return fit_rigid(part[:, 0], plane.meet(images.rays("left", points))).to_from_from
     except CalibrationError:  # all on one line, or behind the camera
         return None
 
@@ -63,7 +58,6 @@ def _samples(curves: Sequence[Curve]) -> FloatArray:
         count = max(int(SAMPLES * curve.perimeter_mm / total), 8)
         share = (np.arange(count) + 0.5) / count
         outline = curve.outline(share, BORDER_SHARE * curve.perimeter_mm)
-        flat = np.stack([outline.points, outline.points + 0.1 * outline.normals], axis=1)
-        height = np.full((count, 2, 1), curve.height_mm)
-        samples.append(np.concatenate([flat, height], axis=2))
+        ahead = outline.points + 0.1 * np.column_stack([outline.normals, np.zeros(count)])
+        samples.append(np.stack([outline.points, ahead], axis=1))
     return np.concatenate(samples)

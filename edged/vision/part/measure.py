@@ -12,24 +12,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Match, Reject, Target
+from edged.domain import FloatArray, Reject, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
-from edged.vision.curves.planefit import PlaneFit, PlaneFitParams, derived, fit_plane
+from edged.vision.curves.planefit import FitParams, PlaneFit, derived, fit_plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.acceptance import judged
 from edged.vision.part.circles import EACH_EDGE_ITSELF, measure
 from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import lifted, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Evidence, Images, Measured
+from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
+from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.sizes import measure_sizes, place
 from edged.vision.shape.search import ShapeMatch
 
-NEAR_PARAMS = PlaneFitParams(reach_px=(3.0, 2.0))
-FAR_PARAMS = PlaneFitParams(reach_px=(8.0, 5.0, 3.0, 2.0))
+NEAR_PARAMS = FitParams(reach_px=(3.0, 2.0))
+FAR_PARAMS = FitParams(reach_px=(8.0, 5.0, 3.0, 2.0))
 """From a match's pose: a pixel of disparity is 1/500 of the depth, and moves both edges by half as much."""
 MIN_EDGES = 3
 """Two edges of a part that has more fit any two that lie so in one image: no third one contradicts."""
@@ -38,34 +40,32 @@ UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is k
 CONCENTRIC = 0.15  # share of the reference radius within which a circle says nothing about the rotation
 
 
-def measure_part(
-    images: Images, rectification: Rectification, job: Job, match: ShapeMatch
-) -> Measured | Reject:
+def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
     """Measure one found part with all its features; the reason when it cannot be measured at all."""
     result: Measured | Reject
     if job.circles:
         main = replace(job, reference=job.reference_circle.name)
-        measured = measure(images, rectification, main, match)
+        measured = measure(images, main, match)
         if measured is None:
             return Reject.LEFT_RIGHT_MISMATCH
-        result = _completed(images, rectification, job, measured)
+        result = _completed(images, job, measured)
     else:
-        result = _from_edges(images, rectification, job, match)
+        result = _from_edges(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = with_flatness(result, images, rectification, job)
-    return replace(result, target=judged(job, rectification, result.target, result.evidence))
+    result = with_flatness(result, images, job)
+    return replace(result, target=judged(job, images.rectification, result.target, result.evidence))
 
 
 # --- parts with circles ----------------------------------------------------------------------------
 
 
-def _completed(images: Images, rectification: Rectification, job: Job, measured: Measured) -> Measured:
+def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
     alone = _circles_tell_rotation(job)
     if (not alone and (job.edges or job.slots)) or _sizes_need_all(job):
-        fit = _fit_beside(images, rectification, job, measured)
+        fit = _fit_beside(images, job, measured)
     target = measured.target
     if fit is not None and not alone:
         target = _turned(job, fit, target)
@@ -79,11 +79,8 @@ def _completed(images: Images, rectification: Rectification, job: Job, measured:
         target = replace(target, free_axis=axis, covariance=covariance)
     if job.kind_of(job.reference) not in ("circle", None):
         target = _referred(job, fit, target)
-    return replace(
-        measured,
-        target=target,
-        curves=() if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle"),
-    )
+    beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
+    return replace(measured, target=target, fits=measured.fits + beside)
 
 
 def _circles_tell_rotation(job: Job) -> bool:
@@ -104,21 +101,20 @@ def _sizes_need_all(job: Job) -> bool:
     return bool(kinds - {"radius", "flatness"}) or job.kind_of(job.reference) != "circle"
 
 
-def _fit_beside(
-    images: Images, rectification: Rectification, job: Job, measured: Measured
-) -> PlaneFit | None:
+def _fit_beside(images: StereoImages, job: Job, measured: Measured) -> PlaneFit | None:
     """One fit of the measured circles and the edges and slots where the pose puts them."""
     part = _part_pose(job, measured.target)
     face = Face(part[:3, 3], part[:3, :3].T)
     curves = []
-    for one in measured.fits:
-        x, y, height = face.from_rig(one.circle.centre_mm)
-        parameters = np.array([x, y, one.circle.radius_mm])
-        curves.append(Curve(one.circle.name, "circle", parameters, one.polarity, height_mm=height))
+    polarity = {one.name: one.curve.polarity for one in measured.fits}
+    for circle in measured.target.circles:
+        x, y, height = face.from_rig(circle.centre_mm)
+        parameters = np.array([x, y, circle.radius_mm])
+        curves.append(Curve(circle.name, "circle", parameters, polarity[circle.name], height_mm=height))
     free = job.search.polarity != "same"
     curves += [edge_curve(edge, free) for edge in job.edges]
     curves += [slot_curve(slot, free) for slot in job.slots]
-    return fit_plane(rectification.rig, (images.left, images.right), face, curves, NEAR_PARAMS)
+    return fit_plane(images.rig, images.raw, face, curves, NEAR_PARAMS)
 
 
 def _part_pose(job: Job, target: Target) -> FloatArray:
@@ -171,27 +167,25 @@ def _is_round(job: Job) -> bool:
 # --- parts without circles -------------------------------------------------------------------------
 
 
-def _from_edges(
-    images: Images, rectification: Rectification, job: Job, match: ShapeMatch
-) -> Measured | Reject:
+def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
     """A part of which only edges and slots are known."""
     free = job.search.polarity in EACH_EDGE_ITSELF
     sign = -1 if match.inverted and not free else 1
     curves = [edge_curve(edge, free, sign) for edge in job.edges]
     curves += [slot_curve(slot, free, sign) for slot in job.slots]
-    pose = start_pose(images, rectification, job, match, curves)
+    pose = start_pose(images, job, match, curves)
     if pose is None:
         return Reject.LEFT_RIGHT_MISMATCH
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    fit = fit_plane(rectification.rig, (images.left, images.right), face, curves, FAR_PARAMS)
+    fit = fit_plane(images.rig, images.raw, face, curves, FAR_PARAMS)
     motion = None if fit is None else find_motion(job, fit)
     if fit is None or motion is None:
         return Reject.FEW_EDGES
-    target = _target_from(rectification, job, match, fit, motion)
+    target = _target_from(images.rectification, job, match, fit, motion)
     reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
     if len(fit.fits) < min(MIN_EDGES, len(curves)) and not any(one.curve.kind == "slot" for one in fit.fits):
         reject |= Reject.FEW_EDGES
-    if math.isnan(target.epipolar_rms_px) and _has_rows(rectification, job, fit.face, motion):
+    if math.isnan(target.epipolar_rms_px) and _has_rows(images.rectification, job, fit.face, motion):
         reject |= Reject.LEFT_RIGHT_MISMATCH
     evidence = Evidence(
         _mean_support(curves, fit),
@@ -200,7 +194,7 @@ def _from_edges(
         *find_growth(job, fit),
         form_mm(job, fit, motion),
     )
-    return Measured(replace(target, reject=reject), evidence, (), fit.fits)
+    return Measured(replace(target, reject=reject), evidence, fit.fits)
 
 
 def _target_from(
@@ -222,12 +216,9 @@ def _target_from(
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T
     covariance[3:, 3:] += motion.covariance[2, 2] * np.outer(face.normal, face.normal)
-    origin = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
     target = Target(
         job=job.name,
-        match=Match(
-            float(origin[0]), float(origin[1]), match.angle_rad, match.scale_x, match.scale_y, match.score
-        ),
+        match=match_in_raw(rectification, match),
         rig_from_part=transform(face.axes.T @ about_z(motion.turn), values[:3]),
         covariance=covariance,
         circles=(),

@@ -1,33 +1,21 @@
-"""What a measurement starts from and what it gives: images, evidence, results."""
+"""What a measurement gives: results, and the evidence they stand on."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from edged.domain import Image, Target
-from edged.vision.curves.circle import CircleFit
+from edged.domain import Target
 from edged.vision.curves.planefit import CurveFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Images:
-    """One exposure: raw and rectified images (H, W) uint8."""
-
-    left: Image
-    right: Image
-    rectified_left: Image
-    rectified_right: Image
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A target, what it stands on, and the edges of its circles and its other features (for pictures)."""
+    """A target, what it stands on, and the fitted curves with their edges (for pictures)."""
 
     target: Target
     evidence: Evidence
-    fits: tuple[CircleFit, ...]
-    curves: tuple[CurveFit, ...] = ()
+    fits: tuple[CurveFit, ...]
 
 
 @dataclass(frozen=True, slots=True)

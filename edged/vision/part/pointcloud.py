@@ -17,9 +17,10 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Images, Measured
+from edged.vision.part.measured import Measured
 from edged.vision.stereo.matching import NccParams, Reason, match_ncc
 
 CONTOUR, FACE = 0, 1
@@ -52,14 +53,13 @@ class FacePoints:
     refused: dict[str, int]
 
 
-def point_cloud(
-    images: Images, rectification: Rectification, job: Job, measured: Sequence[Measured]
-) -> PointCloud:
+def point_cloud(images: StereoImages, job: Job, measured: Sequence[Measured]) -> PointCloud:
     """The contours and faces of all measured parts."""
+    rectification = images.rectification
     contours, faces = [np.zeros((0, 3))], []
     for one in measured:
         contours += [contour_points(rectification, *pair) for pair in edge_pairs(one)]
-        faces.append(face_points(images, rectification, one, job.limits.depth_mm))
+        faces.append(face_points(images, one, job.limits.depth_mm))
     contour = np.concatenate(contours)
     points = np.concatenate([contour, *(face.points_mm for face in faces)])
     kinds = np.full(len(points), FACE, np.uint8)
@@ -75,12 +75,10 @@ def point_cloud(
 
 def edge_pairs(one: Measured) -> list[tuple[FloatArray, FloatArray]]:
     """For each curve of a part the raw edge points (N, 2), left and right, that agree with it in both."""
-    curves = [(f.points_left, f.points_right, f.weights_left, f.weights_right) for f in one.fits]
-    curves += [(*c.points, *c.weights) for c in one.curves]
     pairs = []
-    for left, right, weight_left, weight_right in curves:
-        seen = (weight_left > MIN_WEIGHT) & (weight_right > MIN_WEIGHT)
-        pairs.append((left[seen], right[seen]))
+    for fit in one.fits:
+        left, right = fit.points[:, fit.weights.min(axis=0) > MIN_WEIGHT]
+        pairs.append((left, right))
     return pairs
 
 
@@ -91,8 +89,7 @@ def contour_points(rectification: Rectification, left: FloatArray, right: FloatA
 
 
 def face_points(
-    images: Images,
-    rectification: Rectification,
+    images: StereoImages,
     one: Measured,
     depth_mm: tuple[float, float],
     grid_px: int = GRID_PX,
@@ -102,10 +99,11 @@ def face_points(
 
     depth_mm : (nearest, farthest) rig z to search.
     """
+    rectification = images.rectification
     grid = _grid(rectification, one, grid_px)
     if not len(grid):
         return FacePoints(np.zeros((0, 3)), np.zeros(0), {})
-    ranges = _ranges(rectification, grid, depth_mm)
+    ranges = _ranges(images, grid, depth_mm)
     matches = match_ncc(images.rectified_left, images.rectified_right, grid, ranges, params)
     good = matches.accepted
     right_x = grid[good, 0] - matches.disparity_px[good]
@@ -136,11 +134,10 @@ def _grid(rectification: Rectification, one: Measured, step_px: int) -> FloatArr
     return np.column_stack([xs, ys]).astype(np.float64) * step_px + step_px // 2
 
 
-def _ranges(rectification: Rectification, grid: FloatArray, depth_mm: tuple[float, float]) -> FloatArray:
+def _ranges(images: StereoImages, grid: FloatArray, depth_mm: tuple[float, float]) -> FloatArray:
     """(N, 2) lowest and highest disparity of each point for depths along the rig's z."""
-    raw = rectification.raw_points("left", grid)
-    rays = np.column_stack([rectification.rig.left.normalise(raw), np.ones(len(raw))])
-    per_mm = rays @ rectification.rectified_from_left[2]
+    rectification = images.rectification
+    per_mm = images.rays("left", grid) @ rectification.rectified_from_left[2]
     nearest, farthest = (per_mm * depth for depth in depth_mm)
     strength = rectification.focal_px * rectification.baseline_mm
     shift = rectification.centre_left_px[0] - rectification.centre_right_px[0]

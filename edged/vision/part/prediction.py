@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import FloatArray, Match
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply
 from edged.vision.part.job import Job
@@ -17,7 +17,7 @@ def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_
     return np.asarray(match.apply(rectification.rectify_points("left", taught) - job.shape.origin_px))
 
 
-def rays(rectification: Rectification, rectified_px: FloatArray) -> FloatArray:
-    """Directions (N, 3) in the rig frame, with z = 1, of rectified left pixels (N, 2)."""
-    normalised = rectification.rig.left.normalise(rectification.raw_points("left", rectified_px))
-    return np.column_stack([normalised, np.ones(len(normalised))])
+def match_in_raw(rectification: Rectification, match: ShapeMatch) -> Match:
+    """A match as it is reported: its place in the left image as the camera delivers it."""
+    x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
+    return Match(float(x), float(y), match.angle_rad, match.scale_x, match.scale_y, match.score)

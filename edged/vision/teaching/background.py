@@ -13,6 +13,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rigid import apply
 from edged.vision.teaching.features import TeachingView
 
 MAX_MISMATCH_PX = 1.0
@@ -37,7 +38,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     """
     normal = rig_from_part[:3, 2]
     face = Plane(normal, float(normal @ rig_from_part[:3, 3]))
-    contours = find_contours(view.rectified_left, mask)
+    contours = find_contours(view.images.rectified_left, mask)
     agreeing = [_agreeing(view, face, contour) for contour in contours]
     total = sum(len(one) for one in agreeing)
     if not total or sum(np.count_nonzero(one) for one in agreeing) >= CLEAN_SHARE * total:
@@ -61,7 +62,9 @@ def _agreeing(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[
     lengths = np.linalg.norm(along_right, axis=1, keepdims=True)
     along_right = along_right / np.maximum(lengths, 1e-9)
     normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
-    offsets, slopes = edges_along_normals(view.rectified_right, 0.5 * (there + beside), normals, 2.0, 1)
+    offsets, slopes = edges_along_normals(
+        view.images.rectified_right, 0.5 * (there + beside), normals, 2.0, 1
+    )
     ratio = slopes / np.maximum(contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
         alike = (ratio < MAX_SLOPE_RATIO) & (ratio > 1 / MAX_SLOPE_RATIO)
@@ -70,16 +73,10 @@ def _agreeing(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[
 
 def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
     """(N, 2) of the rectified right image: where points of the left one are, if they lie in the face."""
-    rectification = view.rectification
-    raw = rectification.raw_points("left", rectified_px)
-    space = face.meet(np.column_stack([rectification.rig.left.normalise(raw), np.ones(len(raw))]))
-    seen = rectification.rig.right.project(_to_right(view, space))
-    return np.asarray(rectification.rectify_points("right", seen), np.float64)
-
-
-def _to_right(view: TeachingView, space: FloatArray) -> FloatArray:
-    right_from_left = view.rectification.rig.right_from_left
-    return np.asarray(space @ right_from_left[:3, :3].T + right_from_left[:3, 3])
+    rig = view.images.rig
+    space = face.meet(view.images.rays("left", rectified_px))
+    seen = rig.right.project(apply(rig.right_from_left, space))
+    return np.asarray(view.images.rectification.rectify_points("right", seen), np.float64)
 
 
 def _share(agrees: npt.NDArray[np.bool_], closed: bool) -> FloatArray:

@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import CurveFit, PlaneFit, PlaneFitParams, fit_plane
+from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.teaching.slots import fit_slot
@@ -41,7 +41,7 @@ TWIN_MM = 0.5
 CORNER_GAP_PX = 12.0
 MIN_CORNER_RAD = math.radians(20)
 PLANE_POINTS = 800
-PARAMS = PlaneFitParams(reach_px=(3.0, 2.0), min_support=0.5)
+PARAMS = FitParams(reach_px=(3.0, 2.0), min_support=0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +66,9 @@ class FoundFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeachingView:
-    """What is taught from: raw images, the rectified ones, and the region (h, w) in the left of these."""
+    """What is taught from: a stereo pair, and the region (h, w) in the rectified left image."""
 
-    rectification: Rectification
-    left: Image
-    right: Image
-    rectified_left: Image
-    rectified_right: Image
+    images: StereoImages
     mask: Image
 
 
@@ -96,24 +92,16 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
 
     depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
     """
-    contours = _strong(view, find_contours(view.rectified_left, view.mask))
+    contours = _strong(view, find_contours(view.images.rectified_left, view.mask))
     if not contours:
         return None
     points = np.concatenate([contour.points for contour in contours])
     normals = np.concatenate([contour.normals for contour in contours])
     chosen = np.arange(0, len(points), max(1, len(points) // PLANE_POINTS))
-    plane = find_plane(
-        view.rectification,
-        view.rectified_left,
-        view.rectified_right,
-        points[chosen],
-        normals[chosen],
-        1,
-        depth_mm,
-    )
+    plane = find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
     if plane is None:
         return None
-    space = _on_plane(view, plane, points[chosen])
+    space = plane.meet(view.images.rays("left", points[chosen]))
     centre = np.median(space[np.isfinite(space).all(axis=1)], axis=0)
     start = part_frame(plane.normal, centre)
     fit = _fitted(view, Face(centre, start[:3, :3].T), ())
@@ -126,7 +114,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
 def outline_mask(view: TeachingView) -> Image:
     """The region (h, w) uint8 reduced to the neighbourhood of its outlines, without table and texture."""
     mask = np.zeros_like(view.mask)
-    for contour in _strong(view, find_contours(view.rectified_left, view.mask)):
+    for contour in _strong(view, find_contours(view.images.rectified_left, view.mask)):
         pixels = np.rint(contour.points).astype(np.int32)
         cv2.polylines(mask, [pixels], contour.closed, 255, 2 * BAND_PX + 1)
     return np.asarray(np.minimum(mask, view.mask))
@@ -142,16 +130,14 @@ def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
 
 def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
     """The circles and all candidates that both images agree on, in one fit."""
-    contours = _strong(view, find_contours(view.rectified_left, _without(view, face, circles)))
+    contours = _strong(view, find_contours(view.images.rectified_left, _without(view, face, circles)))
     candidates = _slots(view, face, contours)
     beside = [contour for contour in contours if not _within(view, face, contour, candidates)]
     candidates += _edges(view, face, beside)
     for _ in range(4):
         if not candidates:
             return None
-        fit = fit_plane(
-            view.rectification.rig, (view.left, view.right), face, [*circles, *candidates], PARAMS
-        )
+        fit = fit_plane(view.images.rig, view.images.raw, face, [*circles, *candidates], PARAMS)
         if fit is None:
             return None
         good = {one.curve.name for one in fit.fits if _is_clear(one)}
@@ -164,7 +150,7 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
 
 def _is_clear(fit: CurveFit) -> bool:
     return bool(
-        fit.support.min() >= MIN_SUPPORT
+        fit.least_support >= MIN_SUPPORT
         and fit.rms_px <= MAX_RMS_PX
         and abs(fit.mismatch_px) <= MAX_MISMATCH_PX
     )
@@ -172,7 +158,7 @@ def _is_clear(fit: CurveFit) -> bool:
 
 def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
     """The contours that outline something: a step between two plateaus, as strong as most in the region."""
-    everything = find_contours(view.rectified_left, view.mask)
+    everything = find_contours(view.images.rectified_left, view.mask)
     if not everything:
         return []
     needed = MIN_STEP_SHARE * float(np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90))
@@ -182,7 +168,7 @@ def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
 def _steps(view: TeachingView, contour: Contour) -> FloatArray:
     """(N,) slopes across a contour through an operator too wide for machining marks."""
     _, slopes = edges_along_normals(
-        view.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
+        view.images.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
     )
     return np.nan_to_num(slopes)
 
@@ -192,24 +178,16 @@ def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
     mask = view.mask.copy()
     for circle in circles:
         ring = circle.outline(np.linspace(0, 1, 200)).points
-        raw = view.rectification.rig.left.project(
-            face.to_rig(np.column_stack([ring, np.full(200, circle.height_mm)]))
-        )
-        pixels = np.rint(view.rectification.rectify_points("left", raw)).astype(np.int32)
+        raw = view.images.rig.left.project(face.to_rig(ring))
+        pixels = np.rint(view.images.rectification.rectify_points("left", raw)).astype(np.int32)
         cv2.polylines(mask, [pixels], True, 0, BAND_PX)
     return mask
-
-
-def _on_plane(view: TeachingView, plane: Plane, rectified_px: FloatArray) -> FloatArray:
-    raw = view.rectification.raw_points("left", rectified_px)
-    rays = np.column_stack([view.rectification.rig.left.normalise(raw), np.ones(len(raw))])
-    return plane.meet(rays)
 
 
 def _in_face(view: TeachingView, face: Face, rectified_px: FloatArray) -> FloatArray:
     """(N, 2) in the face of points in the rectified left image."""
     plane = Plane(face.normal, float(face.normal @ face.origin))
-    return face.from_rig(_on_plane(view, plane, rectified_px))[:, :2]
+    return face.from_rig(plane.meet(view.images.rays("left", rectified_px)))[:, :2]
 
 
 def _slots(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curve]:
@@ -279,7 +257,7 @@ def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
     edges.sort(key=_order(lambda curve: curve.length_mm))
     named = [replace(curve, name=f"e{k}") for k, curve in enumerate(edges)]
     origin_z = float(fit.face.origin[2])
-    gap_mm = CORNER_GAP_PX * origin_z / view.rectification.rig.left.fx
+    gap_mm = CORNER_GAP_PX * origin_z / view.images.rig.left.fx
     return FoundFeatures(
         tuple(_edge_feature(curve) for curve in named),
         tuple(_slot_feature(curve, f"s{k}") for k, curve in enumerate(slots)),

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
-from edged.errors import ImageError, TeachError
-from edged.vision.curves.circle import CircleFit, CircleFitParams, CircleGuess
-from edged.vision.curves.circlefit import fit_circle, fit_face
-from edged.vision.curves.outlines import Curve
+from edged.domain import Circle3D, FloatArray, Image
+from edged.errors import TeachError
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import CurveFit, FitParams, fit_circle, fit_plane
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert, transform
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.edgeidentity import is_double
+from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
 from edged.vision.shape.learning import create_model
@@ -60,24 +61,8 @@ def teach(
     Raises `TeachError` when the region shows no usable shape or no circle that both cameras see, `ImageError`
     when the images do not fit the rig.
     """
-    for side, image, camera in (
-        ("left", left, rectification.rig.left),
-        ("right", right, rectification.rig.right),
-    ):
-        if image.shape != (camera.height, camera.width):
-            raise ImageError(
-                f"{side} image: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for "
-                f"{camera.width}x{camera.height}"
-            )
-    view = TeachingView(
-        rectification,
-        left,
-        right,
-        rectification.left_image(left),
-        rectification.right_image(right),
-        _mask(region, exclude, rectification),
-    )
-    ellipses = find_ellipses(view.rectified_left, view.mask)
+    view = TeachingView(StereoImages.of(rectification, left, right), _mask(region, exclude, rectification))
+    ellipses = find_ellipses(view.images.rectified_left, view.mask)
     try:
         circles = _circles(view, ellipses)
     except TeachError:
@@ -85,17 +70,18 @@ def teach(
         if edges is None:
             raise
         return _job(view, params, name, number, *edges)
-    rig_from_part = _part_frame(circles[0])
+    reference = circles[0].circle
+    rig_from_part = part_frame(reference.normal, reference.centre_mm)
     view = replace(view, mask=without_background(view, rig_from_part, view.mask))
     features = tuple(
         CircleFeature(
-            fit.circle.name,
-            apply(invert(rig_from_part), fit.circle.centre_mm),
-            fit.circle.radius_mm,
-            fit.polarity,
-            is_double((left, right), rectification, fit),
+            one.circle.name,
+            apply(invert(rig_from_part), one.circle.centre_mm),
+            one.circle.radius_mm,
+            one.fit.curve.polarity,
+            is_double(view.images, one),
         )
-        for fit in circles
+        for one in circles
     )
     curves = [
         Curve(
@@ -108,39 +94,28 @@ def teach(
         for one in features
     ]
     found, _ = find_features(view, rig_from_part, curves)
-    sigma_mm = circles[0].circle.sigma_radius_mm
+    sigma_mm = reference.sigma_radius_mm
     return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
-def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[CircleFit]:
+def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[FoundCircle]:
     """The circles of the face, measured together, largest first."""
     if not ellipses:
         raise TeachError(
             "no circle found inside the region, and no face with straight edges: a job needs a feature that "
             "both cameras see"
         )
-    rectification, left, right = view.rectification, view.left, view.right
-    face, reference = _reference(
-        left, right, view.rectified_left, view.rectified_right, rectification, ellipses
-    )
-    others = _others(left, right, rectification, ellipses, face, reference)
-    fits = _named([reference, *others])
-    together = fit_face(
-        rectification.rig,
-        left,
-        right,
-        _guesses(fits),
-        reference.circle.normal,
-        CircleFitParams(reach_px=(2.0,)),
-    )
-    if together is not None:
-        fits = [together.first, *(fit for fit in together.others if fit is not None)]
-    return fits
+    face, reference = _reference(view.images, ellipses)
+    found = _in_order([reference, *_others(view.images, ellipses, face, reference)])
+    together = fit_plane(view.images.rig, view.images.raw, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
+    if together is None or together.fit_of("c0") is None:
+        return [replace(one, circle=replace(one.circle, name=f"c{k}")) for k, one in enumerate(found)]
+    return circles_in_rig(together)
 
 
 def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | None:
     """Pose, reference and features of a part without circles: its longest slot, or else a corner."""
-    amid = find_edge_face(view, _common_depths(view.rectification))
+    amid = find_edge_face(view, _common_depths(view.images.rectification))
     if amid is None:
         return None
     found, amid = find_features(view, amid)
@@ -166,15 +141,15 @@ def _job(
     circles: tuple[CircleFeature, ...] = (),
     sigma_mm: float = 0.0,
 ) -> Job:
-    rectification = view.rectification
+    rectification = view.images.rectification
     depth = float(rig_from_part[2, 3])
     if circles:
         place = rectification.rig.left.project(rig_from_part[None, :3, 3])
         origin = rectification.rectify_points("left", place)[0]
-        shape = create_model(view.rectified_left, view.mask, origin, params)
+        shape = create_model(view.images.rectified_left, view.mask, origin, params)
     else:  # its origin amid the part: from a corner, overlapping matches would look far apart
         mask = without_background(view, rig_from_part, outline_mask(view))
-        shape = create_model(view.rectified_left, mask, params=params)
+        shape = create_model(view.images.rectified_left, mask, params=params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=name,
@@ -207,58 +182,39 @@ def _mask(region: Area, exclude: Sequence[Area], rectification: Rectification) -
     return np.asarray(np.minimum(mask, rectification.valid_left))
 
 
-def _reference(
-    left: Image,
-    right: Image,
-    rectified_left: Image,
-    rectified_right: Image,
-    rectification: Rectification,
-    ellipses: list[ImageEllipse],
-) -> tuple[Plane, CircleFit]:
+def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
     """The largest circle that both cameras see, and the plane it lies in."""
     for ellipse in ellipses:
         points, normals = ellipse.outline(240)
-        plane = find_plane(
-            rectification,
-            rectified_left,
-            rectified_right,
-            points,
-            normals,
-            ellipse.polarity,
-            _common_depths(rectification),
-        )
+        depths_mm = _common_depths(images.rectification)
+        plane = find_plane(images, points, normals, ellipse.polarity, depths_mm)
         if plane is None:
             continue
-        fit = _fit_on(plane, left, right, rectification, ellipse, fixed_normal=False)
-        if fit is not None and _is_clear(fit):
-            centre, normal = fit.circle.centre_mm, fit.circle.normal
-            return Plane(normal, float(normal @ centre)), fit
+        found = _fit_on(plane, images, ellipse, fixed_normal=False)
+        if found is not None and _is_clear(found.fit):
+            circle = found.circle
+            return Plane(circle.normal, float(circle.normal @ circle.centre_mm)), found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images?"
     )
 
 
-def _is_clear(fit: CircleFit) -> bool:
+def _is_clear(fit: CurveFit) -> bool:
     """Whether both images show this circle, whole and in one place."""
-    return min(fit.support_left, fit.support_right) >= MIN_SUPPORT and fit.rms_px <= MAX_RMS_PX
+    return fit.least_support >= MIN_SUPPORT and fit.rms_px <= MAX_RMS_PX
 
 
 def _others(
-    left: Image,
-    right: Image,
-    rectification: Rectification,
-    ellipses: list[ImageEllipse],
-    face: Plane,
-    reference: CircleFit,
-) -> list[CircleFit]:
+    images: StereoImages, ellipses: list[ImageEllipse], face: Plane, reference: FoundCircle
+) -> list[FoundCircle]:
     """The other circles of the face, each verified in both images."""
-    found: list[CircleFit] = []
+    found: list[FoundCircle] = []
     for ellipse in ellipses:
-        fit = _fit_on(face, left, right, rectification, ellipse, fixed_normal=True)
-        if fit is None or not _is_clear(fit):
+        one = _fit_on(face, images, ellipse, fixed_normal=True)
+        if one is None or not _is_clear(one.fit):
             continue
-        circle = fit.circle
+        circle = one.circle
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
         sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
         if (
@@ -267,59 +223,67 @@ def _others(
         ):
             continue
         # the two edges of a chamfer are one feature: the first, stronger one stays
-        if any(_twins(fit, other) for other in (reference, *found)):
+        if any(_are_duplicates(circle, other.circle) for other in (reference, *found)):
             continue
-        found.append(fit)
+        found.append(one)
     return found
 
 
-def _twins(one: CircleFit, other: CircleFit) -> bool:
-    apart = float(np.linalg.norm(one.circle.centre_mm - other.circle.centre_mm))
-    return apart < 0.3 and abs(one.circle.radius_mm - other.circle.radius_mm) < 0.3
+def _are_duplicates(one: Circle3D, other: Circle3D) -> bool:
+    apart = float(np.linalg.norm(one.centre_mm - other.centre_mm))
+    return apart < 0.3 and abs(one.radius_mm - other.radius_mm) < 0.3
 
 
 def _fit_on(
-    plane: Plane,
-    left: Image,
-    right: Image,
-    rectification: Rectification,
-    ellipse: ImageEllipse,
-    *,
-    fixed_normal: bool,
-) -> CircleFit | None:
+    plane: Plane, images: StereoImages, ellipse: ImageEllipse, *, fixed_normal: bool
+) -> FoundCircle | None:
     outline, _ = ellipse.outline(32)
-    rays = np.column_stack(
-        [rectification.rig.left.normalise(rectification.raw_points("left", outline)), np.ones(len(outline))]
-    )
-    space = plane.meet(rays)
+    space = plane.meet(images.rays("left", outline))
     if not np.isfinite(space).all() or (space[:, 2] <= 0).any():
         return None
     centre = space.mean(axis=0)
     radius = float(np.linalg.norm(space - centre, axis=1).mean())
-    reach = CircleFitParams(reach_px=(4.0, 3.0, 2.0))
-    return fit_circle(
-        rectification.rig,
-        left,
-        right,
-        CircleGuess("c", centre, radius, ellipse.polarity),
+    params = FitParams(reach_px=(4.0, 3.0, 2.0))
+    fit = fit_circle(
+        images.rig,
+        images.raw,
+        centre,
         plane.normal,
-        reach,
+        radius,
+        ellipse.polarity,
+        params,
         fixed_normal=fixed_normal,
     )
+    return None if fit is None else circle_in_rig(fit, "circle")
 
 
-def _guesses(fits: list[CircleFit]) -> list[CircleGuess]:
-    """The circles as found, those that do not stand off the face by more than their doubt laid into it."""
-    normal, origin = fits[0].circle.normal, fits[0].circle.centre_mm
-    guesses = []
-    for fit in fits:
-        centre = fit.circle.centre_mm
-        off = float(normal @ (centre - origin))
-        sigma = float(np.sqrt(normal @ fit.circle.covariance[:3, :3] @ normal))
-        if abs(off) < max(IN_FACE_MM, 3 * sigma):
-            centre = centre - off * normal
-        guesses.append(CircleGuess(fit.circle.name, centre, fit.circle.radius_mm, fit.polarity))
-    return guesses
+def _laid_in_face(found: list[FoundCircle]) -> tuple[Face, list[Curve]]:
+    """The circles as curves of the plane of the first; those hardly off it are laid into it."""
+    reference = found[0].circle
+    frame = part_frame(reference.normal, reference.centre_mm)
+    face = Face(frame[:3, 3], frame[:3, :3].T)
+    curves = []
+    for k, one in enumerate(found):
+        x, y, height = face.from_rig(one.circle.centre_mm)
+        sigma = float(np.sqrt(face.normal @ one.circle.covariance[:3, :3] @ face.normal))
+        curves.append(
+            Curve(
+                f"c{k}",
+                "circle",
+                np.array([x, y, one.circle.radius_mm]),
+                one.fit.curve.polarity,
+                height_mm=0.0 if abs(height) < max(IN_FACE_MM, 3 * sigma) else float(height),
+            )
+        )
+    return face, curves
+
+
+def _in_order(found: list[FoundCircle]) -> list[FoundCircle]:
+    """By falling radius; equal ones in reading order, so that names are repeatable."""
+    return sorted(
+        found,
+        key=lambda one: (-round(one.circle.radius_mm, 1), *np.round(one.circle.centre_mm[1::-1], 1)),
+    )
 
 
 def _common_depths(rectification: Rectification) -> tuple[float, float]:
@@ -330,16 +294,3 @@ def _common_depths(rectification: Rectification) -> tuple[float, float]:
     nearest = strength / (width + shift) if width + shift > 0 else strength / width
     farthest = strength / max(shift - width, 0.02 * strength / nearest)
     return max(nearest, 1.0), min(farthest, 20 * nearest)
-
-
-def _named(fits: list[CircleFit]) -> list[CircleFit]:
-    """c0, c1, ... by falling radius; equal ones in reading order, so that names are repeatable."""
-    ordered = sorted(
-        fits, key=lambda f: (-round(f.circle.radius_mm, 1), *np.round(f.circle.centre_mm[1::-1], 1))
-    )
-    return [fit.renamed(f"c{index}") for index, fit in enumerate(ordered)]
-
-
-def _part_frame(reference: CircleFit) -> FloatArray:
-    """Origin in the centre, z away from the cameras, x the rig's x axis projected into the face."""
-    return part_frame(reference.circle.normal, reference.circle.centre_mm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import part as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain import FloatArray
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification, make_rectification
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part import initialplane as startplane
 from edged.vision.part.initialplane import find_plane
 
@@ -28,10 +30,9 @@ def rectification() -> Rectification:
     return make_rectification(RIG)
 
 
-def rectified(rectification: Rectification, where: FloatArray, seed: int = 0) -> tuple[Image, Image]:
-    """Both rectified views of the disc at a pose."""
-    left, right = pictures(RIG, scene((DISC, where)), seed)
-    return rectification.left_image(left), rectification.right_image(right)
+def seen(rectification: Rectification, where: FloatArray, seed: int = 0) -> StereoImages:
+    """The disc at a pose."""
+    return StereoImages.of(rectification, *pictures(RIG, scene((DISC, where)), seed))
 
 
 def outline(
@@ -54,17 +55,17 @@ def depths(rectification: Rectification, where: FloatArray, share: float = 0.06)
     return depth * (1 - share), depth * (1 + share)
 
 
-def find(rectification: Rectification, where: FloatArray, left: Image, right: Image) -> Plane | None:
+def find(images: StereoImages, where: FloatArray) -> Plane | None:
     """`find_plane` for the disc's outline."""
-    points, normals = outline(rectification, where)
-    return find_plane(rectification, left, right, points, normals, -1, depths(rectification, where))
+    points, normals = outline(images.rectification, where)
+    return find_plane(images, points, normals, -1, depths(images.rectification, where))
 
 
 @pytest.mark.parametrize(("turn_deg", "tilt_deg"), [(0.0, 0.0), (0.0, 6.0), (120.0, 6.0), (250.0, 12.0)])
 def test_the_plane_is_found(rectification: Rectification, turn_deg: float, tilt_deg: float) -> None:
     """From an outline 1.5 px off, half-resolution images: direction to 0.2°, distance to 0.1 mm."""
     where = pose(turn_deg=turn_deg, tilt_deg=tilt_deg)
-    plane = find(rectification, where, *rectified(rectification, where))
+    plane = find(seen(rectification, where), where)
     assert plane is not None
     assert math.degrees(math.acos(min(1.0, plane.normal @ -where[:3, 2]))) < 0.2
     assert plane.normal[2] < 0
@@ -74,44 +75,44 @@ def test_the_plane_is_found(rectification: Rectification, turn_deg: float, tilt_
 def test_a_blank_image_has_no_plane(rectification: Rectification) -> None:
     """Nothing on the right, or nothing on the left: None."""
     where = pose(tilt_deg=3.0)
-    left, right = rectified(rectification, where)
-    blank = np.full_like(right, 70)
-    assert find(rectification, where, left, blank) is None
-    assert find(rectification, where, blank, right) is None
+    images = seen(rectification, where)
+    blank = np.full_like(images.rectified_right, 70)
+    assert find(replace(images, rectified_right=blank), where) is None
+    assert find(replace(images, rectified_left=blank), where) is None
 
 
 def test_a_part_out_of_range_has_no_plane(rectification: Rectification) -> None:
     """Disparities are searched within the depth limits only: a disc 40 mm away from them is not found."""
     where = pose()
-    left, right = rectified(rectification, where)
+    images = seen(rectification, where)
     points, normals = outline(rectification, where)
     near, far = depths(rectification, where, share=0.02)
-    plane = find_plane(rectification, left, right, points, normals, -1, (near + 40, far + 40))
+    plane = find_plane(images, points, normals, -1, (near + 40, far + 40))
     assert plane is None
 
 
 def test_points_that_are_no_numbers_are_left_out(rectification: Rectification) -> None:
     """NaN among the points changes little; only NaN, or no points, is None."""
     where = pose(tilt_deg=2.0)
-    left, right = rectified(rectification, where)
+    images = seen(rectification, where)
     points, normals = outline(rectification, where)
     limits = depths(rectification, where)
     some = points.copy()
     some[::5] = np.nan
-    plane = find_plane(rectification, left, right, some, normals, -1, limits)
+    plane = find_plane(images, some, normals, -1, limits)
     assert plane is not None
     assert plane.normal @ -where[:3, 2] > math.cos(math.radians(0.3))
     nowhere = np.full_like(points, np.nan)
-    assert find_plane(rectification, left, right, nowhere, normals, -1, limits) is None
+    assert find_plane(images, nowhere, normals, -1, limits) is None
     none = np.zeros((0, 2))
-    assert find_plane(rectification, left, right, none, none, -1, limits) is None
+    assert find_plane(images, none, none, -1, limits) is None
 
 
 def test_the_same_images_give_the_same_bits(rectification: Rectification) -> None:
     """The random trials are always the same ones."""
     where = pose(tilt_deg=4.0)
-    views = rectified(rectification, where)
-    one, two = find(rectification, where, *views), find(rectification, where, *views)
+    images = seen(rectification, where)
+    one, two = find(images, where), find(images, where)
     assert one is not None
     assert two is not None
     assert np.array_equal(one.normal, two.normal)

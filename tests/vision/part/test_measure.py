@@ -19,10 +19,11 @@ from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
 from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.flatness import form_of
 from edged.vision.part.job import Job, MeasurementSpec, nominal_size
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Images, Measured
+from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import CONTOUR, FACE
 from edged.vision.shape.search import find_shapes
 
@@ -233,11 +234,10 @@ def test_an_ambiguous_rotation_is_refused() -> None:
     here = cell("plate")
     left, right = here.see(pose())
     rectification = here.rig.rectification
-    views = rectification.left_image(left), rectification.right_image(right)
-    (match,) = find_shapes(views[0], here.job.shape, here.job.search, rectification.valid_left)
-    images = Images(left, right, *views)
+    images = StereoImages.of(rectification, left, right)
+    (match,) = find_shapes(images.rectified_left, here.job.shape, here.job.search, rectification.valid_left)
     for ambiguous, expected in ((False, Reject.NONE), (True, Reject.AMBIGUOUS_ROTATION)):
-        result = measure_part(images, rectification, here.job, replace(match, ambiguous=ambiguous))
+        result = measure_part(images, here.job, replace(match, ambiguous=ambiguous))
         assert isinstance(result, Measured)
         assert result.target.reject == expected
 

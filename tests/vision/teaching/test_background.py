@@ -12,6 +12,7 @@ from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
 from edged.domain import FloatArray
 from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import TeachingView
@@ -70,11 +71,10 @@ def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectificati
 def test_on_a_quiet_table_the_region_stays_as_it_is(flat: Flange, rectification: Rectification) -> None:
     """Nothing is cut where most edges are the part's; at a wrong depth no edge agrees, and nothing is cut
     either: then the region speaks for itself."""
-    left, right = rectification.left_image(flat.left), rectification.right_image(flat.right)
-    mask = np.zeros_like(left)
+    mask = np.zeros_like(rectification.left_image(flat.left))
     x, y = outline_px(flat, rectification, pose())[:720].mean(axis=0).round().astype(int)
     mask[y - 130 : y + 130, x - 130 : x + 130] = 255
-    view = TeachingView(rectification, flat.left, flat.right, left, right, mask)
+    view = TeachingView(StereoImages.of(rectification, flat.left, flat.right), mask)
     np.testing.assert_array_equal(without_background(view, pose(), mask), mask)
 
     np.testing.assert_array_equal(without_background(view, pose((8.0, 0.0, 260.0)), mask), mask)
