@@ -130,7 +130,7 @@ def _by_part(
     measured = [target for target in outcome.targets if not target.reject & ~TELLING]
     if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")
-    target = undoubted(measured[0])
+    target = undoubted(measured[0], rig.baseline_mm)
     lengths = tuple(_length_of(target, name, true_mm) for name, true_mm in known.items())
     return _judged(target.epipolar_rms_px, lengths, limits, None)
 

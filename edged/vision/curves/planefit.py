@@ -203,14 +203,16 @@ def _fitted(start: _State, params: FitParams) -> PlaneFit | None:
         return None
     if params.repeats:
         state = state.with_polarity(params.reach_px[-1], params.spacing_px)
-    for _ in range(params.repeats):
+    left = params.repeats
+    while left:
         step = state.step(params.reach_px[-1], params.spacing_px, final=True)
         kept = [] if step is None else step.supported(params.min_support)
         if step is None or not kept:
             return None
         if params.min_support and len(kept) < len(state.curves):  # what is not there must not pull the others
-            state, step = replace(state, curves=tuple(state.curves[k] for k in kept)), None
+            state = replace(state, curves=tuple(state.curves[k] for k in kept))
             continue
+        left -= 1
         moved = state.moved(step)
         if moved is None:
             return None

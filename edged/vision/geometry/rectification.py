@@ -105,11 +105,12 @@ class Rectification:
         interpolation: Interpolation,
         side: Side,
     ) -> Image:
-        if image.shape != (camera.height, camera.width) or image.dtype != np.uint8:
+        if image.dtype != np.uint8:
+            raise ImageError(f"{side} image: {image.dtype} pixels, expected 8-bit grey")
+        if image.shape != (camera.height, camera.width):
             found = "x".join(str(n) for n in reversed(image.shape))
             raise ImageError(
-                f"{side} image: {found} {image.dtype}, the rig was calibrated for "
-                f"{camera.width}x{camera.height}, 8-bit grey"
+                f"{side} image: {found}, the rig was calibrated for {camera.width}x{camera.height}"
             )
         result = cv2.remap(
             image,

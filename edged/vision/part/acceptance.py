@@ -31,7 +31,7 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
     ):
         if share * float(np.linalg.norm(target.position_mm)) > limits.max_sigma_mm:
             reject |= reason
-    return replace(doubted(target, math.hypot(by_rows, by_sizes)), reject=reject)
+    return replace(doubted(target, math.hypot(by_rows, by_sizes), rectification.baseline_mm), reject=reject)
 
 
 def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:

@@ -128,47 +128,73 @@ def _beyond(value: float, explained: float) -> float:
     return abs(value) if abs(value) > explained else 0.0
 
 
-def doubted(target: Target, share: float) -> Target:
+def doubted(target: Target, share: float, baseline_mm: float) -> Target:
     """The target with a doubt about its distance, a share of it, in every covariance."""
     if share == 0:
         return target
     doubt_mm = share * float(np.linalg.norm(target.position_mm))
-    return replace(_widened(target, share**2), doubt_mm=doubt_mm)
+    return replace(_widened(target, share**2, baseline_mm), doubt_mm=doubt_mm)
 
 
-def undoubted(target: Target) -> Target:
+def undoubted(target: Target, baseline_mm: float) -> Target:
     """The target as if the rig were beyond doubt: for who wants to know from it whether the rig is."""
     share = target.doubt_mm / float(np.linalg.norm(target.position_mm))
-    return replace(_widened(target, -(share**2)), doubt_mm=0.0)
+    return replace(_widened(target, -(share**2), baseline_mm), doubt_mm=0.0)
 
 
-def _widened(target: Target, square: float) -> Target:
-    """With a variance of the distance, in squared shares of it, added to every covariance."""
+def _widened(target: Target, square: float, baseline_mm: float) -> Target:
+    """With a variance of the distance, in squared shares of it, added to every covariance.
+
+    What moves one image by s moves the mean of both by s / 2: the place across the ray is in doubt, too, by
+    the share of half a baseline.
+    """
     normal = target.rig_from_part[:3, 2]
     covariance = target.covariance.copy()
     covariance[:3, :3] += square * np.outer(target.position_mm, target.position_mm)
+    ray = target.position_mm / np.linalg.norm(target.position_mm)
+    aside = square * (0.5 * baseline_mm) ** 2 * (np.eye(3) - np.outer(ray, ray))
+    covariance[:3, :3] += aside
     return replace(
         target,
         covariance=covariance,
-        circles=tuple(_grown(one, square, one.centre_mm, one.radius_mm) for one in target.circles),
-        edges=tuple(_grown(one, square, _across(one, normal), 0.0) for one in target.edges),
-        slots=tuple(_grown(one, square, one.centre_mm, one.length_mm, one.width_mm) for one in target.slots),
-        corners=tuple(_grown(one, square, one.position_mm) for one in target.corners),
+        circles=tuple(_grown(one, square, aside, one.centre_mm, one.radius_mm) for one in target.circles),
+        edges=tuple(
+            _grown(one, square, _aside_of(one, normal, aside), _across(one, normal), 0.0)
+            for one in target.edges
+        ),
+        slots=tuple(
+            _grown(one, square, aside, one.centre_mm, one.length_mm, one.width_mm) for one in target.slots
+        ),
+        corners=tuple(_grown(one, square, aside, one.position_mm) for one in target.corners),
         measurements=tuple(_measurement(one, square) for one in target.measurements),
     )
 
 
-def _grown(one: Feature, square: float, *lengths_mm: FloatArray | float) -> Feature:
-    """A feature whose covariance is of these lengths, all of which grow with the distance."""
+def _grown(one: Feature, square: float, aside: FloatArray, *lengths_mm: FloatArray | float) -> Feature:
+    """A feature whose covariance is of these lengths, all of which grow with the distance.
+
+    aside (k, k) : variance of the first of them that does not come from the distance.
+    """
     growth = np.hstack(lengths_mm)
-    return replace(one, covariance=one.covariance + square * np.outer(growth, growth))
+    covariance = one.covariance + square * np.outer(growth, growth)
+    covariance[: len(aside), : len(aside)] += aside
+    return replace(one, covariance=covariance)
+
+
+def _aside_of(one: Edge3D, normal: FloatArray, aside: FloatArray) -> FloatArray:
+    """(1, 1) of a variance in space (3, 3): across an edge."""
+    across = _direction_across(one, normal)
+    return np.array([[across @ aside @ across]])
+
+
+def _direction_across(one: Edge3D, normal: FloatArray) -> FloatArray:
+    along = one.end_mm - one.start_mm
+    return np.asarray(np.cross(normal, along / np.linalg.norm(along)))
 
 
 def _across(one: Edge3D, normal: FloatArray) -> float:
     """How far the edge lies from the camera's foot on the face, across itself."""
-    along = one.end_mm - one.start_mm
-    across = np.cross(normal, along / np.linalg.norm(along))
-    return float(across @ (0.5 * (one.start_mm + one.end_mm)))
+    return float(_direction_across(one, normal) @ (0.5 * (one.start_mm + one.end_mm)))
 
 
 def _measurement(one: Measurement, square: float) -> Measurement:

@@ -60,7 +60,7 @@ def test_a_good_picture_leaves_no_doubt(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "across_px"), [("disc", 0.3), ("disc", -0.45), ("plate", 0.3), ("round", 0.4)]
+    ("name", "across_px"), [("disc", 0.3), ("disc", -0.45), ("disc", 0.55), ("plate", 0.3), ("round", 0.4)]
 )
 def test_a_camera_knocked_askew(name: str, across_px: float) -> None:
     """What rows show of a knock, the distance may have as well: an error of 0.1 mm is within three sigmas."""
@@ -130,18 +130,21 @@ def test_growth_is_what_all_sizes_have_in_common() -> None:
 def test_a_doubt_is_in_every_length_and_can_be_taken_out_again(name: str) -> None:
     """A share of 0.1 % of the distance: as much of every radius; without it, all is as before."""
     target = good(name)
-    vague = doubted(target, 0.001)
+    vague = doubted(target, 0.001, 60.0)
     distance = float(np.linalg.norm(target.position_mm))
     assert vague.doubt_mm == pytest.approx(0.001 * distance)
     ray = target.position_mm / distance
     more = ray @ (vague.covariance - target.covariance)[:3, :3] @ ray
     assert math.sqrt(more) == pytest.approx(0.001 * distance)
+    across = np.cross(ray, [0.0, 1.0, 0.0])
+    beside = across @ (vague.covariance - target.covariance)[:3, :3] @ across / (across @ across)
+    assert math.sqrt(beside) == pytest.approx(0.001 * 0.5 * 60.0)  # half of what one camera's knock does
     for one, two in zip(target.circles, vague.circles, strict=True):
         added = math.sqrt(two.sigma_radius_mm**2 - one.sigma_radius_mm**2)
         assert added == pytest.approx(0.001 * one.radius_mm)
     for before, after in zip(target.corners, vague.corners, strict=True):
         assert np.trace(after.covariance) > np.trace(before.covariance)
-    again = undoubted(vague)
+    again = undoubted(vague, 60.0)
     assert again.doubt_mm == 0.0
     np.testing.assert_allclose(again.covariance, target.covariance, atol=1e-12)
     for edge, same in zip(target.edges, again.edges, strict=True):

@@ -48,16 +48,17 @@ def outline_px(flat: Flange, rectification: Rectification, where: FloatArray) ->
 
 
 def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectification) -> None:
-    """In a region with much of the table nine of ten model points lie on the part, and it is found on another
+    """In regions with much of the table nine of ten model points lie on the part, and it is found on another
     such table, turned and nearer, to 0.5 px."""
-    left, right = pictures(flat.rig, scene((flat.part, pose()), table=TABLE))
     region = region_around(flat.rig, pose()[:3, 3], 16.0)
-    job = teach(left, right, rectification, region, "flange")
-
-    points = job.shape.levels[0].points + job.shape.origin_px
-    outline = outline_px(flat, rectification, pose())
-    apart = np.array([np.linalg.norm(outline - point, axis=1).min() for point in points])
-    assert np.mean(apart < 2.0) > 0.9
+    outline, shares = outline_px(flat, rectification, pose()), []
+    for seed in range(9, 15):
+        pair = pictures(flat.rig, scene((flat.part, pose()), table=replace(TABLE, seed=seed)))
+        job = teach(*pair, rectification, region, "flange")
+        points = job.shape.levels[0].points + job.shape.origin_px
+        apart = np.array([np.linalg.norm(outline - point, axis=1).min() for point in points])
+        shares.append(np.mean(apart < 2.0))
+    assert np.mean(shares) > 0.9
 
     x, y, z = PLACE_MM
     there = pose((x - 2.0, y + 1.5, z - 3.0), turn_deg=100.0)
