@@ -56,7 +56,9 @@ RUNAWAY = 0.5
 """Of its size: a curve that would move by more in one step stays, and must not take the others with it."""
 MAX_SLOPE, MAX_RISE = 0.5, 0.2
 """Of the plane in one step: slope, and height in shares of the distance."""
-PROBE_MM = 0.01  # for the scale of the image at a curve
+PROBE_MM = 0.01
+PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""A point and two beside it, for the scale of the image there."""
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
@@ -157,8 +159,7 @@ def fit_plane(
     fixed_normal : the plane's direction is known better from elsewhere (a small hole in a large face).
     fixed_radius : circles keep theirs; rivals beside a rim then do not fit.
     """
-    start = _State(rig, images, face, tuple(curves), params, fixed_normal, fixed_radius)
-    return None if not start.is_visible() else _fitted(start, params)
+    return _fitted(_State(rig, images, face, tuple(curves), params, fixed_normal, fixed_radius))
 
 
 def fit_circle(
@@ -186,8 +187,9 @@ def fit_circle(
     )
 
 
-def _fitted(start: _State, params: FitParams) -> PlaneFit | None:
+def _fitted(start: _State) -> PlaneFit | None:
     """Lay the curves where they are, then measure them."""
+    params = start.params
     state: _State | None = start
     step: _Step | None = None
     spacing_px = max(params.spacing_px, COARSE_SPACING_PX)
@@ -277,39 +279,32 @@ class _State:
     fixed_normal: bool
     fixed_radius: bool
 
-    def is_visible(self) -> bool:
-        """Whether the curves lie before the cameras, in sizes that an image can show."""
-        scales = self._px_per_mm()
-        for curve, scale in zip(self.curves, scales, strict=True):
-            length = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
-            least = 2 * math.pi * MIN_RADIUS_PX if curve.kind == "circle" else MIN_LENGTH_PX
-            if not least < length < MAX_LENGTH_PX:  # False for NaN
-                return False
-        return True
-
     def _px_per_mm(self) -> FloatArray:
         """(K,) scale of the left image at each curve; NaN behind the camera."""
         middles = np.array([[*curve.parameters[:2], curve.height_mm] for curve in self.curves])
-        probes = middles[:, None] + PROBE_MM * np.eye(3)[[0, 1, 2], :] * np.array([[1.0], [1.0], [0.0]])
-        space = self.face.to_rig(probes.reshape(-1, 3))
+        probes = (middles[:, None] + PROBES_MM).reshape(-1, 3)
+        space = self.face.to_rig(probes)
         with np.errstate(invalid="ignore", divide="ignore"):
             pixels = self.rig.left.project(space).reshape(-1, 3, 2)
-        scales = np.linalg.norm(pixels[:, :2] - pixels[:, 2:], axis=2).mean(axis=1) / PROBE_MM
-        return np.where(space[2::3, 2] > 0, scales, np.nan)
+        scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / PROBE_MM
+        return np.where(space[::3, 2] > 0, scales, np.nan)
 
     def _sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
-        """Samples of all curves, and where each curve's begin (K + 1,); None when one is out of sight."""
-        if not self.is_visible():
-            return None
-        free = max(curve.free for curve in self.curves)
+        """Samples of all curves, and where each curve's begin (K + 1,).
+
+        None when one lies behind the cameras, or has a size that no image can show.
+        """
         outlines = []
         for curve, scale in zip(self.curves, self._px_per_mm(), strict=True):
             size_px = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
+            least_px = 2 * math.pi * MIN_RADIUS_PX if curve.kind == "circle" else MIN_LENGTH_PX
+            if not least_px < size_px < MAX_LENGTH_PX:  # False for NaN
+                return None
             fewest = MIN_SPOKES_AROUND if curve.closed else MIN_SPOKES
             count = min(max(int(size_px / spacing_px), fewest), MAX_SPOKES)
             outlines.append(curve.outline((np.arange(count) + 0.5) / count, MARGIN_PX / scale))
         starts = np.cumsum([0, *(len(one.points) for one in outlines)])
-        speed = np.zeros((starts[-1], free))
+        speed = np.zeros((starts[-1], max(curve.free for curve in self.curves)))
         for k, one in enumerate(outlines):
             speed[starts[k] : starts[k + 1], : one.speed.shape[1]] = one.speed
         points = np.concatenate([one.points for one in outlines])
