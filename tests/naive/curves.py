@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +39,7 @@ def solve(
     """(delta, covariance, weights, bias): every slow displacement is an unknown of its own with a prior."""
     curves, many, starts = len(samples.kinds), samples.waves.shape[1], samples.starts
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
-    shared = replace(samples, design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
+    shared = samples._replace(design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
     size = unknowns + curves * many
     prior = np.zeros(size)
     prior[unknowns - priors :] = 1.0

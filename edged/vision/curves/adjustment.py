@@ -4,7 +4,7 @@ The samples of a curve come in parts (see `commonmode`): what both cameras see a
 differently, what one of them sees alone. Each part scatters by its own scale and repeats itself along the
 edge (spread). A curve may be displaced slowly along its way: by texture beside the edge, by shading, by a
 second edge close by. A displacement is a combination of "waves" with sigmas that the samples tell (see
-`displacements`) and is eliminated from the normal equations, so that it ends up where it belongs: in the
+`systematic`) and is eliminated from the normal equations, so that it ends up where it belongs: in the
 weight of the curve and in the covariance.
 
 Solved by iteratively reweighted least squares; the first rounds weigh like the median
@@ -16,7 +16,7 @@ Source: P. J. Huber, "Robust Statistics", 1981.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.curves.systematic import DOUBT_PX, learn_sizes
 from edged.vision.kernels.cholesky import invert_spd
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
 
 F64 = npt.NDArray[np.float64]
@@ -40,8 +40,7 @@ _NEIGHBOURS = 4  # samples with common terms ...
 _MIN_BINS = 32  # ... where at least so many terms remain for a part
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """Samples of K curves in Q parts, for `solve`.
 
     design (N, C) : derivatives of each sample by the unknowns that its curve depends on; columns (K, C) :
@@ -49,49 +48,64 @@ class Samples:
     starts (Q + 1,) : where each part begins; parts (K + 1,) : with which of them each curve begins;
     paired (K,) : its first two have the same points row by row, and what is wrong in one is so in the other.
     values, base (N,) : samples and prior weights (0: no sample).
-    waves (N, A) : slow displacements; families (A,) : numbers below F; those of a family are as large as each
+    waves (N, A) : systematic shifts; families (A,) : numbers below F; those of a family are as large as each
     other. expected (K, F) : the sigma to expect of them.
-    shared (K,) : the first of the A unknowns for the displacement that a curve has in common with others, in
-    units of its sigma; -1 for none.  kinds (K,) : numbers below K; the displacements of a kind are as large
+    shared (K,) : the first of the A unknowns for the shift that a curve has in common with others, in
+    units of its sigma; -1 for none.  kinds (K,) : numbers below K; the shifts of a kind are as large
     as each other, in units of what is expected.
     """
 
-    design: FloatArray
-    columns: npt.NDArray[np.int64]
-    starts: npt.NDArray[np.int64]
-    parts: npt.NDArray[np.int64]
-    paired: npt.NDArray[np.bool_]
-    values: FloatArray
-    base: FloatArray
-    waves: FloatArray
-    families: npt.NDArray[np.int64]
-    expected: FloatArray
-    shared: npt.NDArray[np.int64]
-    kinds: npt.NDArray[np.int64]
-
-    def motion(self, delta: FloatArray) -> FloatArray:
-        """(N,) by how much a step of the unknowns moves each sample."""
-        by_curve = np.append(delta, 0.0)[self.columns]  # -1: the zero at the end
-        return np.asarray(
-            np.sum(self.design * by_curve.repeat(np.diff(self.starts[self.parts]), axis=0), axis=1)
-        )
+    design: F2
+    columns: I2
+    starts: I1
+    parts: I1
+    paired: B1
+    values: F1
+    base: F1
+    waves: F2
+    families: I1
+    expected: F2
+    shared: I1
+    kinds: I1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """A solved step.
 
-    delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, slow
-    displacements taken out; precision (Q,) : what a sample of weight 1 in a part counts, 1 / (scale² spread).
-    bias (K, F) : sigmas of the slow displacements, as they came out.
+    delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, systematic
+    shifts taken out; precision (Q,) : what a sample of weight 1 in a part counts, 1 / (scale² spread).
+    bias (K, F) : sigmas of the systematic shifts, as they came out.
     """
 
-    delta: FloatArray
-    covariance: FloatArray
-    weights: FloatArray
-    residuals: FloatArray
-    precision: FloatArray
-    bias: FloatArray
+    delta: F1
+    covariance: F2
+    weights: F1
+    residuals: F1
+    precision: F1
+    bias: F2
+
+
+class _Memory(NamedTuple):
+    """What the rounds work on. T terms: the C of a curve's design, then the A waves.
+
+    together (Q,) : samples of a part that share their terms; bins (Q + 1,) : where the shared terms of each
+    part begin in terms, of each part (T, B), so that sums run along its samples.
+    matrix (P, P), right_side (P,) : normal equations.  moments (K, T, T), own_right (K, T) : of each curve.
+    sigma (K, A), inverse (K, A, A) : of its own systematic shift, and its covariance if the unknowns were
+    known.  scale, spread (Q,) : of the residuals of each part.
+    """
+
+    together: I1
+    bins: I1
+    terms: F1
+    matrix: F2
+    right_side: F1
+    moments: F3
+    own_right: F2
+    sigma: F2
+    inverse: F3
+    scale: F1
+    spread: F1
 
 
 def solve(samples: Samples, unknowns: int, priors: int, settled: float = SETTLED) -> Solution | None:
@@ -101,34 +115,19 @@ def solve(samples: Samples, unknowns: int, priors: int, settled: float = SETTLED
     moves by more, in its own sigma.
     """
     count = len(samples.values)
-    delta, covariance = np.zeros(unknowns), np.empty((unknowns, unknowns))
-    weights, residuals = np.empty(count), np.empty(count)
-    precision, bias = np.empty(len(samples.starts) - 1), np.empty(samples.expected.shape)
-    rounds = _solve(
-        np.ascontiguousarray(samples.design),
-        np.ascontiguousarray(samples.columns),
-        np.ascontiguousarray(samples.starts),
-        np.ascontiguousarray(samples.parts),
-        np.ascontiguousarray(samples.paired),
-        np.ascontiguousarray(samples.values),
-        np.ascontiguousarray(samples.base),
-        np.ascontiguousarray(samples.waves),
-        np.ascontiguousarray(samples.families),
-        np.ascontiguousarray(samples.expected),
-        np.ascontiguousarray(samples.shared),
-        np.ascontiguousarray(samples.kinds),
-        int(priors),
-        float(settled),
-        delta,
-        covariance,
-        weights,
-        residuals,
-        precision,
-        bias,
+    solution = Solution(
+        np.zeros(unknowns),
+        np.empty((unknowns, unknowns)),
+        np.empty(count),
+        np.empty(count),
+        np.empty(len(samples.starts) - 1),
+        np.empty(samples.expected.shape),
     )
-    if rounds == 0 or not np.isfinite(delta).all() or not np.isfinite(covariance).all():
+    plain = Samples._make(np.ascontiguousarray(field) for field in samples)
+    rounds = _solve(plain, int(priors), float(settled), solution)
+    if rounds == 0 or not np.isfinite(solution.delta).all() or not np.isfinite(solution.covariance).all():
         return None
-    return Solution(delta, covariance, weights, residuals, precision, bias)
+    return solution
 
 
 def propagate(samples: Samples, solution: Solution, causes: FloatArray) -> FloatArray:
@@ -326,112 +325,134 @@ def _share_weights(base: F64, first: F64, second: F64) -> None:
             first[n] = second[n] = first[n] * second[n] / base[n]
 
 
-@kernel(
-    "i8(f8[:, ::1], i8[:, ::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1], f8[:, ::1], i8[::1], f8[:, ::1],"
-    " i8[::1], i8[::1], i8, f8, f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[:, ::1])"
-)
-def _solve(
-    design: F64,
-    columns: I64,
-    starts: I64,
-    parts: I64,
-    paired: npt.NDArray[np.bool_],
-    values: F64,
-    base: F64,
-    waves: F64,
-    families: I64,
-    expected: F64,
-    shared: I64,
-    kinds: I64,
-    priors: int,
-    settled: float,
-    delta: F64,
-    covariance: F64,
-    weights: F64,
-    residuals: F64,
-    precision: F64,
-    bias: F64,
-) -> int:
-    """The rounds; fills the last six arguments. Returns the number of rounds, 0 where it is singular."""
-    curves, size, wide, many = len(kinds), len(delta), design.shape[1], waves.shape[1]
-    each = wide + many
-    for k in range(curves):
-        for f in range(expected.shape[1]):
-            bias[k, f] = max(expected[k, f], DOUBT_PX)
-    together, bins = np.empty(len(starts) - 1, np.int64), np.zeros(len(starts), np.int64)
-    for q in range(len(starts) - 1):
+@kernel()
+def _memory_for(samples: Samples, unknowns: int) -> _Memory:
+    """Memory for the rounds, with the terms of all samples filled in."""
+    starts, wide, many = samples.starts, samples.design.shape[1], samples.waves.shape[1]
+    curves, count, each = len(samples.kinds), len(starts) - 1, wide + many
+    together, bins = np.empty(count, np.int64), np.zeros(count + 1, np.int64)
+    for q in range(count):
         together[q] = _neighbours(starts[q + 1] - starts[q])
         bins[q + 1] = bins[q] + (starts[q + 1] - starts[q] + together[q] - 1) // together[q]
-    memory = np.empty(bins[-1] * each)  # of each part (T, B), so that sums run along its samples
-    for q in range(len(starts) - 1):
+    terms = np.empty(bins[-1] * each)
+    for q in range(count):
         a, b = starts[q], starts[q + 1]
-        _shared_terms(design[a:b], waves[a:b], together[q], _terms_of(memory, bins, q))
-    matrix, right_side, previous = np.empty((size, size)), np.empty(size), np.zeros(size)
-    moments, own_right = np.empty((curves, each, each)), np.empty((curves, each))
-    sigma, inverse, step = np.empty((curves, many)), np.empty((curves, many, many)), np.empty(each)
-    scale, spread = np.ones(len(starts) - 1), np.ones(len(starts) - 1)
-    weights[:] = base
+        _shared_terms(samples.design[a:b], samples.waves[a:b], together[q], _terms_of(terms, bins, q))
+    return _Memory(
+        together,
+        bins,
+        terms,
+        np.empty((unknowns, unknowns)),
+        np.empty(unknowns),
+        np.empty((curves, each, each)),
+        np.empty((curves, each)),
+        np.empty((curves, many)),
+        np.empty((curves, many, many)),
+        np.ones(count),
+        np.ones(count),
+    )
+
+
+@kernel()
+def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: Solution) -> bool:
+    """Form the normal equations, each curve's own systematic shift eliminated; False if one is singular."""
+    starts, wide, many = samples.starts, samples.design.shape[1], samples.waves.shape[1]
+    each, size = wide + many, len(solution.delta)
+    memory.matrix[:], memory.right_side[:] = 0.0, 0.0
+    memory.moments[:], memory.own_right[:] = 0.0, 0.0
+    for i in range(size - priors, size):
+        memory.matrix[i, i] = 1.0
+    for k in range(len(samples.kinds)):
+        moments, own_right, sigma = memory.moments[k], memory.own_right[k], memory.sigma[k]
+        for q in range(samples.parts[k], samples.parts[k + 1]):
+            a, b = starts[q], starts[q + 1]
+            solution.precision[q] = 1.0 / (memory.scale[q] ** 2 * memory.spread[q])
+            some = _terms_of(memory.terms, memory.bins, q)
+            weights, precision = solution.weights[a:b], solution.precision[q]
+            _add_part(some, memory.together[q], samples.values[a:b], weights, precision, moments, own_right)
+        for i in range(each):
+            for j in range(i):
+                moments[i, j] = moments[j, i]
+        for m in range(many):
+            sigma[m] = solution.bias[k, samples.families[m]]
+        if not _inverse_of_own(moments, wide, sigma, memory.inverse[k]):
+            return False
+        columns, shared, inverse = samples.columns[k], samples.shared[k], memory.inverse[k]
+        _add_curve(moments, own_right, columns, shared, sigma, inverse, memory.matrix, memory.right_side)
+    return True
+
+
+@kernel()
+def _step(memory: _Memory, priors: int, solution: Solution) -> float:
+    """Solve the normal equations; the largest change of an unknown in its own sigma, -1 for none."""
+    size = len(solution.delta)
+    if not invert_spd(memory.matrix, solution.covariance):
+        return -1.0
+    moved = 0.0
+    for i in range(size):
+        before, after = solution.delta[i], 0.0
+        for j in range(size):
+            after += solution.covariance[i, j] * memory.right_side[j]
+        solution.delta[i] = after
+        if i < size - priors:
+            moved = max(moved, abs(after - before) / np.sqrt(solution.covariance[i, i]))
+    return moved
+
+
+@kernel()
+def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: Solution) -> None:
+    """What the step leaves of the samples, and by it their weights, scales and correlations."""
+    starts, parts = samples.starts, samples.parts
+    step = np.empty(memory.own_right.shape[1])
+    for k in range(len(samples.kinds)):
+        columns, shared, sigma = samples.columns[k], samples.shared[k], memory.sigma[k]
+        moments, own_right = memory.moments[k], memory.own_right[k]
+        _step_of(columns, shared, sigma, memory.inverse[k], moments, own_right, solution.delta, step)
+        for q in range(parts[k], parts[k + 1]):
+            a, b = starts[q], starts[q + 1]
+            some, residuals = _terms_of(memory.terms, memory.bins, q), solution.residuals[a:b]
+            _residuals(some, memory.together[q], step, samples.values[a:b], residuals)
+            memory.scale[q] = _weigh(residuals, samples.base[a:b], round_, solution.weights[a:b])
+        if samples.paired[k] and round_ >= MEDIAN_ROUNDS:
+            a, b = starts[parts[k]], starts[parts[k] + 1]
+            _share_weights(samples.base[a:b], solution.weights[a:b], solution.weights[b : 2 * b - a])
+        if round_ in SPREAD_ROUNDS:
+            for q in range(parts[k], parts[k + 1]):
+                a, b = starts[q], starts[q + 1]
+                memory.spread[q] = correlation_length(solution.residuals[a:b], solution.weights[a:b])
+
+
+@kernel("i8(Samples, i8, f8, Solution)", tuples=(Samples, Solution))
+def _solve(samples: Samples, priors: int, settled: float, solution: Solution) -> int:
+    """The rounds; fills the solution. Returns the number of rounds, 0 where it is singular."""
+    many = samples.waves.shape[1]
+    for k in range(len(samples.kinds)):
+        for f in range(samples.expected.shape[1]):
+            solution.bias[k, f] = max(samples.expected[k, f], DOUBT_PX)
+    memory = _memory_for(samples, len(solution.delta))
+    solution.weights[:] = samples.base
     rounds = 0
     for round_ in range(MAX_ROUNDS):
         rounds = round_ + 1
-        matrix[:], right_side[:] = 0.0, 0.0
-        moments[:], own_right[:] = 0.0, 0.0
-        for i in range(size - priors, size):
-            matrix[i, i] = 1.0
-        for k in range(curves):
-            for q in range(parts[k], parts[k + 1]):
-                a, b = starts[q], starts[q + 1]
-                precision[q] = 1.0 / (scale[q] ** 2 * spread[q])
-                some = _terms_of(memory, bins, q)
-                _add_part(
-                    some, together[q], values[a:b], weights[a:b], precision[q], moments[k], own_right[k]
-                )
-            for i in range(each):
-                for j in range(i):
-                    moments[k, i, j] = moments[k, j, i]
-            for m in range(many):
-                sigma[k, m] = bias[k, families[m]]
-            if not _inverse_of_own(moments[k], wide, sigma[k], inverse[k]):
-                return 0
-            _add_curve(
-                moments[k], own_right[k], columns[k], shared[k], sigma[k], inverse[k], matrix, right_side
-            )
-        if not invert_spd(matrix, covariance):
+        if not _add_curves(samples, memory, priors, solution):
             return 0
-        moved = 0.0  # in sigmas
-        for i in range(size):
-            previous[i] = delta[i]
-            delta[i] = 0.0
-            for j in range(size):
-                delta[i] += covariance[i, j] * right_side[j]
-            if i < size - priors:
-                moved = max(moved, abs(delta[i] - previous[i]) / np.sqrt(covariance[i, i]))
-        for k in range(curves):
-            _step_of(columns[k], shared[k], sigma[k], inverse[k], moments[k], own_right[k], delta, step)
-            for q in range(parts[k], parts[k + 1]):
-                a, b = starts[q], starts[q + 1]
-                _residuals(_terms_of(memory, bins, q), together[q], step, values[a:b], residuals[a:b])
-                scale[q] = _weigh(residuals[a:b], base[a:b], round_, weights[a:b])
-            if paired[k] and round_ >= MEDIAN_ROUNDS:
-                a, b = starts[parts[k]], starts[parts[k] + 1]
-                _share_weights(base[a:b], weights[a:b], weights[b : 2 * b - a])
-            for q in range(parts[k], parts[k + 1]):
-                a, b = starts[q], starts[q + 1]
-                if round_ in SPREAD_ROUNDS:
-                    spread[q] = correlation_length(residuals[a:b], weights[a:b])
+        moved = _step(memory, priors, solution)
+        if moved < 0.0:
+            return 0
+        _reweigh(samples, memory, round_, solution)
         if many > 0 and MEDIAN_ROUNDS <= round_ <= SPREAD_ROUNDS[1]:
             learn_sizes(
-                columns,
-                shared,
-                kinds,
-                families,
-                expected,
-                inverse,
-                moments,
-                own_right,
-                delta,
-                covariance,
-                bias,
+                samples.columns,
+                samples.shared,
+                samples.kinds,
+                samples.families,
+                samples.expected,
+                memory.inverse,
+                memory.moments,
+                memory.own_right,
+                solution.delta,
+                solution.covariance,
+                solution.bias,
             )
         if round_ > (SPREAD_ROUNDS[1] if many > 0 else MEDIAN_ROUNDS) and moved < settled:
             break

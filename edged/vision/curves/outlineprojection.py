@@ -7,7 +7,7 @@ a fit projects some thousand points a dozen times.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.curves.outlines import Curve, Face, Outline
 from edged.vision.geometry.camera import CameraModel, StereoRig
-from edged.vision.kernels.jit import for_kernel, kernel
+from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 
@@ -23,8 +23,7 @@ _DIVISION, _BROWN = 0, 1
 _NO_MOTION = np.eye(4)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProjectedOutline:
+class ProjectedOutline(NamedTuple):
     """Samples of curves of one face in one raw image.
 
     pixels (N, 2); normals (N, 2) unit, along the curves' own normals; gain (N,) : motion along the image
@@ -33,10 +32,24 @@ class ProjectedOutline:
     lens cannot show a point.
     """
 
-    pixels: FloatArray
-    normals: FloatArray
-    gain: FloatArray
-    design: FloatArray
+    pixels: F2
+    normals: F2
+    gain: F1
+    design: F2
+
+
+class _View(NamedTuple):
+    """A camera at a face. focal (2,), centre (2,) px; lens (5,), 0 where there is no coefficient.
+
+    model : of the lens.  pose (4, 4) : camera_from_rig.  face (4, 3) : axes u, v, n and origin, rig frame.
+    """
+
+    focal: F1
+    centre: F1
+    lens: F1
+    model: INT
+    pose: F2
+    face: F2
 
 
 def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
@@ -47,26 +60,22 @@ def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
 def project_outline(rig: StereoRig, side: str, face: Face, outline: Outline) -> ProjectedOutline:
     """Project samples of the curves of a face into a raw image."""
     camera, camera_from_rig = camera_pose(rig, side)
-    count, free = outline.speed.shape
-    pixels, normals = np.empty((count, 2)), np.empty((count, 2))
-    gain, design = np.empty(count), np.empty((count, 3 + free))
     lens = np.zeros(5)
     lens[: len(camera.distortion)] = camera.distortion
-    _project_outline(
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+    view = _View(
+        np.array([camera.fx, camera.fy]),
+        np.array([camera.cx, camera.cy]),
         lens,
         _DIVISION if camera.model == "division" else _BROWN,
         for_kernel(camera_from_rig, np.float64),
         for_kernel(np.vstack([face.axes, face.origin]), np.float64),
-        for_kernel(outline.points, np.float64),
-        for_kernel(outline.normals, np.float64),
-        for_kernel(outline.speed, np.float64),
-        pixels,
-        normals,
-        gain,
-        design,
     )
-    return ProjectedOutline(pixels, normals, gain, design)
+    count, free = outline.speed.shape
+    seen = ProjectedOutline(
+        np.empty((count, 2)), np.empty((count, 2)), np.empty(count), np.empty((count, 3 + free))
+    )
+    _project_outline(view, Outline._make(for_kernel(field, np.float64) for field in outline), seen)
+    return seen
 
 
 def project_circle(
@@ -122,44 +131,28 @@ def _turn(pose: F64, vector: F64, turned: F64) -> None:
         turned[i] = pose[i, 0] * vector[0] + pose[i, 1] * vector[1] + pose[i, 2] * vector[2]
 
 
-@kernel(
-    "void(f8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1],"
-    " f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1])",
-    any_order=True,
-)
-def _project_outline(
-    pinhole: F64,
-    lens: F64,
-    model: int,
-    pose: F64,
-    face: F64,
-    points: F64,
-    directions: F64,
-    speed: F64,
-    pixels: F64,
-    normals: F64,
-    gain: F64,
-    design: F64,
-) -> None:
-    """Fill the last four. face (4, 3) : axes u, v, n and origin, rig frame; in the camera's frame within."""
+@kernel("void(_View, Outline, ProjectedOutline)", tuples=(_View, Outline, ProjectedOutline), any_order=True)
+def _project_outline(view: _View, outline: Outline, seen: ProjectedOutline) -> None:
+    """Fill what is seen; in the camera's frame within."""
+    pose, focal, centre, design = view.pose, view.focal, view.centre, seen.design
     axes = np.empty((4, 3))
     for i in range(4):
-        _turn(pose, face[i], axes[i])
+        _turn(pose, view.face[i], axes[i])
     for i in range(3):
         axes[3, i] += pose[i, 3]
     u0, u1, u2 = axes[0, 0], axes[0, 1], axes[0, 2]
     v0, v1, v2 = axes[1, 0], axes[1, 1], axes[1, 2]
     n0, n1, n2 = axes[2, 0], axes[2, 1], axes[2, 2]
-    for n in range(len(points)):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        nx, ny = directions[n, 0], directions[n, 1]
+    for n in range(len(outline.points)):
+        px, py, pz = outline.points[n, 0], outline.points[n, 1], outline.points[n, 2]
+        nx, ny = outline.normals[n, 0], outline.normals[n, 1]
         nearness = 1.0 / (axes[3, 2] + px * u2 + py * v2 + pz * n2)
         u = (axes[3, 0] + px * u0 + py * v0 + pz * n0) * nearness
         v = (axes[3, 1] + px * u1 + py * v1 + pz * n1) * nearness
-        x, y, xu, xv, yu, yv = _distort(u, v, lens, model)
+        x, y, xu, xv, yu, yv = _distort(u, v, view.lens, view.model)
         # d pixel / d u and v, then along the curve and across it
-        xu, xv = pinhole[0] * xu * nearness, pinhole[0] * xv * nearness
-        yu, yv = pinhole[1] * yu * nearness, pinhole[1] * yv * nearness
+        xu, xv = focal[0] * xu * nearness, focal[0] * xv * nearness
+        yu, yv = focal[1] * yu * nearness, focal[1] * yv * nearness
         out0, out1, out2 = nx * u0 + ny * v0, nx * u1 + ny * v1, nx * u2 + ny * v2
         along0, along1, along2 = nx * v0 - ny * u0, nx * v1 - ny * u1, nx * v2 - ny * u2
         along_u, along_v = along0 - u * along2, along1 - v * along2
@@ -168,18 +161,19 @@ def _project_outline(
         outward = ty * (xu * out_u + xv * out_v) - tx * (yu * out_u + yv * out_v)
         shorten = (-1.0 if outward < 0 else 1.0) / np.sqrt(tx * tx + ty * ty)
         normal_x, normal_y = ty * shorten, -tx * shorten
-        pixels[n, 0], pixels[n, 1] = x * pinhole[0] + pinhole[2], y * pinhole[1] + pinhole[3]
-        normals[n, 0], normals[n, 1] = normal_x, normal_y
+        seen.pixels[n, 0], seen.pixels[n, 1] = x * focal[0] + centre[0], y * focal[1] + centre[1]
+        seen.normals[n, 0], seen.normals[n, 1] = normal_x, normal_y
         du, dv = normal_x * xu + normal_y * yu, normal_x * xv + normal_y * yv
         dw = -(u * du + v * dv)
         up = n0 * du + n1 * dv + n2 * dw
-        gain[n] = out0 * du + out1 * dv + out2 * dw
+        gain = out0 * du + out1 * dv + out2 * dw
+        seen.gain[n] = gain
         design[n, 0] = up
         # a slope lifts what lies beside the origin, and moves what stands over the plane sideways
         design[n, 1] = up * px - pz * (u0 * du + u1 * dv + u2 * dw)
         design[n, 2] = up * py - pz * (v0 * du + v1 * dv + v2 * dw)
-        for f in range(speed.shape[1]):
-            design[n, 3 + f] = gain[n] * speed[n, f]
+        for f in range(outline.speed.shape[1]):
+            design[n, 3 + f] = gain * outline.speed[n, f]
 
 
 @kernel("f8[::1](f8[:, ::1], f8[:, ::1], i8[::1])")

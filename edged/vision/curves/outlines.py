@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from edged.domain import FloatArray
+from edged.vision.kernels.jit import F2
 
 Kind = Literal["circle", "edge", "slot"]
 PARAMETERS: dict[Kind, tuple[str, ...]] = {
@@ -129,16 +130,15 @@ class Curve:
         return Outline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """Samples of curves: points (N, 3), u, v and height; normals (N, 2) in the face.
 
     speed (N, F) : motion along the normal by the unknowns of the sample's curve.
     """
 
-    points: FloatArray
-    normals: FloatArray
-    speed: FloatArray
+    points: F2
+    normals: F2
+    speed: F2
 
 
 Samples = tuple[FloatArray, FloatArray, FloatArray]

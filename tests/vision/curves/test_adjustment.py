@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from adjustments import problem
@@ -20,7 +18,7 @@ def test_the_solver_equals_its_twin(bias: float, seed: int) -> None:
     unknowns, priors = (10, 5) if bias else (5, 0)
     if not bias:
         none = np.zeros((len(samples.values), 0))
-        samples = replace(samples, shared=np.full(4, -1), waves=none, families=np.zeros(0, np.int64))
+        samples = samples._replace(shared=np.full(4, -1), waves=none, families=np.zeros(0, np.int64))
     solution = solve(samples, unknowns, priors)
     assert solution is not None
     delta, covariance, weights, learned = naive.solve(samples, unknowns, priors)
@@ -49,7 +47,7 @@ def test_what_is_wrong_in_one_part_of_a_pair_is_wrong_in_the_other() -> None:
 def test_what_nothing_determines_is_none() -> None:
     """An unknown without a sample: no solution, no exception."""
     samples, _ = problem(0)
-    assert solve(replace(samples, base=np.zeros_like(samples.base)), 10, 5) is None
+    assert solve(samples._replace(base=np.zeros_like(samples.base)), 10, 5) is None
 
 
 def test_wrong_samples_are_forgotten() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from adjustments import problem
@@ -49,7 +47,7 @@ def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
     learned = []
     for seed in range(20):
         samples, _ = problem(seed, bias=true_px, noise=0.02)
-        samples = replace(samples, families=np.zeros(5, np.int64), expected=np.full((4, 1), expected_px))
+        samples = samples._replace(families=np.zeros(5, np.int64), expected=np.full((4, 1), expected_px))
         solution = solve(samples, 10, 5)
         assert solution is not None
         learned.append(solution.bias)
