@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Calibrate, teach and locate on a rendered data set with exact truth, by edged's own commands.
 
-    tools/table3.py DATASET [--true-rig] [--scenes] [--teach DATASET] [--degrade KIND] [--overlays DIR] [--json]
+    tools/table3.py DATASET [--true-rig] [--scenes] [--teach DATASET] [--degrade KIND] [--overlays DIR]
+        [--json]
 
 DATASET holds rig.json (truth), calib_chess/ (pairs), and teach/, table3/ and scenes/ (pairs with truth).
 Prints measured minus true for each part, beside the errors of plain OpenCV and of the paper's Table 3, then

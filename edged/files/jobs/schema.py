@@ -195,6 +195,7 @@ class JobFile(_Section):
     limits: _Limits
     search: _Search
     witness: str | None = None
+    calibration: str | None = Field(default=None, max_length=200)
     circle: Annotated[list[_Circle], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     edge: Annotated[list[_Edge], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
@@ -277,4 +278,5 @@ class JobFile(_Section):
             corners=tuple(corner.feature() for corner in self.corner),
             measurements=tuple(one.spec() for one in self.measurement),
             witness=self.witness,
+            calibration_id=self.calibration,
         )

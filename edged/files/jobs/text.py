@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -38,6 +39,11 @@ def to_toml(job: Job) -> str:
         f'witness = "{job.witness}"   # the measurement whose size is known: tells when the rig drifts'
         if job.witness
         else '# witness = "l"   # a measurement whose size is known: tells when the rig drifts',
+        *(
+            [f"calibration = {json.dumps(job.calibration_id)}   # of the rig that measured the sizes below"]
+            if job.calibration_id
+            else []
+        ),
         "# pose at teaching: x_rig = rig_from_part x_part, mm",
         "rig_from_part = [",
         *(f"    {_numbers(row)}," for row in job.rig_from_part),

@@ -40,6 +40,7 @@ from edged.vision.curves.systematic import displacements, slants, slow_waves
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
+from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 
@@ -59,6 +60,9 @@ MAX_SLOPE, MAX_RISE = 0.5, 0.2
 PROBE_MM = 0.01
 PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
+ROW_SIGMA_PX = 0.3
+"""How far the rows of both images may lie apart, before anything was measured."""
+RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
@@ -117,11 +121,21 @@ class PlaneFit:
     fits : in the order asked for, without those that the images do not show.
     covariance (P, P) : of the plane (height, slopes along u and v, see `Face.moved`), then of the parameters
     of each fit's curve, mm and rad, correlations included.
+    edge_covariance (P, P) : what of it comes from the edges, not from the calibration.
+    row_shift_px, row_sigma_px : by which the right image shows all curves farther across the rows than the
+    left one, raw px; sigma with the calibration's.
     """
 
     face: Face
     fits: tuple[CurveFit, ...]
     covariance: FloatArray
+    edge_covariance: FloatArray
+    row_shift_px: float
+    row_sigma_px: float
+
+    def by_edges(self) -> PlaneFit:
+        """The same with the covariance that the edges alone give: against what the same rig measured."""
+        return replace(self, covariance=self.edge_covariance)
 
     @property
     def parameters(self) -> FloatArray:
@@ -228,13 +242,17 @@ def _fitted(start: _State) -> PlaneFit | None:
 class _Step:
     """One step of the joint problem.
 
-    delta (U,), covariance (U, U) : 0 for what is held or not seen.  moved_px (K,) : farthest that each curve
-    moves.  starts (K + 1,) : where its samples begin.  offsets, weights, residuals (2, N), points (2, N, 2).
+    delta (U,), covariance, edge_covariance (U, U) : 0 for what is held or not seen.  moved_px (K,) :
+    farthest that each curve moves.  row_shift_px, row_sigma_px : as `PlaneFit` has them.
+    starts (K + 1,) : where its samples begin.  offsets, weights, residuals (2, N), points (2, N, 2).
     """
 
     delta: FloatArray
     covariance: FloatArray
+    edge_covariance: FloatArray
     moved_px: FloatArray
+    row_shift_px: float
+    row_sigma_px: float
     starts: npt.NDArray[np.int64]
     points: FloatArray
     offsets: FloatArray
@@ -370,30 +388,44 @@ class _State:
         used = np.unique(columns[columns >= 0])
         samples, priors = samples_of(
             pairs,
-            tuple(side.design for side in sides),
-            np.where(columns < 0, -1, np.searchsorted(used, columns)),
+            self._with_row_shift(outline, sides),
+            np.pad(
+                np.where(columns < 0, -1, np.searchsorted(used, columns)),
+                ((0, 0), (0, 1)),
+                constant_values=-1,
+            ),
             edges.offset_px,
             edges.bias_px,
             np.array([curve.polarity for curve in self.curves]),
             self._displacements(outline, sides, gain) if final else None,
             len(used),
         )
+        samples.columns[samples.columns[:, 0] >= 0, -1] = len(used) + priors
+        priors += 1
         solution = solve(samples, len(used) + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
-        known = solution.covariance[: len(used), : len(used)]
+        row = len(solution.delta) - 1
+        by_edges = known = solution.covariance[: len(used), : len(used)]
+        row_variance = float(solution.covariance[row, row])
         if final and self.rig.covariance is not None:
             space = self.face.to_rig(outline.points)
             causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
-            by_cause = propagate(samples, solution, causes)[: len(used)]
+            by_cause = propagate(samples, solution, causes)
+            row_variance += float(by_cause[row] @ self.rig.covariance @ by_cause[row])
+            by_cause = by_cause[: len(used)]
             known = known + by_cause @ self.rig.covariance @ by_cause.T
-        delta, covariance = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        delta, covariances = np.zeros(self.unknowns), np.zeros((2, self.unknowns, self.unknowns))
         delta[used] = solution.delta[: len(used)]
-        covariance[np.ix_(used, used)] = known
+        for whole, part in zip(covariances, (known, by_edges), strict=True):
+            whole[np.ix_(used, used)] = part
         return _Step(
             delta,
-            covariance,
+            covariances[0],
+            covariances[1],
             self._motion(sides, delta, starts),
+            ROW_SIGMA_PX * float(solution.delta[row]),
+            ROW_SIGMA_PX * math.sqrt(row_variance),
             starts,
             np.stack(
                 [
@@ -433,6 +465,32 @@ class _State:
         offsets, base, bias = (np.stack(both) for both in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         return (left, right), _Edges(offsets, np.where(np.repeat(few, counts), 0.0, base), bias)
+
+    def _with_row_shift(
+        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]
+    ) -> tuple[FloatArray, FloatArray]:
+        """The designs of both images with a column for a shift of one against the other across the rows.
+
+        No place in space explains such a shift: it is what a knocked camera, or a calibration that is a
+        little wrong, does to all curves alike. Without it every curve would seem displaced by itself. Half of
+        it is each camera's: nobody knows which one has moved.
+        """
+        rig, space = self.rig, self.face.to_rig(outline.points)
+        right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
+        # a row is what one camera shows of a ray of the other
+        on_left = rig.left.project(space + RAY_STEP * (space - right_centre))
+        on_right = rig.right.project(apply(rig.right_from_left, space * (1 + RAY_STEP)))
+        columns = []
+        # both rays run away from each other: what is down in one image is up in the other
+        for seen, beyond in zip(sides, (on_left, on_right), strict=True):
+            along = beyond - seen.pixels
+            with np.errstate(invalid="ignore", divide="ignore"):
+                across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+            columns.append(0.5 * ROW_SIGMA_PX * np.sum(seen.normals * across, axis=1))
+        left, right = (
+            np.column_stack([seen.design, column]) for seen, column in zip(sides, columns, strict=True)
+        )
+        return left, right
 
     def _displacements(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
@@ -512,8 +570,11 @@ class _State:
             [np.arange(PLANE_PARAMETERS), *(np.arange(*first[k : k + 2]) for k in kept)]
         )
         lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(self.curves[k].lift() for k in kept)])
-        inner = step.covariance[np.ix_(unknowns, unknowns)]
-        return PlaneFit(self.face, tuple(fits), np.asarray(lift @ inner @ lift.T))
+        whole, by_edges = (
+            np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
+            for inner in (step.covariance, step.edge_covariance)
+        )
+        return PlaneFit(self.face, tuple(fits), whole, by_edges, step.row_shift_px, step.row_sigma_px)
 
 
 def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -23,8 +23,8 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
     limits = job.limits
     reject = target.reject | _reasons(limits, target, evidence)
     reject |= _out_of_tolerance(job, target, evidence) | size_reasons(target.measurements)
-    by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px)
-    by_sizes = doubt_by_sizes(target, evidence.growth, evidence.sigma_growth)
+    by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px, evidence.row_sigma_px)
+    by_sizes = doubt_by_sizes(evidence.growth, evidence.sigma_growth)
     for share, reason in (
         (by_rows, Reject.LEFT_RIGHT_MISMATCH),
         (by_sizes, Reject.TOLERANCE),

@@ -3,12 +3,13 @@
 A camera that was knocked, or a right image that is older than the left one while the part moved on, still
 shows one part in both images; only its distance is wrong, and nothing in the residuals tells. Two things do:
 
-* Rows. A camera that has moved by some pixels across the rows has moved along them by as much, as far as
-  anybody knows, and along the rows a shift is a distance.
+* Rows. A camera that has moved across the rows has moved along them, too, nobody knows by how much, and along
+  the rows a shift is a distance.
 * Sizes. A part that is found at a wrong distance is too large, or too small, in all of its features by one
   factor: radii and places differ as they would seen from elsewhere. A part out of tolerance
   differs otherwise. (A warm part differs just so, 0.02 % for 20 K in steel: no picture tells it from a
-  nearer one.)
+  nearer one.) A rig that measured the taught sizes shares its calibration's errors with them: between both
+  only what the edges leave open counts.
 
 Neither makes the result wrong; both make it less certain. They are doubts about one number, the distance in
 shares of itself, by which everything grows about the left camera.
@@ -23,43 +24,24 @@ from typing import TypeVar
 import numpy as np
 
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
-from edged.vision.curves.planefit import CurveFit
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import Job
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 
-CERTAIN = 3.0
-"""Sigmas that chance may explain."""
-WALL_PX = 0.2
-"""Walls and light displace edges by up to this, and in both images differently (see `curves.systematic`)."""
-MIN_LEVEL = 0.2
-"""Share of a shift across the rows that moves the edge along its normal; less is none."""
-MIN_POINTS = 8
+CERTAIN = 2.0
+"""Sigmas that chance may explain; these sigmas hold systematic shifts that are seldom so large."""
+WALL_PX, LEAST_PX = 0.2, 0.05
+"""Rows that lie apart by less say nothing: of a rig that does not know how well it was calibrated, and of one
+that does."""
+ALONG_PER_ACROSS = 8.0
+"""How far a camera may have moved along the rows, in shifts across them: as one sigma. A knock has any
+direction; of all directions 98 % are within four of these."""
 MIN_SIZES = 4
 MIN_SHARE = 1e-6
 """Of a size: no machined part keeps more."""
 ARM = 0.15
 """Share of the reference radius from which on the place of a circle is a size."""
-
-
-def row_shift_px(rectification: Rectification, fit: CurveFit) -> float:
-    """By how much the circle lies lower in the left image than in the right one, rectified px, or NaN.
-
-    Least squares over its edge points: where the edge is slanted a shift moves it less along its normal.
-    """
-    left = rectification.rectify_points("left", fit.points[0])
-    right = rectification.rectify_points("right", fit.points[1])
-    along = np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0)
-    rows = left[:, 1] - right[:, 1]
-    weights = fit.weights.min(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        level = along[:, 0] ** 2 / np.sum(along**2, axis=1)
-        usable = (weights > 0.1) & np.isfinite(rows) & (level > MIN_LEVEL)
-    if usable.sum() < MIN_POINTS:
-        return math.nan
-    weights, level, rows = weights[usable], level[usable], rows[usable]
-    return float(np.sum(weights * level * rows) / np.sum(weights * level**2))
 
 
 def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
@@ -98,29 +80,24 @@ def _distance(one: Circle3D, two: Circle3D) -> tuple[float, float]:
     return length, math.sqrt(max(float(along @ spread @ along), 0.0))
 
 
-def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float) -> float:
+def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float, sigma_px: float) -> float:
     """Sigma of the distance, in shares of itself, for a shift across the rows; 0 for an explained one."""
-    row = rectification.rectified_from_left[1]
     depth = float(rectification.rectified_from_left[2] @ target.position_mm)
-    sigma_px = (
-        math.sqrt(max(float(row @ target.covariance[:3, :3] @ row), 0.0)) * rectification.focal_px / depth
-    )
-    # the position is the mean of both images: their difference has twice its sigma
-    explained_px = min(CERTAIN * 2 * sigma_px, WALL_PX)
-    beyond_px = _beyond(shift_px, explained_px)
+    floor_px = LEAST_PX if rectification.rig.covariance is not None else WALL_PX
+    beyond_px = ALONG_PER_ACROSS * _beyond(shift_px, max(CERTAIN * sigma_px, floor_px))
     return beyond_px * depth / (rectification.focal_px * rectification.baseline_mm)
 
 
-def doubt_by_sizes(target: Target, growth: float, sigma: float) -> float:
-    """Sigma of the distance, in shares of itself, for sizes that are wrong alike; 0 for explained ones.
+def distance_share(place_mm: FloatArray, covariance: FloatArray) -> float:
+    """Sigma of a distance against the taught one, in shares of it; of a place (3,), covariance (3, 3)."""
+    distance = float(np.linalg.norm(place_mm))
+    ray = place_mm / distance
+    return math.sqrt(2 * max(float(ray @ covariance @ ray), 0.0)) / distance
 
-    What the stated sigma of the distance says already, now and at teaching, is explained.
-    """
-    place = target.position_mm
-    distance = float(np.linalg.norm(place))
-    ray = place / distance
-    known = math.sqrt(2 * max(float(ray @ target.covariance[:3, :3] @ ray), 0.0)) / distance
-    return _beyond(growth, CERTAIN * math.hypot(sigma, known))
+
+def doubt_by_sizes(growth: float, sigma: float) -> float:
+    """Sigma of the distance, in shares of itself, for sizes that are wrong alike; 0 for explained ones."""
+    return _beyond(growth, CERTAIN * sigma)
 
 
 def _beyond(value: float, explained: float) -> float:

@@ -151,6 +151,8 @@ class Job:
     number : how the PLC calls it.  circles : largest first.  reference : name of the circle, slot or corner
     whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
     witness : name of the measurement whose size is known and does not change, for the drift of the rig.
+    calibration_id : of the rig that measured the taught sizes: they share its errors; None where they come
+    from a drawing, or nobody knows.
     """
 
     name: str
@@ -166,6 +168,7 @@ class Job:
     corners: tuple[CornerFeature, ...] = ()
     measurements: tuple[MeasurementSpec, ...] = ()
     witness: str | None = None
+    calibration_id: str | None = None
 
     @property
     def reference_circle(self) -> CircleFeature:

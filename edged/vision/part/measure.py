@@ -20,6 +20,7 @@ from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.acceptance import judged
 from edged.vision.part.circles import EACH_EDGE_ITSELF, measure
+from edged.vision.part.consistency import distance_share
 from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import lifted, with_features
 from edged.vision.part.initialpose import start_pose
@@ -190,11 +191,23 @@ def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> Measured |
     evidence = Evidence(
         _mean_support(curves, fit),
         float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
-        target.epipolar_rms_px,
-        *find_growth(job, fit),
+        fit.row_shift_px,
+        fit.row_sigma_px,
+        *_growth(images, job, match, fit, motion),
         form_mm(job, fit, motion),
     )
     return Measured(replace(target, reject=reject), evidence, fit.fits)
+
+
+def _growth(
+    images: StereoImages, job: Job, match: ShapeMatch, fit: PlaneFit, motion: Motion
+) -> tuple[float, float]:
+    """By which share the features lie farther apart than taught, and its sigma, the distance's included."""
+    if job.calibration_id == images.rig.calibration_id:
+        fit = fit.by_edges()
+    growth, sigma = find_growth(job, fit)
+    target = _target_from(images.rectification, job, match, fit, motion)
+    return growth, math.hypot(sigma, distance_share(target.position_mm, target.covariance[:3, :3]))
 
 
 def _target_from(

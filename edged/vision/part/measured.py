@@ -23,14 +23,16 @@ class Evidence:
     """What a target stands on; NaN where nothing tells.
 
     support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
-    row_shift_px : left against right.  growth, sigma_growth : by which share all sizes exceed the
-    taught ones.
+    row_shift_px, row_sigma_px : right against left.
+    growth, sigma_growth : by which share all sizes exceed the taught ones, and what edges and the stated
+    distance explain of that.
     form_mm : largest deviation of a straight edge or slot from its taught place.
     """
 
     support: float
     rms_px: float
     row_shift_px: float = math.nan
+    row_sigma_px: float = math.nan
     growth: float = math.nan
     sigma_growth: float = math.nan
     form_mm: float = math.nan

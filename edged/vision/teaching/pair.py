@@ -171,6 +171,7 @@ def _job(
         edges=found.edges,
         slots=found.slots,
         corners=found.corners,
+        calibration_id=rectification.rig.calibration_id,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, small_rig
@@ -253,3 +254,21 @@ def test_the_same_images_give_the_same_bits(plain_disc: tuple[FloatArray, FloatA
     assert two is not None
     assert np.array_equal(one.circle.centre_mm, two.circle.centre_mm)
     assert np.array_equal(one.pose_covariance, two.pose_covariance)
+
+
+def test_a_shift_across_the_rows_is_measured_and_tilts_nothing(
+    plain_disc: tuple[FloatArray, FloatArray],
+) -> None:
+    """The right image 0.3 px lower: as much is stated, and neither normal nor radius follow it."""
+    rng = np.random.default_rng(5)
+    left, right = (noisy(grey, 2.0, rng) for grey in plain_disc)
+    down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.3]])
+    lower = np.asarray(cv2.warpAffine(right, down, right.shape[::-1], flags=cv2.INTER_CUBIC), np.uint8)
+    start, normal = TILTED[:3, 3] + START_OFF, -TILTED[:3, 2]
+    fits = [fit_circle(SMALL, (left, one), start, normal, 12.1, -1) for one in (right, lower)]
+    before, after = (fit for fit in fits if fit is not None)
+    assert before.row_shift_px == pytest.approx(0.0, abs=0.02)
+    assert after.row_shift_px - before.row_shift_px == pytest.approx(0.3, abs=0.03)
+    assert after.row_sigma_px < 0.05
+    assert math.degrees(math.acos(min(1.0, before.face.normal @ after.face.normal))) < 0.05
+    assert after.fits[0].curve.parameters[2] == pytest.approx(12.0, abs=0.005)
