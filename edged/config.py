@@ -82,9 +82,9 @@ def _groups(value: object) -> object:
 class StrobeSection(_Section):
     """An output line that shows when the camera exposes: for a flash."""
 
-    line: str = Field("Line2", min_length=1)
+    line: str = Field("Line2", min_length=1, description="the output")
     source: str = Field("ExposureActive", min_length=1, description="GenICam LineSource")
-    inverted: bool = False
+    inverted: bool = Field(False, description="low while the camera exposes")
 
 
 class CameraSection(_Section):
@@ -92,18 +92,23 @@ class CameraSection(_Section):
 
     device: str = Field("", description="serial number or IP address")
     serial: str = Field("", description="serial number that is expected at an IP address")
-    exposure_us: float | None = Field(None, gt=0, le=10_000_000)
-    gain_db: float | None = Field(None, ge=-10, le=60)
+    exposure_us: float | None = Field(
+        None, gt=0, le=10_000_000, description="exposure time; switches the camera's automatic off"
+    )
+    gain_db: float | None = Field(
+        None, ge=-10, le=60, description="gain; switches the camera's automatic off"
+    )
     packet_size: int | None = Field(
         None, ge=220, le=65_000, description="GVSP packet size in bytes; negotiated when left out"
     )
     packet_delay_us: float | None = Field(
         None, ge=0, le=100_000, description="pause after each packet; from the link's speed when left out"
     )
-    strobe: StrobeSection | None = None
+    strobe: StrobeSection | None = Field(None, description="left out: no line is touched")
     features: Annotated[list[FeatureGroup], BeforeValidator(_groups)] = Field(
         default_factory=list,
-        description="GenICam nodes by name; several tables are written one after another",
+        description="any other GenICam node by name, checked and read back; a list of tables is written one "
+        "after another",
     )
 
 
@@ -120,23 +125,32 @@ Key = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class TriggerSection(_Section):
-    """What starts an exposure (docs/cameras.md has a table)."""
+    """What starts an exposure. A key that does not belong to the mode is a mistake."""
 
-    mode: Literal["software", "free-run", "line", "chain", "action"] = "software"
-    rate_hz: float | None = Field(None, gt=0, le=10_000, description="free-run: of both cameras")
+    mode: Literal["software", "free-run", "line", "chain", "action"] = Field(
+        "software",
+        description='"software": a command to each camera; "free-run": the cameras\' own clock; "line": a '
+        'pulse on an input of both; "chain": one triggers the other by its exposure-active output; "action": '
+        "one GigE Vision command for both",
+    )
+    rate_hz: float | None = Field(None, gt=0, le=10_000, description="free-run: exposures a second")
     line: str = Field("Line1", min_length=1, description="line, chain: input of the camera that waits for it")
-    edge: Literal["rising", "falling", "any"] = "rising"
-    delay_us: float = Field(0.0, ge=0, le=10_000_000, description="from pulse to exposure")
-    debounce_us: float = Field(0.0, ge=0, le=1_000_000, description="shorter pulses are ignored")
+    edge: Literal["rising", "falling", "any"] = Field(
+        "rising", description="line, chain: which flank of a pulse starts the exposure"
+    )
+    delay_us: float = Field(0.0, ge=0, le=10_000_000, description="line, chain: from pulse to exposure")
+    debounce_us: float = Field(
+        0.0, ge=0, le=1_000_000, description="line, chain: shorter pulses are disturbances, and ignored"
+    )
     first: Literal["left", "right"] = Field("left", description="chain: the camera that triggers the other")
     first_line: str = Field("", description="chain: input that triggers the first; left out: software does")
     output: str = Field("Line2", min_length=1, description="chain: the first camera's exposure-active output")
-    device_key: Key = 1
-    group_key: Key = 1
-    group_mask: Key = 1
+    device_key: Key = Field(1, description="action: the same in both cameras")
+    group_key: Key = Field(1, description="action: the same in both cameras")
+    group_mask: Key = Field(1, description="action: the same in both cameras")
     broadcast: str = Field("", description="action: broadcast address; left out: to each camera's own")
     lead_ms: float = Field(
-        0.0, ge=0, le=1000, description="action: scheduled so long ahead by PTP; 0: at once"
+        0.0, ge=0, le=1000, description="action: scheduled so long ahead, which needs `ptp`; 0: at once"
     )
 
     @model_validator(mode="after")
@@ -156,7 +170,11 @@ class TriggerSection(_Section):
 class CamerasSection(_Section):
     """Where images come from."""
 
-    source: Literal["aravis", "replay", "virtual", "virtual-inprocess"] = "aravis"
+    source: Literal["aravis", "replay", "virtual", "virtual-inprocess"] = Field(
+        "aravis",
+        description='"aravis": GigE Vision and USB3 Vision; "replay": the pairs of `folder`; "virtual": a '
+        'virtual cell with GigE Vision cameras over UDP; "virtual-inprocess": the same without a network',
+    )
     folder: FilePath | None = Field(None, description='for "replay": pairs NAME_left.png, NAME_right.png')
     timeout_s: float = Field(1.0, gt=0, le=10, description="from trigger to both images")
     max_skew_ms: float = Field(5.0, gt=0, le=1000, description="limit for two frames to be one exposure")
@@ -164,10 +182,10 @@ class CamerasSection(_Section):
         50.0, gt=0, le=1000, description="the same for cameras of which nothing but the arrival is known"
     )
     chunks: bool = Field(False, description="check the exposure time that each image carries as chunk data")
-    ptp: bool | None = Field(None, description="switch the cameras' PTP clocks on or off")
-    trigger: TriggerSection = TriggerSection()
-    left: CameraSection = CameraSection()
-    right: CameraSection = CameraSection()
+    ptp: bool | None = Field(None, description="the cameras' PTP clocks: on or off; left out: as they are")
+    trigger: TriggerSection = Field(TriggerSection(), description="what starts an exposure")
+    left: CameraSection = Field(CameraSection(), description="the left camera")
+    right: CameraSection = Field(CameraSection(), description="the right camera")
 
     @model_validator(mode="after")
     def _complete(self) -> CamerasSection:
@@ -192,20 +210,26 @@ class SerialSection(_Section):
     """Modbus RTU on a serial line, beside TCP and on the same registers."""
 
     device: str = Field(min_length=1, description="for example /dev/ttyUSB0")
-    baud: int = Field(19200, ge=300, le=4_000_000)
-    parity: Literal["even", "odd", "none"] = "even"
+    baud: int = Field(19200, ge=300, le=4_000_000, description="bits a second")
+    parity: Literal["even", "odd", "none"] = Field("even", description="of each character")
     gap_ms: float | None = Field(
-        None, ge=0.1, le=1000, description="silence that ends a frame; 3.5 characters when left out"
+        None,
+        ge=0.1,
+        le=1000,
+        description="silence that ends a frame; left out: 3.5 characters; more behind a USB adapter",
     )
 
 
 class TlsSection(_Section):
     """Modbus/TCP Security: certificates on both sides, PEM files."""
 
-    certificate: FilePath
-    key: FilePath
+    certificate: FilePath = Field(description="certificate of this server")
+    key: FilePath = Field(description="private key of the certificate")
     authority: FilePath = Field(description="who signs the clients' certificates")
-    writer_roles: list[str] = Field(default_factory=lambda: ["operator"])
+    writer_roles: list[str] = Field(
+        default_factory=lambda: ["operator"],
+        description="roles in a client's certificate (1.3.6.1.4.1.50316.802.1) that may write",
+    )
 
 
 def _network(value: str) -> str:
@@ -227,10 +251,10 @@ Address = Annotated[str, AfterValidator(_address)]
 class ModbusSection(_Section):
     """The Modbus server for the PLC."""
 
-    enabled: bool = True
+    enabled: bool = Field(True, description="serve it")
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     port: Port = Field(1502, description="502 is the standard port and needs CAP_NET_BIND_SERVICE")
-    unit_id: int = Field(1, ge=1, le=247)
+    unit_id: int = Field(1, ge=1, le=247, description="unit that is answered; over TCP 0 and 255 are, too")
     word_order: Literal["high", "low"] = Field("high", description="which word of a 32-bit value comes first")
     base_address: int = Field(0, ge=0, le=60_000, description="added to every address of the map")
     convention: Literal[
@@ -244,7 +268,7 @@ class ModbusSection(_Section):
         5.0, gt=0, le=3600, description="the right to write lapses so long after the last write"
     )
     idle_s: float = Field(60.0, gt=0, le=86_400, description="a connection without a request is closed")
-    max_clients: int = Field(16, ge=1, le=256)
+    max_clients: int = Field(16, ge=1, le=256, description="connections at a time")
     reserved: dict[Address, Annotated[int, Field(ge=1, le=16)]] = Field(
         default_factory=dict, description="of these connections, how many are kept for an address"
     )
@@ -254,8 +278,8 @@ class ModbusSection(_Section):
     writers: list[Network] = Field(
         default_factory=lambda: ["127.0.0.0/8", "::1/128"], description="networks that may write commands"
     )
-    serial: SerialSection | None = None
-    tls: TlsSection | None = None
+    serial: SerialSection | None = Field(None, description="left out: no serial line")
+    tls: TlsSection | None = Field(None, description="left out: plain Modbus/TCP")
 
     @model_validator(mode="after")
     def _fits(self) -> ModbusSection:
@@ -278,11 +302,17 @@ Endpoint = Annotated[str, AfterValidator(_endpoint)]
 class ZenohSection(_Section):
     """Publication to other processes."""
 
-    enabled: bool = True
-    listen: list[Endpoint] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
-    connect: list[Endpoint] = Field(default_factory=list)
+    enabled: bool = Field(True, description="publish at all")
+    listen: list[Endpoint] = Field(
+        default_factory=lambda: ["tcp/127.0.0.1:7447"], description="endpoints that others connect to"
+    )
+    connect: list[Endpoint] = Field(
+        default_factory=list, description='endpoints to connect to: a fleet\'s router, "tcp/192.168.1.5:7447"'
+    )
     config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
-    encoding: Literal["json", "cbor"] = "json"
+    encoding: Literal["json", "cbor"] = Field(
+        "json", description="of all messages: the same fields, in CBOR fewer bytes"
+    )
     trigger_timeout_s: float = Field(
         5.0, gt=0, le=3600, description="how long a trigger waits for its result"
     )
@@ -295,9 +325,13 @@ class DriftSection(_Section):
     """When the calibration is said to drift, and when no result is given any more (means over cycles)."""
 
     warn_rows_px: float = Field(0.5, gt=0, le=100, description="row difference of corresponding points, rms")
-    invalid_rows_px: float = Field(1.0, gt=0, le=100)
-    warn_length_percent: float = Field(0.1, gt=0, le=100, description="of the job's witness")
-    invalid_length_percent: float = Field(0.3, gt=0, le=100)
+    invalid_rows_px: float = Field(1.0, gt=0, le=100, description="the same: beyond it results are refused")
+    warn_length_percent: float = Field(
+        0.1, gt=0, le=100, description="deviation of the job's witness, a size that is known"
+    )
+    invalid_length_percent: float = Field(
+        0.3, gt=0, le=100, description="the same: beyond it results are refused"
+    )
     min_cycles: int = Field(20, ge=2, le=100_000, description="before any verdict")
 
     @model_validator(mode="after")
@@ -310,24 +344,26 @@ class DriftSection(_Section):
 
 
 class RecorderSection(_Section):
-    """What is kept on disk of the cycles, for `edged replay`."""
+    """What is kept on disk of the cycles, for `edged replay`. Left out: nothing."""
 
     folder: FilePath = Field(description="where recordings go")
     keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
     keep_bad: int = Field(500, ge=0, le=1_000_000, description="others: no target, low quality, faults")
     max_mib: int = Field(2000, ge=1, le=100_000_000, description="of all recordings")
-    max_age_days: float = Field(30.0, gt=0, le=36_500)
-    min_free_mib: int = Field(1000, ge=0, le=100_000_000, description="of the disk")
+    max_age_days: float = Field(30.0, gt=0, le=36_500, description="older ones are removed")
+    min_free_mib: int = Field(
+        1000, ge=0, le=100_000_000, description="of the disk, which is never filled further"
+    )
 
 
 class WebSection(_Section):
-    """The status page."""
+    """The status page, the manual, and what Prometheus reads. Left out: none of them."""
 
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
-    port: Port = 8080
+    port: Port = Field(8080, description="TCP port")
     password_hash: str = Field("", description="from `edged password`; needed beyond this machine")
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
-    key: FilePath | None = None
+    key: FilePath | None = Field(None, description="PEM; private key of the certificate")
 
     @model_validator(mode="after")
     def _protected(self) -> WebSection:

@@ -25,9 +25,13 @@ class Status(enum.StrEnum):
     """How a cycle ended."""
 
     OK = "OK"
+    """At least one part is within all limits."""
     NO_TARGET = "NO_TARGET"
+    """The shape was not found, or nothing that was found could be measured."""
     LOW_QUALITY = "LOW_QUALITY"
+    """Parts were measured, and none of them is within all limits."""
     CAPTURE_FAULT = "CAPTURE_FAULT"
+    """The cameras gave no pair of images."""
 
 
 class Reject(enum.IntFlag):
@@ -35,15 +39,25 @@ class Reject(enum.IntFlag):
 
     NONE = 0
     FEW_EDGES = 1 << 0
+    """Too little of the reference, or of what is to be measured, was seen: covered, glare, no contrast."""
     RESIDUAL = 1 << 1
+    """The edges scatter about their curve more than `max_rms_px`: blur, a burr, another part."""
     SIGMA_LIMIT = 1 << 2
+    """A coordinate is less certain than `max_sigma_mm`."""
     LEFT_RIGHT_MISMATCH = 1 << 3
+    """The cameras contradict each other: rows do not meet; moved between exposures, or a knock."""
     OUT_OF_VOLUME = 1 << 4
+    """Nearer or farther than `depth_mm` allows."""
     TOLERANCE = 1 << 5
+    """A size or the form is not the taught one: another part or edge, or the distance is wrong."""
     AMBIGUOUS_ROTATION = 1 << 6
+    """Another rotation explains the image nearly as well."""
     LOW_SCORE = 1 << 7
+    """Reserved; the search leaves out what scores less than `min_score`."""
     CALIBRATION = 1 << 8
+    """The calibration has drifted beyond its limits (`[drift]`): no result is given."""
     AMBIGUOUS_EDGE = 1 << 9
+    """The reference may lie on another edge than the taught one: a chamfer, a step, a burr."""
 
 
 class TimeBase(enum.StrEnum):
@@ -271,9 +285,13 @@ class CommandKind(enum.IntEnum):
     """Command register values."""
 
     LOCATE = 1
+    """Measure; a good result has coordinates."""
     CHANGE_JOB = 2
+    """Load another job; ended when it is loaded and warm."""
     GRAB = 3
+    """Take the pictures only."""
     VERIFY = 4
+    """Measure and say OK or NOK, without coordinates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,8 +343,11 @@ class Calibrated(enum.IntEnum):
     """Whether the calibration holds, by what the parts show."""
 
     HOLDS = 0
+    """Nothing speaks against it, or too little has been seen to tell."""
     DRIFTS = 1
+    """Rows or the known length are beyond the first limit: calibrate soon."""
     INVALID = 2
+    """Beyond the second limit: results are refused."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,4 +84,5 @@ PY
 . .venv/bin/activate
 export NUMBA_CACHE_DIR="$EDGED_ROOT/.venv/numba-cache"
 mkdir -p "$NUMBA_CACHE_DIR"
+tools/manual --if-needed || say "the manual could not be built: the status page will say so"
 edged warm --if-needed

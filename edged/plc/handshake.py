@@ -47,12 +47,19 @@ class Reason(enum.IntEnum):
     """Why a command ended in NACK; the value of a register."""
 
     NONE = 0
+    """The last command ended in ACK, or there was none."""
     UNKNOWN_COMMAND = 1
+    """COMMAND holds a number that is none."""
     REFUSED = 2
+    """No such job, no pose of the flange for a rig that the robot carries, stopping."""
     QUEUE_FULL = 3
+    """Eight commands were open."""
     TIMEOUT = 4
+    """It took longer than TIMEOUT; what comes later is dropped."""
     FAILED = 5
+    """Accepted, and then it could not be carried out: the log says why."""
     CAPTURE_FAULT = 6
+    """The cameras gave no pair of images: ERROR says why."""
 
 
 class Verdict(enum.Enum):

@@ -28,11 +28,17 @@ class Convention(enum.IntEnum):
     """What A, B, C mean; the value of a register."""
 
     FIXED_XYZ = 1
+    """FANUC W, P, R; Yaskawa Rx, Ry, Rz: about fixed X, then Y, then Z."""
     KUKA_ABC = 2
+    """KUKA A, B, C: about Z, the new Y, the new X."""
     UR_ROTATION_VECTOR = 3
+    """Universal Robots: rotation vector, in 0.001°."""
     STAUBLI_XYZ = 4
+    """Stäubli rx, ry, rz: about X, the new Y, the new Z."""
     KAWASAKI_OAT = 5
+    """Kawasaki O, A, T: about Z, the new Y, the new Z."""
     ABB_ZYX = 6
+    """ABB `OrientZYX(A, B, C)`: about Z, the new Y, the new X."""
 
 
 def fixed_xyz(R: FloatArray) -> tuple[float, float, float]:

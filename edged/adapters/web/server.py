@@ -1,4 +1,4 @@
-"""HTTP for the status page, /metrics, /health and /ready: aiohttp in the daemon's loop.
+"""HTTP for the status page, the manual, /metrics, /health and /ready: aiohttp in the daemon's loop.
 
 A viewer never delays a cycle: `announce` only sets a flag for each viewer, who is served in its own task;
 a slow one gets the newest state, not all of them. Nothing here changes the cell.
@@ -22,6 +22,7 @@ from pathlib import Path
 from aiohttp import web
 
 from edged.adapters.web.access import Access, TooManyAttempts
+from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import Page, Side, Sources, picture
 from edged.domain import Event
 from edged.errors import ListenError
@@ -71,12 +72,14 @@ class WebSettings:
 
 
 class WebPublisher:
-    """Serves the page (`edged.ports.Publisher`)."""
+    """Serves the page and the manual (`edged.ports.Publisher`). manual : folder that it was built into."""
 
-    def __init__(self, cell: str, settings: WebSettings, sources: Sources) -> None:
+    def __init__(self, cell: str, settings: WebSettings, sources: Sources, *, manual: Path = FOLDER) -> None:
         self._settings = settings
         self._page = Page(cell, sources)
         self._access = Access(settings.password_hash)
+        self._manual_folder = manual
+        self._manual: Manual | None = None
         self._viewers: set[asyncio.Event] = set()
         self._pictures: OrderedDict[tuple[int, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
@@ -105,6 +108,8 @@ class WebPublisher:
         app.router.add_get("/registers.json", self._registers)
         app.router.add_get("/picture/{cycle:[0-9]{1,15}}/{side:left|right}", self._picture)
         app.router.add_get("/static/{name}", self._static)
+        app.router.add_get("/manual", self._manual_index)
+        app.router.add_get("/manual/{path:.*}", self._manual_file)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/health", self._health)
         app.router.add_get("/ready", self._ready)
@@ -141,7 +146,8 @@ class WebPublisher:
             if not self._is_our_host(request):
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
             if not await self._may_see(request):
-                if request.path == "/" and "text/html" in request.headers.get("Accept", ""):
+                is_page = request.path == "/" or request.path.startswith("/manual")
+                if is_page and "text/html" in request.headers.get("Accept", ""):
                     raise web.HTTPSeeOther("/login")
                 # a browser's page asks with its own form; a scraper must be told how
                 asked = {"WWW-Authenticate": 'Basic realm="edged"'} if request.path == "/metrics" else {}
@@ -154,7 +160,8 @@ class WebPublisher:
             response = web.Response(status=429, text=f"too many wrong passwords, {error}\n")
             response.headers["Retry-After"] = f"{error.wait_s:.0f}"
         if not response.prepared:
-            response.headers.update(HEADERS)
+            for name, value in HEADERS.items():
+                response.headers.setdefault(name, value)
         return response
 
     def _is_our_host(self, request: web.Request) -> bool:
@@ -182,6 +189,23 @@ class WebPublisher:
         if name not in STATIC:
             raise web.HTTPNotFound
         return _file(name, STATIC[name])
+
+    async def _manual_index(self, _request: web.Request) -> web.Response:
+        raise web.HTTPMovedPermanently("/manual/")
+
+    async def _manual_file(self, request: web.Request) -> web.StreamResponse:
+        """One file of the manual: a name that was there when it was first asked for, and no other."""
+        if self._manual is None:
+            self._manual = await asyncio.to_thread(read_manual, self._manual_folder)
+        if self._manual is None:
+            response = _file("nomanual.html", "text/html")
+            response.set_status(404)
+            return response
+        path = request.match_info["path"] or "index.html"
+        file = self._manual.files.get(path)
+        if file is None:
+            raise web.HTTPNotFound(text="the manual has no such page\n")
+        return web.FileResponse(file, headers=self._manual.headers(path))
 
     async def _login_form(self, _request: web.Request) -> web.Response:
         return _file("login.html", "text/html")

@@ -1,20 +1,6 @@
 """Zenoh: results for other processes, other machines and fleets, and commands from them.
 
-Keys, below `edged/<cell>`:
-
-    target    each cycle: what was measured, or why not             (published, last one kept)
-    state     the daemon's state, on change                         (published, last one kept)
-    health    every second: rates, ages, counters                   (published)
-    alive     liveliness token: gone when the daemon or its link is
-    preview/left, preview/right   JPEG, at most 5 a second, while somebody listens
-    trigger   measure now; replies with the result                  (queryable)
-              parameters: kind=locate|grab|change_job, job=NUMBER, timeout_s=SECONDS,
-              flange=X,Y,Z,QW,QX,QY,QZ (mm) where the robot carries the cameras
-    last      the last result and its age                           (queryable)
-    jobs      what can be measured                                  (queryable)
-    config    cell, calibration, fingerprint                        (queryable)
-
-Responsible for: sessions, threads, keys and quality of service. Not responsible for the shape of
+Responsible for: sessions, threads, `keys` and quality of service. Not responsible for the shape of
 what is sent (`edged.payload`) nor for carrying commands out (`Commander`).
 
 Nothing here blocks the event loop. All state lives on the loop; two threads do what may wait: one
@@ -39,6 +25,7 @@ import zenoh
 import zenoh.ext
 
 from edged.adapters.zenoh.cbor import encode_cbor
+from edged.adapters.zenoh.keys import PREFIX, QUERYABLES, TRIGGER_PARAMETERS
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
@@ -61,7 +48,6 @@ from edged.robot.orientations import Brand, transform_of
 
 log = logging.getLogger(__name__)
 
-PREFIX = "edged"
 SOURCE = "zenoh"  # of our commands
 HEALTH_PERIOD_S = 1.0
 OUTBOX_LENGTH = 64  # a second of the fastest cell; more would only be old news
@@ -74,7 +60,6 @@ ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
     "json": (encode, zenoh.Encoding.APPLICATION_JSON),
     "cbor": (encode_cbor, zenoh.Encoding.APPLICATION_CBOR),
 }
-QUERYABLES = ("trigger", "last", "jobs", "config")
 
 
 class ZenohPublisher:
@@ -397,7 +382,8 @@ def _parse_trigger(
     parameters: zenoh.Parameters, default_timeout_s: float
 ) -> tuple[CommandKind, int, float, FloatArray | None]:
     """Kind, job number, time-out and robot_from_flange of a trigger; raises `CommandRefused`."""
-    known = {"kind": "locate", "job": "0", "timeout_s": str(default_timeout_s), "flange": ""}
+    known = {name: default for name, (default, _) in TRIGGER_PARAMETERS.items()}
+    known["timeout_s"] = str(default_timeout_s)
     for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
         if name not in known:
             raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")

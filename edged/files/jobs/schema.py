@@ -36,13 +36,23 @@ class _Section(BaseModel):
 
 
 class _Limits(_Section):
-    depth_mm: Annotated[list[float], Field(min_length=2, max_length=2)]
-    min_support: float = Field(0.3, ge=0, le=1)
-    max_rms_px: float = Field(0.5, gt=0)
-    max_sigma_mm: float = Field(0.2, gt=0)
-    max_epipolar_px: float = Field(0.5, gt=0)
-    radius_tolerance_mm: float | None = Field(None, gt=0)
-    form_tolerance_mm: float | None = Field(None, gt=0)
+    """Beyond them a result is published as not good, with the reason."""
+
+    depth_mm: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        description="nearest and farthest, rig z"
+    )
+    min_support: float = Field(
+        0.3, ge=0, le=1, description="share of the reference circle that each camera must see"
+    )
+    max_rms_px: float = Field(0.5, gt=0, description="scatter of its edges about it")
+    max_sigma_mm: float = Field(0.2, gt=0, description="of each coordinate")
+    max_epipolar_px: float = Field(0.5, gt=0, description="rows of both cameras against each other")
+    radius_tolerance_mm: float | None = Field(
+        None, gt=0, description="how far the reference circle may differ from the taught one"
+    )
+    form_tolerance_mm: float | None = Field(
+        None, gt=0, description="the same of each straight edge and slot of a part without circles"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> _Limits:
@@ -56,17 +66,37 @@ class _Limits(_Section):
 
 
 class _Search(_Section):
-    angle_start_deg: float = Field(-180.0, ge=-360, le=360)
-    angle_extent_deg: float = Field(360.0, gt=0, le=360)
-    scale: Annotated[list[float], Field(min_length=2, max_length=2)]
-    scale_y: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    min_score: float = Field(0.6, ge=0.1, le=1)
-    max_matches: int = Field(8, ge=1, le=64)
-    max_overlap: float = Field(0.5, ge=0, le=1)
-    polarity: Literal["same", "global", "local", "ignore"] = "local"
-    min_contrast: float = Field(2.0, gt=0, le=255)
-    sub_pixel: Literal["none", "rigid", "similarity", "stretch", "affine", "projective"] = "projective"
-    allow_partial: bool = True
+    """How the shape is looked for in the rectified left image."""
+
+    angle_start_deg: float = Field(
+        -180.0, ge=-360, le=360, description="rotation against the teaching, from here"
+    )
+    angle_extent_deg: float = Field(360.0, gt=0, le=360, description="how far the range reaches from there")
+    scale: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        description="smallest and largest apparent size against the teaching, within 0.2 to 5"
+    )
+    scale_y: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="the same along the model's y, where it differs; left out: as along x"
+    )
+    min_score: float = Field(0.6, ge=0.1, le=1, description="share of the shape that must be seen and agree")
+    max_matches: int = Field(8, ge=1, le=64, description="the best ones are measured")
+    max_overlap: float = Field(
+        0.5, ge=0, le=1, description="of two that share more than this of their area the better one remains"
+    )
+    polarity: Literal["same", "global", "local", "ignore"] = Field(
+        "local",
+        description='contrast "same" as taught; "global": may be inverted as a whole; "local": each stretch '
+        'of the outline by itself; "ignore": each edge by itself, which clutter imitates most easily',
+    )
+    min_contrast: float = Field(
+        2.0, gt=0, le=255, description="grey values per px below which there is no edge"
+    )
+    sub_pixel: Literal["none", "rigid", "similarity", "stretch", "affine", "projective"] = Field(
+        "projective",
+        description="what the refinement may adapt: nothing; position and angle; and size; and sizes along x "
+        "and y; an affine map; a tilted face",
+    )
+    allow_partial: bool = Field(True, description="may reach beyond the image")
 
     @model_validator(mode="after")
     def _ordered(self) -> _Search:
@@ -95,21 +125,29 @@ class _Search(_Section):
 
 
 class _Circle(_Section):
-    name: Name
-    centre_mm: Vector
-    radius_mm: float = Field(gt=0)
-    polarity: Literal[-1, 1]
-    double: bool = False
+    """A circle: the edge of a hole or disc."""
+
+    name: Name = Field(description="name of the feature")
+    centre_mm: Vector = Field(description="part frame")
+    radius_mm: float = Field(gt=0, description="as taught")
+    polarity: Literal[-1, 1] = Field(description="1: brighter outside than inside, as a hole; -1: darker")
+    double: bool = Field(
+        False, description="a second edge runs beside it, as of a chamfer: only its radius tells which it is"
+    )
 
     def feature(self) -> CircleFeature:
         return CircleFeature(self.name, np.array(self.centre_mm), self.radius_mm, self.polarity, self.double)
 
 
 class _Edge(_Section):
-    name: Name
-    start_mm: Vector
-    end_mm: Vector
-    polarity: Literal[-1, 1]
+    """A straight edge, at one height of the part frame."""
+
+    name: Name = Field(description="name of the feature")
+    start_mm: Vector = Field(description="part frame")
+    end_mm: Vector = Field(description="part frame")
+    polarity: Literal[-1, 1] = Field(
+        description="1: brighter at 90° from its direction, turned from x to y; -1: darker"
+    )
 
     @model_validator(mode="after")
     def _has_length(self) -> _Edge:
@@ -124,12 +162,14 @@ class _Edge(_Section):
 
 
 class _Slot(_Section):
-    name: Name
-    centre_mm: Vector
-    angle_deg: float = Field(ge=-360, le=360)
-    length_mm: float = Field(gt=0)
-    width_mm: float = Field(gt=0)
-    polarity: Literal[-1, 1]
+    """A slot: two half circles joined by straight edges."""
+
+    name: Name = Field(description="name of the feature")
+    centre_mm: Vector = Field(description="part frame")
+    angle_deg: float = Field(ge=-360, le=360, description="of its long axis, from x to y")
+    length_mm: float = Field(gt=0, description="over all; more than its width")
+    width_mm: float = Field(gt=0, description="across")
+    polarity: Literal[-1, 1] = Field(description="1: brighter outside than inside, as a hole; -1: darker")
 
     @model_validator(mode="after")
     def _is_long(self) -> _Slot:
@@ -145,21 +185,31 @@ class _Slot(_Section):
 
 
 class _Corner(_Section):
-    name: Name
-    edges: Annotated[list[str], Field(min_length=2, max_length=2)]
+    """Where two straight edges meet."""
+
+    name: Name = Field(description="name of the feature")
+    edges: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
+        description="names of two edges that are not parallel"
+    )
 
     def feature(self) -> CornerFeature:
         return CornerFeature(self.name, (self.edges[0], self.edges[1]))
 
 
 class _Measurement(_Section):
-    name: Name
-    kind: MeasurementKind
-    of: Annotated[list[str], Field(max_length=2)] = Field(default_factory=list)
-    nominal_mm: float | None = None
-    tolerance_mm: float | None = Field(None, gt=0)
-    nominal_deg: float | None = None
-    tolerance_deg: float | None = Field(None, gt=0)
+    """A size to measure; a part out of tolerance is not good."""
+
+    name: Name = Field(description="name of the measurement")
+    kind: MeasurementKind = Field(description="what is measured")
+    of: Annotated[list[str], Field(max_length=2)] = Field(
+        default_factory=list, description="names of the features it needs, as many as the kind takes"
+    )
+    nominal_mm: float | None = Field(None, description="what it should be")
+    tolerance_mm: float | None = Field(
+        None, gt=0, description="largest deviation from it; of a flatness the largest value"
+    )
+    nominal_deg: float | None = Field(None, description="of an angle: what it should be")
+    tolerance_deg: float | None = Field(None, gt=0, description="of an angle: largest deviation from it")
 
     @model_validator(mode="after")
     def _in_its_unit(self) -> _Measurement:
@@ -184,18 +234,22 @@ class _Measurement(_Section):
 class JobFile(_Section):
     """The whole file; a `ValidationError` says what in it is wrong."""
 
-    format: Literal["edged-job"]
-    version: Literal[1]
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
-    number: int = Field(ge=1, le=65535)
-    reference: str
+    format: Literal["edged-job"] = Field(description="what this file is")
+    version: Literal[1] = Field(description="version of the format")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$", description="name of the job")
+    number: int = Field(ge=1, le=65535, description="how the PLC calls it")
+    reference: str = Field(description="the circle, slot or corner whose place is the reported position")
     rig_from_part: Annotated[
         list[Annotated[list[float], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
-    ]
+    ] = Field(description="pose at teaching: x_rig = rig_from_part x_part, mm")
     limits: _Limits
     search: _Search
-    witness: str | None = None
-    calibration: str | None = Field(default=None, max_length=200)
+    witness: str | None = Field(
+        None, description="a measurement whose size is known, with `nominal_mm`: tells when the rig drifts"
+    )
+    calibration: str | None = Field(
+        None, max_length=200, description="calibration of the rig that measured the sizes; none: a drawing's"
+    )
     circle: Annotated[list[_Circle], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     edge: Annotated[list[_Edge], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)

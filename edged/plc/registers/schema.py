@@ -40,55 +40,85 @@ class ResultCode(enum.IntEnum):
     """Register RESULT."""
 
     NONE = 0
+    """No result is on display."""
     OK = 1
+    """A part within all limits; coordinates where VALID is set."""
     NO_TARGET = 2
+    """Nothing found, or nothing that could be measured."""
     LOW_QUALITY = 3
+    """Found, but beyond a limit: REJECT says which."""
     CAPTURE_FAULT = 4
+    """The cameras gave no pair of images: ERROR says why."""
     OUT_OF_RANGE = 5
+    """A number that does not fit its register."""
     GRABBED = 6
+    """The pictures were taken, as GRAB asked; nothing was measured for the PLC."""
     VERIFIED = 7
+    """Within all limits, as VERIFY asked; without coordinates."""
 
 
 class StatusBit(enum.IntFlag):
     """Register STATUS_BITS."""
 
     READY = 1 << 0
+    """A command would be carried out: cameras deliver, and the queue has room."""
     ACK = 1 << 1
+    """The command of DONE_SEQ was carried out, even if nothing was found."""
     NACK = 1 << 2
+    """The command of DONE_SEQ was not carried out: NACK_REASON says why."""
     BUSY = 1 << 3
+    """A command is open, or a cycle runs."""
     EXPOSURE_DONE = 1 << 4
+    """Both images of the newest command are in memory: the robot may leave the picture."""
     RESULT_VALID = 1 << 5
+    """The result on display is good, fresh and not yet acknowledged: the only leave to move."""
     OK = 1 << 6
+    """As RESULT_VALID; after VERIFY: the part is good."""
     NOK = 1 << 7
+    """The result on display is not good, or a fault."""
     ERROR = 1 << 8
+    """Something is wrong with the cell: ERROR says what."""
     OVERRUN = 1 << 9
+    """A command came while eight were open; down with the next one that is accepted."""
     DRIFT_WARN = 1 << 10
+    """The calibration drifts, or is invalid."""
     CAL_INVALID = 1 << 11
+    """The calibration is wrong: results are refused."""
     CAM_FAULT = 1 << 12
+    """A camera does not deliver."""
     LIGHT_FAULT = 1 << 13
+    """Reserved, 0."""
     OVERTEMP = 1 << 14
+    """Reserved, 0."""
     SIMULATED = 1 << 15
+    """The last result came from a virtual cell."""
 
 
 class Flag(enum.IntFlag):
     """Register FLAGS of a result."""
 
     VALID = 1 << 0
+    """The coordinates may be used."""
     ROBOT_FRAME = 1 << 1
+    """Coordinates are in the robot's frame; without it in the left camera's."""
     SIMULATED = 1 << 2
+    """From a virtual cell: not for a real robot."""
     FREE_RUNNING = 1 << 3
+    """Nobody asked for this result: SEQ is the number of the cycle."""
 
 
 class Option(enum.IntFlag):
     """Register OPTIONS, written by the client."""
 
     RELEASE = 1 << 0
+    """Give up the right to write; reads back as 0."""
 
 
 class Warn(enum.IntFlag):
     """Register WARNING."""
 
     CLIENT_LOST = 1 << 0
+    """The client's heartbeat has stopped: its result is withdrawn."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""The generated parts of the manual's reference, each from the code that defines it (`tools/reference`)."""

@@ -1,0 +1,82 @@
+"""Every table and key of the configuration, from the model that reads it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from edged.config import MODE_KEYS, Config
+from referencepages.jsonschema import Schema, in_words
+from referencepages.markdown import code, first_line, table
+
+ALIKE = {"cameras.right": "cameras.left"}
+"""The same table twice."""
+
+
+def sections(model: type[BaseModel] = Config, path: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
+    """Dotted path and model of every table, in the order of the model."""
+    for name, field in model.model_fields.items():
+        inner = model_of(field)
+        if inner is not None:
+            here = f"{path}.{name}" if path else name
+            yield here, inner
+            yield from sections(inner, here)
+
+
+def model_of(field: FieldInfo) -> type[BaseModel] | None:
+    """The model of a table; None for a key. A list of tables counts as its table."""
+    kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+
+
+def default_of(field: FieldInfo) -> str:
+    """As it would be written in TOML; "" where there is none but to leave it out."""
+    value = field.get_default(call_default_factory=True)
+    if value is PydanticUndefined:
+        return "required"
+    if value is None or value in ("", [], {}):
+        return ""
+    return code(json.dumps(value))
+
+
+def rows(model: type[BaseModel], schema: Schema) -> Iterator[tuple[str, str, str, str]]:
+    """Key, value, default and meaning of each key that is no table."""
+    for name, field in model.model_fields.items():
+        if model_of(field) is None:
+            one = schema["properties"][name]
+            yield code(name), in_words(one, optional=True), default_of(field), field.description or ""
+
+
+def all_keys() -> str:
+    """A section for each table."""
+    definitions = Config.model_json_schema()["$defs"]
+    parts = []
+    for path, model in sections():
+        if any(path == twin or path.startswith(twin + ".") for twin in ALIKE):
+            continue
+        paths = [
+            path,
+            *(path.replace(first, twin) for twin, first in ALIKE.items() if path.startswith(first)),
+        ]
+        parts.append("## " + ", ".join(code(f"[{one}]") for one in paths))
+        parts.append(first_line(model) + ".")
+        parts.append(table(("key", "value", "default", "meaning"), rows(model, definitions[model.__name__])))
+    return "\n\n".join(parts)
+
+
+def modes() -> str:
+    """Which keys belong to which trigger mode."""
+    return table(
+        ("`mode`", "keys"),
+        (
+            (code(mode), ", ".join(code(key) for key in sorted(keys)) or "none")
+            for mode, keys in MODE_KEYS.items()
+        ),
+    )
+
+
+PARTS = {"keys": all_keys, "trigger-modes": modes}

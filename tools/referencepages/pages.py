@@ -1,0 +1,60 @@
+"""Brings the generated parts of docs/reference/ up to date.
+
+    tools/reference           writes every page whose code has changed
+    tools/reference --check   writes nothing; 1 when a page is not current, and says which
+
+A part stands between `<!-- generated: NAME -->` and `<!-- end -->`; what is around it is written by people.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from referencepages import cli, configuration, errors, files, payloads, registers
+from referencepages.markdown import ROOT
+
+FOLDER = ROOT / "docs" / "reference"
+PAGES: dict[str, Mapping[str, Callable[[], str]]] = {
+    "cli": cli.PARTS,
+    "configuration": configuration.PARTS,
+    "registers": registers.PARTS,
+    "payloads": payloads.PARTS,
+    "files": files.PARTS,
+    "errors": errors.PARTS,
+}
+PART = re.compile(r"(?<=<!-- generated: )(?P<name>[a-z-]+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
+
+
+def current(text: str, parts: Mapping[str, Callable[[], str]]) -> str:
+    """The page with its parts as the code has them now. `ValueError` unless each has one place."""
+    found = [part["name"] for part in PART.finditer(text)]
+    if sorted(found) != sorted(parts):
+        raise ValueError(f"expected the parts {sorted(parts)}, found {sorted(found)}")
+    return PART.sub(lambda part: f"{part['name']} -->\n\n{parts[part['name']]()}\n\n", text)
+
+
+def main(arguments: list[str] | None = None, folder: Path = FOLDER) -> int:
+    """Write, or check, every page of the folder."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 when a page is not current")
+    check = parser.parse_args(arguments).check
+    stale = 0
+    for name, parts in PAGES.items():
+        path = folder / f"{name}.md"
+        before = path.read_text("utf-8")
+        after = current(before, parts)
+        if after == before:
+            continue
+        stale += 1
+        if check:
+            print(f"{path}: not current; run tools/reference", file=sys.stderr)
+        else:
+            path.write_text(after, "utf-8")
+            print(f"{path}: written", file=sys.stderr)
+    return int(check and stale > 0)

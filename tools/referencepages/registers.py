@@ -1,0 +1,72 @@
+"""The Modbus map, and what each bit and code in it means."""
+
+from __future__ import annotations
+
+import enum
+
+from edged.commands.registers import render
+from edged.domain import CommandKind, Reject
+from edged.pictures.captions import REASONS
+from edged.plc.handshake import Reason
+from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
+from edged.robot.orientations import Convention
+from referencepages.markdown import code, member_docs, table
+
+CODES: dict[str, type[enum.IntEnum]] = {
+    "COMMAND": CommandKind,
+    "RESULT": ResultCode,
+    "NACK_REASON": Reason,
+    "POSE_CONVENTION": Convention,
+}
+BITS: dict[str, type[enum.IntFlag]] = {
+    "STATUS_BITS": StatusBit,
+    "FLAGS": Flag,
+    "REJECT": Reject,
+    "OPTIONS": Option,
+    "WARNING": Warn,
+}
+"""By the register that holds them."""
+
+
+def the_map() -> str:
+    """Every word, as `edged registers` prints it."""
+    return render("md").rstrip()
+
+
+def codes_of(codes: type[enum.IntEnum]) -> str:
+    """Value, name and meaning of each."""
+    docs = member_docs(codes)
+    rows = ((one.value, code(one.name), docs[one.name]) for one in codes)
+    return table(("value", "name", "meaning"), rows, numbers=1)
+
+
+def bits_of(bits: type[enum.IntFlag]) -> str:
+    """Number, value, name and meaning of each."""
+    docs = member_docs(bits)
+    rows = ((one.bit_length() - 1, f"0x{one:04X}", code(one.name), docs[str(one.name)]) for one in bits)
+    return table(("bit", "value", "name", "meaning"), rows, numbers=2)
+
+
+def rejects() -> str:
+    """The bits of REJECT, with the words for people that pictures and reports have."""
+    docs = member_docs(Reject)
+    rows = (
+        (one.bit_length() - 1, f"0x{one:04X}", code(one.name), REASONS[one], docs[str(one.name)])
+        for one in Reject
+    )
+    return table(("bit", "value", "name", "in words", "meaning"), rows, numbers=2)
+
+
+def all_codes() -> str:
+    """A section for each register that holds a code."""
+    return "\n\n".join(f"### {name}\n\n{codes_of(codes)}" for name, codes in CODES.items())
+
+
+def all_bits() -> str:
+    """A section for each register that holds bits."""
+    return "\n\n".join(
+        f"### {name}\n\n{rejects() if bits is Reject else bits_of(bits)}" for name, bits in BITS.items()
+    )
+
+
+PARTS = {"map": the_map, "codes": all_codes, "bits": all_bits}
