@@ -120,7 +120,7 @@ Key = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class TriggerSection(_Section):
-    """What starts an exposure (docs/cameras.md has a table)."""
+    """What starts an exposure (docs/how-to/cameras.md has a table)."""
 
     mode: Literal["software", "free-run", "line", "chain", "action"] = "software"
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="free-run: of both cameras")
