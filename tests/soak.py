@@ -269,7 +269,7 @@ class Soak:
     # --- who uses the cell -------------------------------------------------------------------
 
     async def _plc(self) -> None:
-        """Handshake after handshake, as docs/plc.md says; now and then its power fails."""
+        """Handshake after handshake, as docs/how-to/plc.md says; now and then its power fails."""
         line, sequence = self._line(), 0
         while self._going:
             if self.dice.random() < 0.01:

@@ -1,4 +1,4 @@
-"""What the documentation tells people to type exists."""
+"""What the documentation tells people to type exists, and so does what it links to."""
 
 from __future__ import annotations
 
@@ -12,34 +12,96 @@ import typer
 from edged.cli import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+README = ROOT / "README.md"
+DOCS = ROOT / "docs"
+PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 COMMAND = re.compile(r"(?<![\w/.-])edged (?P<name>[a-z][a-z-]*)(?P<rest>[^\n`|;&>#]*)")
+TOOL = re.compile(r"(?<![\w.-])tools/(?P<name>[\w.]+)(?P<rest>[^\n`|;&>#]*)")
+FILE = re.compile(r"(?<![\w./<-])(?:(?:tools|tests|config|systemd)/[\w./-]*\w|edged/[\w/]+\.py)")
+LINK = re.compile(r"\]\((?P<page>[^)#\s:]*)(?:#(?P<anchor>[^)\s]+))?\)")
+FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
 
 
 def _commands(text: str) -> Iterator[tuple[str, list[str], set[str]]]:
     """Each command line of edged: as it stands, the options it is given, and those that it takes."""
     known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    for found in COMMAND.finditer(text):
+    for found in COMMAND.finditer(text.replace("tools/demo", "edged demo")):
         command, words = known.get(found["name"]), found["rest"].split()
         if hasattr(command, "commands"):
             command, words = command.commands.get(words[0].rstrip(",") if words else ""), words[1:]
         if command is None:  # a sentence, not a command
             continue
         takes = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
-        given = [word.partition("=")[0].rstrip(",.;:)") for word in words if re.match("--?[a-z]", word)]
-        yield found[0], given, takes
+        yield found[0], _options(words), takes
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def _options(words: list[str]) -> list[str]:
+    return [word.partition("=")[0].rstrip(",.;:)") for word in words if re.match("--?[a-z]", word)]
+
+
+def _tools(text: str) -> Iterator[tuple[Path, list[str]]]:
+    """Each program of tools/ that is called, and its options."""
+    for found in TOOL.finditer(text):
+        name, words = found["name"].rstrip("."), found["rest"].split()
+        if name == "bench" and words and words[0].isalpha():
+            name = f"bench_{words[0]}.py"
+        if name not in ("demo", "test"):  # they hand their options to `edged demo` and pytest
+            yield ROOT / "tools" / name, [word for word in _options(words) if word.startswith("--")]
+
+
+def _anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", FENCED.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_every_option_in_the_documentation_exists(page: Path) -> None:
     """Of every command line on every page."""
     for line, given, takes in _commands(page.read_text()):
         assert set(given) <= takes, line
 
 
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_every_tool_in_the_documentation_exists(page: Path) -> None:
+    """And its options stand in its source."""
+    for tool, given in _tools(page.read_text()):
+        assert tool.is_file(), tool
+        assert [] == [option for option in given if option not in tool.read_text()], tool
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_every_file_in_the_documentation_exists(page: Path) -> None:
+    """Tests, tools, sources and examples that are named by their path."""
+    assert [] == [file for file in FILE.findall(page.read_text()) if not (ROOT / file).exists()]
+
+
+def test_every_link_leads_somewhere() -> None:
+    """From the README on, page by page, to the heading that is meant; and every page can be reached so."""
+    dead, seen, pages = [], {README}, [README]
+    while pages:
+        page = pages.pop()
+        for link in LINK.finditer(FENCED.sub("", page.read_text())):
+            target = (page.parent / link["page"]).resolve() if link["page"] else page
+            if target.parent == DOCS / "reference" and not target.parent.exists():
+                continue  # written by a program, where that has been run
+            if not target.exists() or (link["anchor"] and link["anchor"] not in _anchors(target)):
+                dead.append(f"{_name(page)}: {link[0]}")
+            elif target.suffix == ".md" and target not in seen:
+                seen.add(target)
+                pages.append(target)
+
+    assert [] == dead
+    parts = [DOCS / name for name in ("tutorial", "how-to", "explanation")]
+    assert set() == {page for page in PAGES if page.parent in parts} - seen
+
+
 def test_every_command_is_in_the_readme() -> None:
     """Nobody has to find one by `edged --help` alone."""
-    told = set(re.findall(r"`(?:edged )?([a-z]+)\b", PAGES[0].read_text()))
+    told = set(re.findall(r"`(?:edged )?([a-z]+)\b", README.read_text()))
     assert set() == set(typer.main.get_command(app).commands) - told  # type: ignore[attr-defined]
 
 
@@ -49,3 +111,6 @@ def test_the_search_finds_commands_and_mistakes() -> None:
     ((_, given, takes),) = _commands("edged check cell.toml --jsn")
     assert ["--jsn"] == given
     assert "--json" in takes
+    ((tool, options),) = _tools("`tools/bench modbus --second 5`")
+    assert "--second" in options
+    assert ROOT / "tools" / "bench_modbus.py" == tool

@@ -1,7 +1,7 @@
 """What goes wrong with cameras in a factory, each over real UDP with the real Aravis.
 
-Every fault is noticed within the time that docs/cameras.md states, has its own code, publishes nothing that
-is not a whole, new pair, and is healed without a restart when its cause has gone.
+Every fault is noticed within the time that docs/how-to/cameras.md states, has its own code, publishes nothing
+that is not a whole, new pair, and is healed without a restart when its cause has gone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Outputs when things go wrong: a row of the table in docs/plc.md is a test here (or in test_modbus.py)."""
+"""Outputs when things go wrong: a row of the table in docs/how-to/plc.md is a test here or in test_modbus."""
 
 from __future__ import annotations
 

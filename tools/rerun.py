@@ -1,0 +1,174 @@
+#!/usr/bin/env python3
+"""Run every command of a page of the manual again, and write below it what it says now.
+
+    tools/rerun.py docs/tutorial/first-part.md
+
+The page is the script. In a block marked `console`,
+
+    $ edged check cell.toml          is run, and what stood below it is replaced by what it says
+    cell$ edged run cell.toml        is started in another terminal, "cell", and stays there
+
+and a block after a line that ends in "`cell.toml`:" is written to that file. A picture that the page shows
+and a command made is put beside the page. All of it happens in a new home folder with a clone of this
+checkout, as it is committed, in ~/edged. When a command fails, the page stays as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edged.domain import Image
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = re.compile(r"(?P<terminal>\w*)\$ (?P<command>.+)")
+FILE = re.compile(r"`(?P<name>[\w.]+)`:$")
+PICTURE = re.compile(r"!\[[^]]*\]\((?P<name>\w+\.png)\)")
+FENCE = "```"
+CONSOLE = f"{FENCE}console"
+DONE = "command-ended-with"
+QUIET_S = 3.0
+"""A program that has said nothing for so long has begun its work."""
+PATIENCE_S = 60.0
+"""For the first word of a program in another terminal."""
+COLUMNS = "100"
+SHOWN_PX = 1280
+"""Width of the page's pictures."""
+HERE_ONLY = ("PYTHONPATH", "NUMBA_CACHE_DIR")
+
+
+class CommandFailed(Exception):
+    """A command of the page that did not end with 0."""
+
+
+class Machine:
+    """A home folder of its own and a shell in it; programs of other terminals run beside it."""
+
+    def __init__(self, home: Path) -> None:
+        self._home = home
+        kept = {name: value for name, value in os.environ.items() if name not in HERE_ONLY}
+        self._shell = subprocess.Popen(
+            ["bash", "--norc"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=home,
+            env={**kept, "HOME": str(home), "COLUMNS": COLUMNS, "TERM": "dumb", "NO_COLOR": "1"},
+        )
+        self.run("set -m")  # programs of other terminals are process groups: they end as a whole
+
+    def write(self, name: str, text: str) -> None:
+        """A file in the folder where the shell is."""
+        self.run(f"cat > {name} <<'END-OF-FILE'\n{text}END-OF-FILE")
+
+    def run(self, command: str) -> list[str]:
+        """What the command says. Raises `CommandFailed`."""
+        assert self._shell.stdin is not None and self._shell.stdout is not None
+        self._shell.stdin.write(f"{command}\ncode=$?; echo; echo {DONE} $code\n")
+        self._shell.stdin.flush()
+        said: list[str] = []
+        for line in self._shell.stdout:
+            if line.startswith(DONE):
+                lines = self._plain("".join(said))
+                if (code := line.split()[1]) != "0":
+                    raise CommandFailed("\n".join([f"$ {command}", *lines, f"it ended with {code}"]))
+                return lines
+            said.append(line)
+        raise CommandFailed(f"$ {command}\nthe shell ended")
+
+    def start(self, terminal: str, command: str) -> list[str]:
+        """What a program says until it is quiet; it goes on until the machine is closed."""
+        log = self._home / f".{terminal}.log"
+        self.run(f"{{ {command}; }} >{log} 2>&1 </dev/null &")
+        seen, since = "", time.monotonic()
+        while time.monotonic() - since < (QUIET_S if seen else PATIENCE_S):
+            time.sleep(0.1)
+            if (said := log.read_text()) != seen:
+                seen, since = said, time.monotonic()
+        if not seen:
+            raise CommandFailed(f"{terminal}$ {command}\nit has said nothing for {PATIENCE_S:g} s")
+        return self._plain(seen)
+
+    def close(self) -> None:
+        """End every program that was started."""
+        self.run("for job in $(jobs -p); do kill -- -$job; done; wait")
+        self._shell.communicate()
+
+    def picture(self, name: str) -> Image | None:
+        """A picture that a command made in the folder where the shell is, SHOWN_PX wide."""
+        folder = Path(self.run("pwd")[0].replace("~", str(self._home), 1))
+        picture = cv2.imread(str(folder / name)) if (folder / name).is_file() else None
+        if picture is None:
+            return None
+        height = round(SHOWN_PX * picture.shape[0] / picture.shape[1])
+        return cv2.resize(picture, (SHOWN_PX, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+    def _plain(self, text: str) -> list[str]:
+        text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text).replace(str(self._home), "~")
+        lines = [line.rpartition("\r")[2].rstrip() for line in text.split("\n")]
+        return "\n".join(lines).strip("\n").split("\n") if any(lines) else []
+
+
+def rerun(page: Sequence[str], machine: Machine) -> list[str]:
+    """The page with what its commands say now. Raises `CommandFailed`."""
+    written: list[str] = []
+    fence, body, sentence = "", "", ""
+    for line in page:
+        if not fence:
+            written.append(line)
+            fence, body = (line, "") if line.startswith(FENCE) else ("", "")
+            sentence = line if line and not fence else sentence
+        elif line == FENCE:
+            written.append(line)
+            if fence != CONSOLE and (file := FILE.search(sentence)):
+                machine.write(file["name"], body)
+            fence = sentence = ""
+        elif fence != CONSOLE:
+            written.append(line)
+            body += f"{line}\n"
+        elif typed := COMMAND.fullmatch(line):
+            print(line, file=sys.stderr)
+            terminal, command = typed["terminal"], typed["command"]
+            said = machine.start(terminal, command) if terminal else machine.run(command)
+            written += [line, *said]
+    return written
+
+
+def main() -> int:
+    """0: the page is as its commands say. 1: one of them failed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("page", type=Path)
+    page: Path = parser.parse_args().page
+    with tempfile.TemporaryDirectory(prefix="edged-rerun-") as home:
+        subprocess.run(["git", "clone", "-q", ROOT, Path(home) / "edged"], check=True)
+        machine = Machine(Path(home))
+        try:
+            text = rerun(page.read_text().splitlines(), machine)
+            pictures = {name: machine.picture(name) for name in PICTURE.findall("\n".join(text))}
+        except CommandFailed as error:
+            print(error, file=sys.stderr)
+            return 1
+        finally:
+            machine.close()
+    page.write_text("\n".join(text) + "\n")
+    for name, picture in pictures.items():
+        if picture is not None:
+            cv2.imwrite(str(page.parent / name), picture)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
