@@ -12,8 +12,8 @@ from typing import cast
 import cv2
 
 from edged.app.daemon import Daemon
+from edged.app.process import serve
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commands.run import serve
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
