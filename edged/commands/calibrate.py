@@ -132,7 +132,10 @@ def detect_views(
 
 
 def _view(
-    name: str, boards: Sequence[NominalBoard], left: list[Detection | Missed], right: list[Detection | Missed]
+    name: str,
+    boards: Sequence[NominalBoard],
+    left: Sequence[Detection | Missed],
+    right: Sequence[Detection | Missed],
 ) -> StereoView:
     """The view of the board that both pictures show, or of the first board with what was missed."""
     choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
@@ -145,7 +148,7 @@ class _Looked:
 
     size: tuple[int, int]
     digest: bytes
-    results: list[Detection | Missed]
+    results: Sequence[Detection | Missed]
 
 
 def _detect(path: Path, boards: Sequence[NominalBoard]) -> _Looked:

@@ -60,7 +60,7 @@ class Recording:
     """
 
     snapshot: Json
-    versions: dict[str, str]
+    versions: Mapping[str, str]
     pair: FramePair | None
 
 
