@@ -127,6 +127,7 @@ class Daemon:
                 head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
                 await self._exchange_servers(loaded.cell.config)
             except EdgedError as error:
+                # the message names file, section and option: a traceback says no more
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
                 self._notifier.reloaded(refused=str(error))
                 return False

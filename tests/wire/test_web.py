@@ -218,7 +218,7 @@ def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: p
         ("right", rectification.right_image, pair.right.image),
     ):
         shown = cv2.imdecode(
-            np.frombuffer(picture(pair, rectification, side), np.uint8),  # type: ignore[arg-type]
+            np.frombuffer(picture(pair, rectification, side), np.uint8),
             cv2.IMREAD_UNCHANGED,
         )
         assert shown is not None
@@ -237,11 +237,11 @@ def test_marks_lie_on_the_parts_edge() -> None:
     """A circle of the rig, projected by the camera models and rectified, is the drawn outline."""
     target = make_target()
     circle = target.circles[0]
-    marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}  # type: ignore[arg-type]
+    marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}
     width, height = RECTIFICATION.size
     for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):
         drawn = np.array(marks[side]["circles"][0]) * [width, height] - 0.5
-        raw = RECTIFICATION.raw_points(side, drawn)  # type: ignore[arg-type]
+        raw = RECTIFICATION.raw_points(side, drawn)
         from_rig = np.eye(4) if side == "left" else RECTIFICATION.rig.right_from_left
         rays = np.column_stack([camera.normalise(raw), np.ones(len(raw))]) @ from_rig[:3, :3]
         eye = -from_rig[:3, :3].T @ from_rig[:3, 3]

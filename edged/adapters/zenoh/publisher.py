@@ -438,6 +438,6 @@ def _on_loop(
         try:
             loop.call_soon_threadsafe(handle, name, query)
         except RuntimeError:  # the loop is closed: the daemon is gone
-            query.drop()  # type: ignore[no-untyped-call]
+            query.drop()  # type: ignore[no-untyped-call]  # its stub says no type
 
     return arrived

@@ -37,7 +37,7 @@ def test_what_is_wrong_in_one_part_of_a_pair_is_wrong_in_the_other() -> None:
     samples, _ = problem(5)
     values = samples.values.copy()
     values[130:140] += 2.0  # the second part of the first curve
-    solution = solve(replace(samples, values=values, base=np.ones_like(samples.base)), 10, 5)
+    solution = solve(samples._replace(values=values, base=np.ones_like(samples.base)), 10, 5)
     assert solution is not None
     assert (solution.weights[10:20] == 0).all()
     assert (solution.weights[130:140] == 0).all()

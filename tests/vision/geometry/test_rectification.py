@@ -249,7 +249,7 @@ def test_rows_agree_for_any_vergence_lens_and_size(lens: str, vergence_deg: floa
         ("left", raw[0], rectification.valid_left),
         ("right", raw[1], rectification.valid_right),
     ):
-        x, y = rectification.rectify_points(side, pixels).T  # type: ignore[arg-type]
+        x, y = rectification.rectify_points(side, pixels).T
         rows_px.append(y)
         assert ((x > -1) & (y > -1) & (x < rectification.size[0]) & (y < rectification.size[1])).all()
         inside = (pixels > 2).all(axis=1) & (pixels < np.array([right.width, right.height]) / factor - 3).all(
