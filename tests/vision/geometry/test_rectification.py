@@ -84,6 +84,15 @@ def test_maps_and_masks_agree_with_exact_points(model: str) -> None:
         assert 0.5 < inside.mean() < 1
 
 
+def test_maps_cannot_be_written() -> None:
+    """Threads share them: the cycle rectifies by them, and the status page shows by them."""
+    rectification = make_rectification(make_rig())
+
+    for plane in (*rectification.maps_left, *rectification.maps_right):
+        with pytest.raises(ValueError, match="read-only"):
+            plane[0, 0] = 0.0
+
+
 def test_pixel_scale_is_that_of_the_raw_images() -> None:
     """The rectified focal length keeps the pixel area at the image centres within 10 %."""
     rig = make_rig()
