@@ -14,7 +14,7 @@ from edged.errors import EdgedError
 
 def main() -> None:
     """Run the command line."""
-    from edged.cli import app
+    from edged.cli.main import app
 
     try:
         app()

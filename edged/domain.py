@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -361,7 +362,7 @@ class DriftState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """Everything that is published of one cycle; immutable.
+    """Everything that is published of one cycle; immutable, also its arrays: publishers keep it on threads.
 
     exposed_ns : UTC ns of the exposure; 0 if there was none.
     exposed_bound_ns : bound of its error; None: not known.
@@ -383,13 +384,29 @@ class Snapshot:
     exposed_ns: int
     published_ns: int
     targets: tuple[Target, ...] = ()
-    timing_ms: dict[str, float] = field(default_factory=dict)
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: str = ""
     error_code: int = 0
     robot_from_rig: FloatArray | None = None
     registration_covariance: FloatArray | None = None
     drift: DriftState = DriftState()
     exposed_bound_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        for part in (self.targets, self.robot_from_rig, self.registration_covariance):
+            _seal(part)
+
+
+def _seal(value: object) -> None:
+    """Let no array of a value be written any more."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, tuple):
+        for part in value:
+            _seal(part)
+    elif is_dataclass(value):
+        for one in fields(value):
+            _seal(getattr(value, one.name))
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ def draw_board(
         depth = (normal @ offset) / (rays @ normal)
     plane = (rays * depth[..., None] - offset) @ camera_from_board[:3, :2]
     shade = {Chessboard: _chessboard, DotGrid: _dots, CircleGrid: _circles}[type(board)]
-    image = shade(board, plane[..., 0], plane[..., 1], blur_mm)  # type: ignore[operator]
+    image = shade(board, plane[..., 0], plane[..., 1], blur_mm)
     image = np.where(depth > 0, image, BACKGROUND)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape) if noise else image
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)

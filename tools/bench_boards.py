@@ -40,10 +40,11 @@ from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
+from edged.commands.calibrate import detect_views, remeasure_views
 from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.files.images import load_image
+from edged.files.pairs import ImagePair, find_pairs
 from edged.vision.boards.board import Chessboard, Detection, Missed, StereoView, parse_board
 from edged.vision.boards.chessboard import remeasure_chessboard
 from edged.vision.boards.deformation import nominal

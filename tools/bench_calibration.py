@@ -21,9 +21,10 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
+from edged.commands.calibrate import detect_views, remeasure_views
 from edged.domain import FloatArray
 from edged.files.images import load_image
+from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import load_rig
 from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
 from edged.vision.boards.deformation import nominal

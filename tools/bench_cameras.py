@@ -207,7 +207,7 @@ class Watched(LiveCell):
 
     def __init__(self, period_s: float) -> None:
         super().__init__(ModbusSettings(port=0, validity_s=2.0), period_s)
-        self.head = self._asking = _Asking(head())  # type: ignore[assignment]
+        self.head = self._asking = _Asking(head())
         self.judge = Judge()
 
     def _locate(self, pair: FramePair, lap: Callable[[str], None]) -> Outcome:

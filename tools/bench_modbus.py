@@ -93,7 +93,7 @@ async def in_process(target: object, *arguments: object) -> list[float]:
     """Run a client in another process."""
     context = mp.get_context("spawn")
     results: Queue[list[float]] = context.Queue()
-    process = context.Process(target=target, args=(*arguments, results))  # type: ignore[arg-type]
+    process = context.Process(target=target, args=(*arguments, results))
     process.start()
     times_ms = await asyncio.to_thread(results.get, timeout=120)
     await asyncio.to_thread(process.join)

@@ -50,7 +50,7 @@ from smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
-from edged.commands.run import SWITCH_INTERVAL_S
+from edged.app.process import SWITCH_INTERVAL_S
 from edged.domain import Event, Snapshot, Status
 
 MIB = 1024 * 1024

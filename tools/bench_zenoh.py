@@ -74,14 +74,14 @@ async def bench(folder: Path, seconds: float) -> None:
         for name, pause_s in (("nobody looks", None), ("previews", 0.0), ("slow previews", SLOW_S)):
             tasks = [(listen, (cell.zenoh_port,))]
             if pause_s is not None:
-                tasks.append((look, (cell.zenoh_port, pause_s)))  # type: ignore[arg-type]
+                tasks.append((look, (cell.zenoh_port, pause_s)))
             ages_ms, *pictures = await asyncio.to_thread(_run, tasks, seconds)
             p50, p99 = np.percentile(ages_ms, (50, 99))
             seen = f", {pictures[0]} pictures" if pictures else ""
             print(f"{name:14} p50 {p50:6.2f}   p99 {p99:6.2f}   ({len(ages_ms)} results{seen})", flush=True)
 
 
-def _run(tasks: list, seconds: float) -> list:  # type: ignore[type-arg]
+def _run(tasks: list, seconds: float) -> list:
     context = mp.get_context("spawn")
     started = []
     for target, arguments in tasks:

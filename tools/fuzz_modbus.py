@@ -235,7 +235,7 @@ class Fuzzer:
                 os.read(self.server.master, 65536)
 
     @contextlib.contextmanager
-    def _connected(self):  # type: ignore[no-untyped-def]
+    def _connected(self):
         try:
             line = self.server.connect()
         except OSError:  # the backlog is full, or it was closed while we connected

@@ -107,7 +107,7 @@ def calibrate_plain(folder: Path, columns: int, rows: int, square_mm: float) -> 
         left, right = (None if image is None else corners(image, columns, rows) for image in pair)
         if left is None or right is None:
             continue
-        size = pair[0].shape[1], pair[0].shape[0]  # type: ignore[union-attr]
+        size = pair[0].shape[1], pair[0].shape[0]
         if (left[-1] - left[0]) @ (right[-1] - right[0]) < 0:  # one was numbered from the other end
             right = right[::-1]
         seen.append((left, right))
@@ -250,10 +250,11 @@ class Conic:
 
     def distance(self, pixels: FloatArray) -> FloatArray:
         """Of points (N, 2), px, to first order (Sampson)."""
-        value, gradient = self._value(pixels)
+        value, gradient = self.value(pixels)
         return np.asarray(np.abs(value) / gradient * self.scale)
 
-    def _value(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def value(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the equation at points (N, 2) px, and the length of its gradient there; not in px."""
         x, y = ((pixels - self.middle) / self.scale).T
         a, b, c, d, e, _ = self.coefficients
         slope = np.hypot(2 * a * x + b * y + d, b * x + 2 * c * y + e)
@@ -291,7 +292,7 @@ def fit_conic(pixels: FloatArray) -> Conic | None:
     for _ in range(ROUNDS):
         coefficients = np.linalg.svd(design * weights[:, None], full_matrices=False)[2][-1]
         conic = Conic(coefficients, middle, scale)
-        value, gradient = conic._value(pixels)
+        value, gradient = conic.value(pixels)
         distance = value / gradient
         spread = max(1.4826 * float(np.median(np.abs(distance))), 1e-9)
         weights = np.clip(1 - (distance / (TUKEY * spread)) ** 2, 0, None) / gradient

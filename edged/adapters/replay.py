@@ -1,8 +1,7 @@
 """Image pairs from a folder, behind the port of a camera.
 
-Files are `NAME_left.*` and `NAME_right.*` (PNG, TIFF, BMP or JPEG). `replay_cameras` checks the whole
-folder at once and gives both cameras; they go through the pairs in step, in the order of their names,
-and start again after the last one.
+`replay_cameras` checks the whole folder at once and gives both cameras; they go through the pairs of
+`edged.files.pairs` in step, in the order of their names, and start again after the last one.
 """
 
 from __future__ import annotations
@@ -10,51 +9,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from edged.domain import Frame, Image
+from edged.domain import SIDES, Frame, Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 from edged.files.images import load_image
-
-SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
-SIDES = ("left", "right")
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayPair:
-    """Two files of one exposure."""
-
-    name: str
-    left: Path
-    right: Path
-
-
-def find_pairs(folder: Path) -> list[ReplayPair]:
-    """The pairs of a folder, sorted by name.
-
-    Raises `ImageError` that names every half without its other half, every doubled half, or the
-    folder that holds no pair at all.
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ImageError(f"{folder}: no such folder")
-    halves: dict[str, dict[str, Path]] = {}
-    problems: list[str] = []
-    for file in sorted(folder.iterdir()):
-        name, _, side = file.stem.rpartition("_")
-        if side not in SIDES or file.suffix.lower() not in SUFFIXES:
-            continue
-        twin = halves.setdefault(name, {}).setdefault(side, file)
-        if twin != file:
-            problems.append(f"{twin.name} and {file.name} are the same half")
-    for name, files in sorted(halves.items()):
-        problems += [f"{name}_{side} is missing" for side in SIDES if side not in files]
-    if problems:
-        raise ImageError(f"{folder}: {'; '.join(problems)}")
-    if not halves:
-        raise ImageError(f"{folder}: no pairs NAME_left.png, NAME_right.png")
-    return [ReplayPair(name, files["left"], files["right"]) for name, files in sorted(halves.items())]
+from edged.files.pairs import ImagePair, find_pairs
 
 
 class Reel:
@@ -63,7 +23,7 @@ class Reel:
     An exposure begins when a side asks for one it already has, and is joined by the other side.
     """
 
-    def __init__(self, pairs: Sequence[ReplayPair], shape: tuple[int, int]) -> None:
+    def __init__(self, pairs: Sequence[ImagePair], shape: tuple[int, int]) -> None:
         self.pairs = tuple(pairs)
         self.shape = shape
         self.number = 0

@@ -11,7 +11,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -59,7 +59,7 @@ class DemoSummary:
     """
 
     cycles: int
-    by_status: dict[str, int]
+    by_status: Mapping[str, int]
     located: int
     rms_mm: float | None
     max_mm: float | None
@@ -67,7 +67,7 @@ class DemoSummary:
     rms_angle_deg: float | None
     chi2_per_dof: float | None
     rate_hz: float | None
-    mean_ms: dict[str, float]
+    mean_ms: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
         """The figures under their names."""

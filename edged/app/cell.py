@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edged.app.cameras import head_of as head_of
 from edged.app.cellfiles import CellFiles, read_cell
 from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.pipeline import PreparedRig, locate
 from edged.vision.part.job import Job
-
-if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
-    pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,18 +15,15 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-import numpy as np
-
 from edged.capture.pairing import Pairing
+from edged.capture.side import Side
 from edged.capture.tasks import both, cancel_and_await
-from edged.domain import Frame, FramePair, Image
+from edged.domain import Frame, FramePair
 from edged.errors import (
     CameraBusy,
     CameraSetupError,
     CameraUnreachable,
     CaptureError,
-    FrameFrozen,
-    FrameRepeated,
     FrameTimeout,
     FrameUnpaired,
     PairingError,
@@ -43,66 +40,6 @@ old connection for ever and never sends an image.
 
 LISTEN_AGAIN_S = 0.1
 """Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
-
-
-class _Side:
-    """One camera of the head, and what is known of it.
-
-    frame_id : of the last frame since it was opened. paired_id : of the last pair. image : the last one ever,
-    so that a camera that still shows the same picture after it was opened again is caught. coming : the frame
-    that is listened for. suspect : it gave no image, and is to be asked why.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        self.camera = camera
-        self.open = False
-        self.faults = 0
-        self.frame_id: int | None = None
-        self.image: Image | None = None
-        self.paired_id: int | None = None
-        self.coming: asyncio.Task[Frame] | None = None
-        self.suspect = False
-        self.closing: asyncio.Task[None] | None = None
-
-    @property
-    def name(self) -> str:
-        return self.camera.name
-
-    def close_soon(self) -> None:
-        """Begin to close the camera; one that does not answer must not hold up the cycle."""
-        self.open = False
-        self.faults = 0
-        self.frame_id = self.paired_id = None
-        self.suspect = False
-        if self.coming is not None:
-            self.coming.cancel()
-        if self.closing is None:
-            self.closing = asyncio.create_task(self._close(), name=f"close {self.name}")
-
-    async def _close(self) -> None:
-        coming, self.coming = self.coming, None
-        if coming is not None:
-            await cancel_and_await(coming)
-        await self.camera.close()
-
-    def has_given_up(self) -> bool:
-        """Whether nothing came within the camera's own limit."""
-        coming = self.coming
-        return coming is not None and coming.done() and isinstance(coming.exception(), FrameTimeout)
-
-    def listen(self) -> asyncio.Task[Frame]:
-        """The task that waits for the next frame; it goes on when who waits for it is cancelled."""
-        if self.coming is None:
-            self.coming = asyncio.create_task(self.camera.frame(), name=f"listen {self.name}")
-        return self.coming
-
-    async def closed(self) -> None:
-        """Wait for the end of what `close_soon` began."""
-        if self.closing is not None:
-            closing = self.closing
-            await asyncio.shield(closing)
-            if self.closing is closing:
-                self.closing = None
 
 
 class StereoHead:
@@ -138,7 +75,7 @@ class StereoHead:
         detect_frozen: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sides = (_Side(left), _Side(right))
+        self._sides = (Side(left), Side(right))
         self._timeout_s = timeout_s
         self._pairing = Pairing(max_skew_s, max_arrival_skew_s)
         self._follower = follower
@@ -251,7 +188,7 @@ class StereoHead:
         else:
             self._error = None
 
-    async def _open(self, side: _Side) -> CaptureError | None:
+    async def _open(self, side: Side) -> CaptureError | None:
         try:
             async with asyncio.timeout(self._open_timeout_s):
                 await side.closed()
@@ -353,7 +290,7 @@ class StereoHead:
     def _check_pair(self, pair: FramePair) -> None:
         """Raise `PairingError` unless both frames are new and show one instant."""
         errors = [
-            self._look_at(side, frame)
+            side.look_at(frame, detect_frozen=self._detect_frozen)
             for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
         ]
         for error in errors:
@@ -361,26 +298,6 @@ class StereoHead:
                 raise error
         if problem := self._pairing.problem(pair.left, pair.right):
             raise PairingError("both", problem)
-
-    def _look_at(self, side: _Side, frame: Frame) -> PairingError | None:
-        """Remember a frame; what is wrong with it after the one before, or nothing."""
-        last_id, last_image = side.frame_id, side.image
-        side.frame_id, side.image = frame.frame_id, frame.image
-        if last_id is not None and frame.frame_id <= last_id:
-            return FrameRepeated(
-                side.name, f"frame {frame.frame_id} came after frame {last_id}: not a new image"
-            )
-        # a dark or saturated image has no pixel to tell it from the one before
-        if (
-            self._detect_frozen
-            and last_image is not None
-            and np.array_equal(frame.image, last_image)
-            and np.ptp(frame.image) > 0
-        ):
-            return FrameFrozen(
-                side.name, f"frozen: frame {frame.frame_id} equals the one before in every pixel"
-            )
-        return None
 
     def _note(self, error: CaptureError) -> CaptureError:
         """Close cameras that an error says are gone, or that failed too often; what is to be said of it."""

@@ -170,7 +170,7 @@ def teach(
 
     source = chosen_source(
         PairSource(left, right, region, tuple(exclude or ())),
-        DrawingSource(dxf, contour, depth, layer or [], unit),
+        DrawingSource(dxf, contour, depth, tuple(layer or ()), unit),
     )
     params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)
     console = Console(stderr=True)

@@ -23,6 +23,7 @@ from edged.domain import FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
+from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, Missed, NominalBoard, StereoView, parse_boards
@@ -34,19 +35,9 @@ from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 Side = Literal["left", "right"]
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class ImagePair:
-    """Two picture files of one exposure, NAME_left.* and NAME_right.*."""
-
-    name: str
-    left: Path
-    right: Path
 
 
 def calibrate(
@@ -107,32 +98,6 @@ def _page(
     return calibration_report(calibration, held, views, quality, about, plain)
 
 
-def find_pairs(directory: Path) -> list[ImagePair]:
-    """All pairs of a folder, by name. Raises `CalibrationError` for missing halves or no pairs."""
-    if not directory.is_dir():
-        raise CalibrationError(f"{directory}: not a folder; expected pairs NAME_left.png and NAME_right.png")
-    halves: dict[Side, dict[str, Path]] = {"left": {}, "right": {}}
-    problems: list[str] = []
-    for path in sorted(directory.iterdir()):
-        name, underscore, side = path.stem.rpartition("_")
-        if path.suffix.lower() not in SUFFIXES or not underscore or side not in ("left", "right"):
-            continue
-        known = halves["left" if side == "left" else "right"]
-        if name in known:
-            problems.append(f"{path.name}: {known[name].name} is another picture of the same name")
-        known[name] = path
-    for side, other in (("left", "right"), ("right", "left")):
-        lonely = sorted(set(halves[side]) - set(halves[other]))  # type: ignore[index]
-        problems.extend(f"{halves[side][name].name}: {name}_{other} is missing" for name in lonely)  # type: ignore[index]
-    if problems:
-        raise CalibrationError(f"{directory}: incomplete pairs\n" + "\n".join(f"  {p}" for p in problems))
-    if not halves["left"]:
-        raise CalibrationError(
-            f"{directory}: no pictures NAME_left.* and NAME_right.* ({', '.join(s[1:] for s in SUFFIXES)})"
-        )
-    return [ImagePair(name, halves["left"][name], halves["right"][name]) for name in sorted(halves["left"])]
-
-
 def detect_views(
     pairs: list[ImagePair], boards: Sequence[NominalBoard], console: Console
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], list[StereoView]]:
@@ -167,7 +132,10 @@ def detect_views(
 
 
 def _view(
-    name: str, boards: Sequence[NominalBoard], left: list[Detection | Missed], right: list[Detection | Missed]
+    name: str,
+    boards: Sequence[NominalBoard],
+    left: Sequence[Detection | Missed],
+    right: Sequence[Detection | Missed],
 ) -> StereoView:
     """The view of the board that both pictures show, or of the first board with what was missed."""
     choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
@@ -180,7 +148,7 @@ class _Looked:
 
     size: tuple[int, int]
     digest: bytes
-    results: list[Detection | Missed]
+    results: Sequence[Detection | Missed]
 
 
 def _detect(path: Path, boards: Sequence[NominalBoard]) -> _Looked:

@@ -11,8 +11,8 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from edged.adapters.aravis import aravis_missing, list_cameras
 from edged.app.cameras import head_of
+from edged.app.discovery import aravis_missing, list_cameras
 from edged.capture.stereohead import StereoHead
 from edged.config import load
 from edged.domain import FramePair

@@ -5,22 +5,19 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from edged.adapters.aravis import aravis_missing
-from edged.adapters.journal import set_up_logging
-from edged.adapters.terminal import DemoView, reading_hints
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
-from edged.commands.run import SWITCH_INTERVAL_S, serve
-from edged.domain import FloatArray, Snapshot
+from edged.app.demoview import demo_view
+from edged.app.discovery import aravis_missing
+from edged.app.process import serve, set_up_process
 from edged.files.atomic import write_atomically
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
@@ -49,8 +46,7 @@ class DemoOptions:
 
 def demo(options: DemoOptions) -> int:
     """Make a cell, teach it, run the daemon on it; 0 when every cycle found the part, 1 when not."""
-    set_up_logging(level=logging.WARNING)
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    set_up_process(logging.WARNING)
     console = Console(stderr=options.as_json)
     gige = not options.in_process and _aravis_is_here(console)
     with _folder(options.folder) as folder, VirtualWorld(gige=gige) as world:
@@ -64,7 +60,13 @@ def demo(options: DemoOptions) -> int:
         if options.web_port is not None:
             console.print(f"status page: http://127.0.0.1:{options.web_port}")
         daemons: list[Daemon] = []
-        view = make_view(world.cell, options, console, finished=lambda: daemons[0].stop())
+        view = demo_view(
+            world.cell,
+            loaded.cell.config,
+            console,
+            cycles=options.cycles,
+            finished=lambda: daemons[0].stop(),
+        )
 
         def build() -> Daemon:
             daemons.append(Daemon(path, loaded, observers=[view], world=world))
@@ -116,19 +118,6 @@ listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
     path = folder / "cell.toml"
     write_atomically(path, text.encode())
     return path
-
-
-def make_view(
-    cell: VirtualCell, options: DemoOptions, console: Console, finished: Callable[[], None]
-) -> DemoView:
-    """The live view; ends the demo after the wanted number of cycles."""
-
-    def truth(snapshot: Snapshot) -> FloatArray | None:
-        known = cell.truth(snapshot.exposed_ns)
-        return None if known is None else known.rig_from_part
-
-    hints = reading_hints(CELL, ("127.0.0.1", options.modbus_port), f"tcp/127.0.0.1:{options.zenoh_port}")
-    return DemoView(truth, console, hints=hints, cycles=options.cycles, finished=finished)
 
 
 def _aravis_is_here(console: Console) -> bool:

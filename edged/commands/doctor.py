@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.doctor import Check, Verdict, examine
+from edged.doctor.examination import examine
+from edged.doctor.findings import Check, Verdict
 
 MARKS = {
     Verdict.OK: "[green]ok[/]  ",

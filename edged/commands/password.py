@@ -5,8 +5,8 @@ from __future__ import annotations
 import getpass
 import sys
 
-from edged.adapters.web.access import hash_password
 from edged.errors import UserError
+from edged.passwords import hash_password
 
 MIN_LENGTH = 8
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ SHOWN = 12
 class Report:
     """What a replay says, as written by --json."""
 
-    versions: dict[str, str]
+    versions: Mapping[str, str]
     same: int = 0
     different: list[Json] = field(default_factory=list)
     skipped: list[Json] = field(default_factory=list)

@@ -16,11 +16,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.adapters.replay import find_pairs
 from edged.config import CameraSection, load
-from edged.domain import Image
+from edged.domain import SIDES, Image
 from edged.errors import UserError
 from edged.files.images import load_image
+from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.console import SimConsole, number, set_fault
@@ -30,7 +30,6 @@ from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Faults, Quirk
 from edged.sim.world import SERIALS, cross_wire
 
-SIDES = ("left", "right")
 ADDRESSES = ("127.0.0.2", "127.0.0.3")
 NO_CAMERA = "none"
 POLL_S = 0.1

@@ -85,7 +85,7 @@ class DrawingSource:
     dxf: Path | None
     contour: Path | None
     depth_mm: float | None
-    layers: list[str]
+    layers: tuple[str, ...]
     unit: str | None
 
 

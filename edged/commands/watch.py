@@ -4,45 +4,25 @@ from __future__ import annotations
 
 import json
 import queue
-import re
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
-import zenoh
-import zenoh.ext
 from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from edged.adapters.zenoh import open_session, session_config
-from edged.adapters.zenoh.cbor import decode_cbor
+from edged.app.fleet import Document, News, is_cell_name, news_of_cells
 from edged.errors import UserError
 
 REFRESH_S = 0.25
 SILENCE_HINT_S = 3.0
-INBOX_LENGTH = 10_000  # a reader that is stopped for long loses news, never memory
-MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
-CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_TEXT = 200
 STYLES = {"OK": "green", "READY": "green", "BUSY": "green", "CAPTURE_FAULT": "bold red", "FAULT": "bold red"}
 GONE = "GONE"
-
-Document = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class News:
-    """One message of one cell. kind : "target", "state", "health", or "alive" (document: {"alive": bool})."""
-
-    cell: str
-    kind: str
-    document: Document
 
 
 @dataclass(slots=True)
@@ -84,9 +64,9 @@ def watch(connect: list[str], cell: str | None, as_json: bool, count: int | None
     On a terminal a table of cells; elsewhere one line per result; with `as_json` the messages
     themselves, one JSON object a line. Raises `UserError` for endpoints or names that cannot be.
     """
-    if cell is not None and not CELL_NAME.fullmatch(cell):
+    if cell is not None and not is_cell_name(cell):
         raise UserError(f"--cell {cell!r}: expected the name of a cell (letters, digits, '_', '.', '-')")
-    with _feed(connect, cell or "*") as inbox:
+    with news_of_cells(connect, cell) as inbox:
         stream = _stream(inbox, connect)
         try:
             if as_json:
@@ -98,49 +78,6 @@ def watch(connect: list[str], cell: str | None, as_json: bool, count: int | None
         except KeyboardInterrupt:
             pass  # the usual way to leave
     return 0
-
-
-@contextmanager
-def _feed(connect: list[str], cell: str) -> Iterator[queue.Queue[News]]:
-    """A queue that Zenoh's threads fill with what the cells say."""
-    inbox: queue.Queue[News] = queue.Queue(INBOX_LENGTH)
-
-    def arrived(sample: zenoh.Sample) -> None:
-        news = _read(sample)
-        if news is not None and not inbox.full():
-            inbox.put_nowait(news)
-
-    with ExitStack() as stack:
-        # a peer, because a client connects to one endpoint only and gives up when nobody is there yet
-        session = open_session(session_config("peer", [], connect))
-        stack.callback(session.close)
-        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
-        for kind in ("target", "state"):
-            subscriber = zenoh.ext.declare_advanced_subscriber(
-                session, f"edged/{cell}/{kind}", arrived, history=history
-            )
-            stack.callback(subscriber.undeclare)
-        session.declare_subscriber(f"edged/{cell}/health", arrived)
-        session.liveliness().declare_subscriber(f"edged/{cell}/alive", arrived, history=True)
-        yield inbox
-
-
-def _read(sample: zenoh.Sample) -> News | None:
-    """A message, or None for what is none: anybody can publish anything."""
-    parts = str(sample.key_expr).split("/")
-    if len(parts) != 3 or not CELL_NAME.fullmatch(parts[1]):
-        return None
-    _, cell, kind = parts
-    if kind == "alive":
-        return News(cell, kind, {"alive": sample.kind == zenoh.SampleKind.PUT})
-    if len(sample.payload) > MAX_MESSAGE_BYTES:
-        return None
-    read = decode_cbor if sample.encoding == zenoh.Encoding.APPLICATION_CBOR else json.loads
-    try:
-        document = read(sample.payload.to_bytes())
-    except (ValueError, RecursionError):
-        return None
-    return News(cell, kind, document) if isinstance(document, dict) else None
 
 
 def _stream(inbox: queue.Queue[News], connect: list[str]) -> Iterator[News | None]:

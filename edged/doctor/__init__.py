@@ -1,63 +1,14 @@
 """What will bite on this machine, before it does: each check with finding, consequence and remedy.
 
-    machine    kernel cache, clock, processor, disk, serial port, ports to listen on
-    cameras    who answers, at which address, who controls it
-    network    addresses, routes, MTU, bandwidth, receive buffers, reverse path filter
-    firewall   what lets images in
-    pictures   a few test pictures
-    host       looking at this machine
-    findings   `Check`
+    examination  all checks for a configuration, in order
+    machine      kernel cache, clock, processor, disk, serial port, ports to listen on
+    cameras      who answers, at which address, who controls it
+    network      addresses, routes, MTU, bandwidth, receive buffers, reverse path filter
+    firewall     what lets images in
+    pictures     a few test pictures
+    host         looking at this machine
+    findings     `Check`
 
 Checks look and do not change anything. What cannot be looked at (no right, no such tool) is skipped and
 says so; it is never reported as well.
 """
-
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
-
-from edged.app.cellfiles import read_cell
-from edged.config import load
-from edged.doctor.cameras import look_at_cameras
-from edged.doctor.findings import Check, Verdict
-from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
-from edged.doctor.pictures import take_pictures
-from edged.errors import ConfigError
-from edged.vision.geometry.camera import StereoRig
-
-__all__ = ["Check", "Verdict", "examine"]
-
-
-def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
-    """All checks for a configuration, as they are done. trigger : take test pictures too.
-
-    A cell without a rig or jobs is examined as far as that goes: its network comes before its calibration.
-    """
-    clock = ClockWatch()
-    try:
-        config = load(path)
-    except ConfigError as error:
-        yield from _mistakes(path, error)
-        return
-    rig: StereoRig | None = None
-    try:
-        cell = read_cell(path)
-    except ConfigError as error:
-        yield from _mistakes(path, error)
-    else:
-        rig = cell.rig
-        jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
-        yield Check("configuration", Verdict.OK, jobs)
-    yield from look_at_machine(config)
-    yield from look_at_ports(config)
-    if config.cameras.source == "aravis":
-        yield from look_at_cameras(config, rig)
-    if trigger and rig is not None:
-        yield from take_pictures(config, rig)
-    yield from clock.look()
-
-
-def _mistakes(path: Path, error: ConfigError) -> Iterator[Check]:
-    for problem in error.problems:
-        yield Check("configuration", Verdict.BAD, problem, "the daemon does not start", f"edit {path}")

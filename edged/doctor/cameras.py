@@ -6,8 +6,7 @@ import ipaddress
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 
-from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
-from edged.adapters.aravis.library import control_state
+from edged.app.discovery import CameraInfo, aravis_missing, control_state, list_cameras
 from edged.config import CameraSection, Config
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import look_at_firewall

@@ -9,7 +9,7 @@ import re
 import shutil
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numba
@@ -29,14 +29,16 @@ class ClockWatch:
     """Sees whether the host's clock is set while the checks run.
 
     Exposure times are UTC of this host: a step makes two of them disagree with the time between them.
+    utc_s : the host's clock.
     """
 
-    def __init__(self) -> None:
-        self._ahead_s = _ahead_s()
+    def __init__(self, utc_s: Callable[[], float] = time.time) -> None:
+        self._utc_s = utc_s
+        self._ahead_s = self._ahead()
 
     def look(self) -> Iterator[Check]:
         """A check when it was set since this was made; nothing when not."""
-        step_s = _ahead_s() - self._ahead_s
+        step_s = self._ahead() - self._ahead_s
         if abs(step_s) > CLOCK_STEP_S:
             yield Check(
                 "clock steps",
@@ -46,9 +48,9 @@ class ClockWatch:
                 "one time service only, and one that slews: timedatectl timesync-status; chronyc tracking",
             )
 
-
-def _ahead_s() -> float:
-    return time.time() - time.monotonic()
+    def _ahead(self) -> float:
+        """Of the clock that nobody sets, in seconds."""
+        return self._utc_s() - time.monotonic()
 
 
 def look_at_machine(config: Config) -> Iterator[Check]:

@@ -22,6 +22,7 @@ def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]])
     """Named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
     buffer = io.BytesIO()
     header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
+    # an array that is called allow_pickle would be taken for numpy's option: none is
     np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
     return buffer.getvalue()
 

@@ -123,7 +123,7 @@ class VirtualCell:
         self._moments: deque[_Moment] = deque(maxlen=HISTORY)
         self._born = 0
         self._lock = threading.Lock()
-        self._pose(0)  # a part that cannot be placed must show now, not at the first trigger
+        self.pose(0)  # a part that cannot be placed must show now, not at the first trigger
 
     def exposure(self, camera: str) -> Callable[[ExposureRequest], Image]:
         """The function that a virtual camera, "left" or "right", calls for its images."""
@@ -135,7 +135,7 @@ class VirtualCell:
                     f"virtual camera {camera}: {request.width}x{request.height} asked for, "
                     f"the sensor has {view.camera.width}x{view.camera.height}"
                 )
-            truth = self._moment(camera, request)
+            truth = self.moment(camera, request)
             rng = np.random.default_rng((self._seed, 1 + CAMERAS.index(camera), truth.number))
             image = view.render(self.scene(truth.rig_from_part), rng, request.exposure_us, request.gain_db)
             return np.ascontiguousarray(image[: request.height, : request.width])
@@ -182,9 +182,7 @@ class VirtualCell:
         table = Table(self._table, rig_from_table)
         return Scene(table, (Placed(self.part, rig_from_part),), self._light)
 
-    # --- inside ------------------------------------------------------------------------------
-
-    def _moment(self, camera: str, request: ExposureRequest) -> Truth:
+    def moment(self, camera: str, request: ExposureRequest) -> Truth:
         """The scene that this exposure sees; a new one where none is left to share."""
         frame = (request.frame_id, request.exposed_ns)
         with self._lock:
@@ -193,10 +191,25 @@ class VirtualCell:
                 if near and moment.seen.get(camera, frame) == frame:
                     moment.seen[camera] = frame
                     return moment.truth
-            truth = self._truth(self._born, request.exposed_ns, self._pose(self._born))
+            truth = self._truth(self._born, request.exposed_ns, self.pose(self._born))
             self._born += 1
             self._moments.append(_Moment(truth, {camera: frame}))
             return truth
+
+    def pose(self, number: int) -> FloatArray:
+        """(4, 4) rig_from_part of the scene of this number; in view of both cameras."""
+        motion = self._motion
+        rng = np.random.default_rng((self._seed, 0, number))
+        for _ in range(ATTEMPTS):
+            shift = rng.uniform(-1.0, 1.0, 3) * (*motion.shift_mm, motion.depth_mm)
+            tilt, azimuth = motion.tilt_rad * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
+            turn = rng.uniform(-motion.turn_rad, motion.turn_rad)
+            pose = _pose(np.array(motion.centre_mm) + shift, tilt, azimuth, turn)
+            if _is_inside(self._views, pose, extent_mm(self.part.outline)):
+                return pose
+        raise ValueError(f"part {self.part.name}: fits nowhere into the view of both cameras")
+
+    # --- inside ------------------------------------------------------------------------------
 
     def _truth(self, number: int, exposed_ns: int, rig_from_part: FloatArray) -> Truth:
         circles = tuple(
@@ -209,18 +222,6 @@ class VirtualCell:
             for name, disc in self.part.circles
         )
         return Truth(number, exposed_ns, rig_from_part, circles)
-
-    def _pose(self, number: int) -> FloatArray:
-        motion = self._motion
-        rng = np.random.default_rng((self._seed, 0, number))
-        for _ in range(ATTEMPTS):
-            shift = rng.uniform(-1.0, 1.0, 3) * (*motion.shift_mm, motion.depth_mm)
-            tilt, azimuth = motion.tilt_rad * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
-            turn = rng.uniform(-motion.turn_rad, motion.turn_rad)
-            pose = _pose(np.array(motion.centre_mm) + shift, tilt, azimuth, turn)
-            if _is_inside(self._views, pose, extent_mm(self.part.outline)):
-                return pose
-        raise ValueError(f"part {self.part.name}: fits nowhere into the view of both cameras")
 
 
 # --- views and poses -----------------------------------------------------------------------------

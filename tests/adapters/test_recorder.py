@@ -49,7 +49,7 @@ def run_events(recorder: Recorder, events: Iterable[Event], *, pace: bool = True
         await recorder.start()
         for event in events:
             recorder.announce(event)
-            while pace and recorder._waiting:  # noqa: ASYNC110  (a test may look inside)
+            while pace and recorder._waiting:  # noqa: ASYNC110, SLF001  (nothing else tells)
                 await asyncio.sleep(0.001)
         await recorder.close()
 
@@ -71,7 +71,7 @@ def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> R
     now = clock if clock is not None else [START_NS]
     files = {"rig.json": b"{}", "jobs/flange/job.toml": b""}
     return Recorder(
-        RecorderSettings(folder, **chosen),  # type: ignore[arg-type]
+        RecorderSettings(folder, **chosen),
         lambda: (FINGERPRINT, files),
         lambda: now[0],
     )

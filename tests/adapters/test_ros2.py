@@ -160,8 +160,8 @@ def test_pose_is_in_metres_and_in_the_robots_frame_when_it_is_known():
     np.testing.assert_allclose((robot_from_rig @ target.rig_from_part)[:3, 3] / 1000, robot.position_m)
     scale = np.array([1e-3] * 3 + [1.0] * 3)
     np.testing.assert_allclose(scale[:, None] * target.covariance * scale, rig.covariance)
-    trace_of = lambda pose: np.trace(pose.covariance[:3, :3])  # noqa: E731
-    np.testing.assert_allclose(trace_of(rig), trace_of(robot))
+    of_rig, of_robot = (np.trace(one.covariance[:3, :3]) for one in (rig, robot))
+    np.testing.assert_allclose(of_rig, of_robot)
 
 
 @pytest.mark.parametrize("turn", [(0, 0, 0), (1e-9, 0, 0), (0.1, -0.2, 0.3), (np.pi, 0, 0), (0, 2.0, 2.0)])

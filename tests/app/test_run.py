@@ -12,8 +12,8 @@ from typing import cast
 import cv2
 
 from edged.app.daemon import Daemon
+from edged.app.process import serve
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commands.run import serve
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
@@ -69,7 +69,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
 
 def test_a_check_and_a_status_need_no_compiler() -> None:
     """Nor the networks of the daemon: who edits a configuration has the answer at once."""
-    loaded = _modules_after("edged.cli, edged.commands.check, edged.commands.status")
+    loaded = _modules_after("edged.cli.main, edged.commands.check, edged.commands.status")
 
     assert "edged.app.cellfiles" in loaded
     others = ("numba", "llvmlite", "zenoh", "pymodbus", "aiohttp", "gi", "edged.adapters")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 
@@ -100,7 +102,8 @@ def test_a_pair_does_not_keep_its_images() -> None:
     """What is remembered of the last pair takes no memory."""
     pairing = Pairing(0.005, 0.05)
     left, right = frame("left", 0), frame("right", 0)
+    images = [weakref.ref(left.image), weakref.ref(right.image)]
     pairing.accept(left, right)
+    del left, right
 
-    assert pairing._last is not None
-    assert all(one.image.size == 0 for one in pairing._last)
+    assert [None, None] == [image() for image in images]

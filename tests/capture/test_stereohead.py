@@ -503,7 +503,7 @@ def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
             attempts += 1
             raise CameraUnreachable("left", "no answer")
 
-        bench.left.open = counted  # type: ignore[method-assign]
+        bench.left.open = counted
         for _ in range(100):
             with pytest.raises(CameraUnreachable, match="no answer"):
                 await bench.head.capture()
@@ -524,7 +524,7 @@ def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
             attempts.append(now_s)
             raise CameraUnreachable("left", "no answer")
 
-        bench.left.open = refuse  # type: ignore[method-assign]
+        bench.left.open = refuse
         for _ in range(160):
             with pytest.raises(CameraUnreachable):
                 await bench.head.open()
@@ -548,7 +548,7 @@ def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
             await gate.wait()
             await open_really()
 
-        bench.left.open = slow  # type: ignore[method-assign]
+        bench.left.open = slow
         bench.left.faults.fail_next_trigger = CameraUnreachable("left", "gone")
         for _ in range(5):
             with pytest.raises(CameraUnreachable, match="gone"):
@@ -579,7 +579,7 @@ def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) ->
             order.append("opened")
             await open_really()
 
-        camera.close, camera.open = slow_close, noted_open  # type: ignore[method-assign]
+        camera.close, camera.open = slow_close, noted_open
         camera.faults.fail_next_trigger = CameraUnreachable(name, "gone")
         with pytest.raises(CameraUnreachable, match="gone"):
             await asyncio.wait_for(bench.head.capture(), 5)
@@ -597,7 +597,7 @@ def test_an_attempt_that_hangs_is_ended() -> None:
     """A driver that never comes back is a fault after `open_timeout_s`."""
 
     async def script(bench: Bench) -> None:
-        bench.right.open = asyncio.Event().wait  # type: ignore[assignment,method-assign]
+        bench.right.open = asyncio.Event().wait
         with pytest.raises(CameraUnreachable, match=r"camera right: not open after 0\.05 s"):
             await bench.head.open()
 
@@ -608,7 +608,7 @@ def test_closing_ends_an_attempt_to_open() -> None:
     """Stopping does not wait for a camera that does not answer."""
 
     async def script(bench: Bench) -> None:
-        bench.left.open = asyncio.Event().wait  # type: ignore[assignment,method-assign]
+        bench.left.open = asyncio.Event().wait
         task = asyncio.create_task(bench.head.open())
         await asyncio.sleep(0.01)
         task.cancel()
@@ -657,13 +657,13 @@ def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
         raise ZeroDivisionError("a bug")
 
     async def opening(bench: Bench) -> None:
-        bench.left.open = broken  # type: ignore[method-assign]
+        bench.left.open = broken
         with pytest.raises(ZeroDivisionError):
             await bench.head.open()
 
     async def exposing(bench: Bench) -> None:
         await bench.head.open()
-        bench.left.trigger = broken  # type: ignore[method-assign]
+        bench.left.trigger = broken
         with pytest.raises(ZeroDivisionError):
             await bench.head.capture()
 
@@ -816,7 +816,7 @@ def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
                 await really()
                 order.append(side.name)
 
-            side.trigger = noted  # type: ignore[method-assign]
+            side.trigger = noted
         await bench.head.capture()
 
     run(script, Bench(follower=name, timeout_s=5.0))

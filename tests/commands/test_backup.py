@@ -17,7 +17,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from edged.app.cellfiles import read_cell
-from edged.cli import app
+from edged.cli.main import app
 from edged.commands import backup as module
 from edged.commands.backup import Backup, backup, pack, restore, unpack
 from edged.commands.demo import DemoOptions, prepare_cell
@@ -216,7 +216,7 @@ def test_only_plain_files_are_taken(member: tarfile.TarInfo) -> None:
 def _with(change: Callable[[dict[str, bytes]], object], taken: Backup) -> bytes:
     """An archive whose members no longer fit its manifest."""
     with tarfile.open(fileobj=io.BytesIO(gzip.decompress(pack(taken)))) as archive:
-        members = {info.name: archive.extractfile(info).read() for info in archive}  # type: ignore[union-attr]
+        members = {info.name: archive.extractfile(info).read() for info in archive}
     change(members)
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:

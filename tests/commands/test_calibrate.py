@@ -15,8 +15,8 @@ from boards import board_poses, draw_board, right_pose
 from rich.console import Console
 from rigs import make_rig
 
-from edged.commands.calibrate import calibrate, find_pairs
-from edged.errors import CalibrationError, ImageError, UserError
+from edged.commands.calibrate import calibrate
+from edged.errors import ImageError, UserError
 from edged.files.rig import load_rig, save_rig
 from edged.vision.boards.board import parse_board
 
@@ -141,25 +141,6 @@ def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
     """A file that is no picture is named."""
     (folder / "v5_left.png").write_bytes(b"not a picture")
     refused(folder, tmp_path, "v5_left.png: not an image")
-
-
-def test_two_pictures_of_one_name_are_refused(folder: Path) -> None:
-    """v0_left.png and v0_left.jpg leave it open which is meant."""
-    shutil.copy(folder / "v0_left.png", folder / "v0_left.jpg")
-    with pytest.raises(CalibrationError, match=r"v0_left.* is another picture"):
-        find_pairs(folder)
-
-
-@pytest.mark.parametrize("content", ["missing", "empty", "file"])
-def test_a_folder_without_pairs_is_refused(content: str, tmp_path: Path) -> None:
-    """No folder, an empty one, and a file are told apart from a folder of pairs."""
-    place = tmp_path / "place"
-    if content == "empty":
-        place.mkdir()
-    elif content == "file":
-        place.write_text("")
-    with pytest.raises(CalibrationError, match="no pictures" if content == "empty" else "not a folder"):
-        find_pairs(place)
 
 
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def folder(pristine: Path, tmp_path: Path) -> Path:
 
 def pair_of(cell: VirtualCell, number: int) -> tuple[Image, Image]:
     """The pictures of one random pose."""
-    views, world = stereo_views(cell.rig), cell.scene(cell._pose(number))
+    views, world = stereo_views(cell.rig), cell.scene(cell.pose(number))
     left, right = (views[s].render(world, np.random.default_rng((number, len(s)))) for s in ("left", "right"))
     return left, right
 
@@ -93,7 +93,7 @@ def test_the_part_is_located_anywhere(
 ) -> None:
     """At random poses: position to 0.02 mm, within 5 sigma, the right rotation, and the same bits again."""
     rig, job = taught
-    where, pair = cell._pose(number), frame_pair(*pair_of(cell, number))
+    where, pair = cell.pose(number), frame_pair(*pair_of(cell, number))
     outcome = locate(pair, job, rig)
     assert outcome.status is Status.OK
     target = outcome.targets[0]

@@ -8,6 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from ipaddress import IPv4Interface
 from pathlib import Path
 
@@ -21,7 +22,9 @@ from edged.commands.cameras import grab
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
 from edged.config import CameraSection, load
-from edged.doctor import Check, Verdict, cameras, examine, firewall, machine, network
+from edged.doctor import cameras, firewall, machine, network
+from edged.doctor.examination import examine
+from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -264,12 +267,12 @@ def test_without_the_right_to_packet_sockets_the_receive_buffer_decides() -> Non
     assert "net.core.rmem_max=400000000 | sudo tee" in done.stdout
 
 
-def test_a_clock_that_is_set_meanwhile_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_is_set_meanwhile_is_noticed() -> None:
     """A step of 0.5 s is told; time that only passes is not."""
-    watch = machine.ClockWatch()
+    set_by_s = 0.0
+    watch = machine.ClockWatch(lambda: time.time() + set_by_s)
     assert [] == list(watch.look())
-    ahead_s = machine._ahead_s()
-    monkeypatch.setattr(machine, "_ahead_s", lambda: ahead_s + 0.5)
+    set_by_s = 0.5
     (check,) = watch.look()
     assert "+0.500 s" in check.finding
 

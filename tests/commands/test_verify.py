@@ -76,10 +76,10 @@ def run(
         folder / rig,
         folder / images[0],
         folder / images[1],
-        arguments["board"],  # type: ignore[arg-type]
-        arguments["job"],  # type: ignore[arg-type]
-        arguments["lengths"],  # type: ignore[arg-type]
-        arguments["limits"],  # type: ignore[arg-type]
+        arguments["board"],
+        arguments["job"],
+        arguments["lengths"],
+        arguments["limits"],
         as_json=False,
         console=Console(file=said, width=200),
     )
@@ -163,7 +163,7 @@ def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
 def test_wrong_usage_is_named(options: dict[str, object], expected: str, folder: Path) -> None:
     """Exit code 2: the message names what is wrong."""
     with pytest.raises(UserError) as caught:
-        run(folder, **options)  # type: ignore[arg-type]
+        run(folder, **options)
     assert expected in str(caught.value)
 
 

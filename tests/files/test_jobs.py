@@ -352,7 +352,7 @@ def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:
 
 def test_a_save_that_fails_leaves_the_old_job(folder: Path) -> None:
     """Where the shape cannot be written, the job that was there is untouched and nothing lies around."""
-    broken = replace(make_job(number=9), shape=None)  # type: ignore[arg-type]
+    broken = replace(make_job(number=9), shape=None)
     with pytest.raises(AttributeError):
         save_job(folder, broken)
     assert load_job(folder).number == 3

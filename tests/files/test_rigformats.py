@@ -23,6 +23,7 @@ from edged.errors import FileFormatError, UserError
 from edged.files.rig import load_rig, save_rig
 from edged.files.rigformats import Options, RigFormat, read_rig, rig_format, write_rig
 from edged.files.rigformats.files import parse_size
+from edged.files.rigformats.halcon import gba_angles
 from edged.files.rigformats.lens import MAX_ERROR_PX
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply
@@ -307,11 +308,9 @@ def test_halcon_rodriguez_vectors_have_the_length_tan_of_half_the_angle(tmp_path
 @given(st.tuples(*[st.floats(-180, 180)] * 3))
 def test_written_angles_give_the_rotation_back(angles: tuple[float, float, float]) -> None:
     """Also where x and z turn about one axis (y = ±90°)."""
-    from edged.files.rigformats.halcon import _gba_angles
-
     for y in (angles[1], 90.0, -90.0):
         rotation = Rotation.from_euler("XYZ", (angles[0], y, angles[2]), degrees=True).as_matrix()
-        found = Rotation.from_euler("XYZ", _gba_angles(rotation)).as_matrix()
+        found = Rotation.from_euler("XYZ", gba_angles(rotation)).as_matrix()
         np.testing.assert_allclose(found, rotation, atol=1e-9)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from soak import Soak
 
-from edged.adapters.modbus.cell import CellRegisters
 from edged.plc import handshake as hs
 
 
@@ -47,23 +46,25 @@ def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor to a command that does not take the result of the one before down."""
-    real = hs._command
+    real = hs.step
 
     def sticky(state: Any, event: Any, now_s: float) -> Any:
         new, effects = real(state, event, now_s)
-        return dataclasses.replace(new, result=state.result), effects
+        if isinstance(event, hs.SequenceWritten):
+            new = dataclasses.replace(new, result=state.result)
+        return new, effects
 
-    monkeypatch.setattr(hs, "_command", sticky)
+    monkeypatch.setattr(hs, "step", sticky)
     assert any("not the newest command" in violation for violation in Soak(1).run(600.0).violations)
 
 
 def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor to a second answer."""
-    real = CellRegisters._step
+    real = hs.step
 
-    def twice(self: Any, event: Any, now_s: float) -> Any:
-        effects = real(self, event, now_s)
-        return (*effects, *(effect for effect in effects if isinstance(effect, hs.Answered)))
+    def twice(state: Any, event: Any, now_s: float) -> Any:
+        new, effects = real(state, event, now_s)
+        return new, (*effects, *(effect for effect in effects if isinstance(effect, hs.Answered)))
 
-    monkeypatch.setattr(CellRegisters, "_step", twice)
+    monkeypatch.setattr(hs, "step", twice)
     assert any("second answer" in violation for violation in Soak(1).run(60.0).violations)

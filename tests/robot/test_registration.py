@@ -129,7 +129,7 @@ def test_points_that_cannot_be_right_are_named(change: object, expected: str) ->
     """Units, mirrors, lines, repetitions: with the reason, never a transform."""
     rig, robot = points(np.random.default_rng(4), 6, 0.1)
     with pytest.raises(CalibrationError, match=expected):
-        register_points(*change(rig, robot))  # type: ignore[operator]
+        register_points(*change(rig, robot))
 
 
 # --- hand-eye ----------------------------------------------------------------------------------

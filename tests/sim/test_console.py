@@ -116,7 +116,7 @@ def test_pictures_of_a_folder_are_shown_in_turn(tmp_path: Path) -> None:
     cameras = build(SimOptions(images=tmp_path))
 
     def seen(side: str, frame_id: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-        return cameras[side]._exposure(ExposureRequest(frame_id, 0, 0, 1.0, 0.0, 32, 16))
+        return cameras[side].exposure(ExposureRequest(frame_id, 0, 0, 1.0, 0.0, 32, 16))
 
     assert [10, 20, 10] == [seen("left", n)[0, 0] for n in (1, 2, 3)]
     assert seen("right", 2).shape == (16, 32)

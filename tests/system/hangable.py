@@ -31,7 +31,7 @@ def stand_still() -> None:
     threading.Event().wait()
 
 
-edged.app.cell.locate = locate_or_hang  # type: ignore[assignment]
+edged.app.cell.locate = locate_or_hang
 signal.signal(signal.SIGUSR1, lambda *_: hang.set())
 signal.signal(signal.SIGUSR2, lambda *_: stand_still())
 main()

@@ -15,7 +15,7 @@ import pytest
 from boards import board_poses, draw_board, right_pose
 from cells import small_rig
 
-from edged.commands.calibrate import ImagePair
+from edged.files.pairs import ImagePair
 from edged.vision.boards.board import Chessboard
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from edged.cli import app
+from edged.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -28,7 +28,7 @@ def _name(page: Path) -> str:
 
 def _commands(text: str) -> Iterator[tuple[str, list[str], set[str]]]:
     """Each command line of edged: as it stands, the options it is given, and those that it takes."""
-    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    known = typer.main.get_command(app).commands
     for found in COMMAND.finditer(text.replace("tools/demo", "edged demo")):
         command, words = known.get(found["name"]), found["rest"].split()
         if hasattr(command, "commands"):
@@ -102,7 +102,7 @@ def test_every_link_leads_somewhere() -> None:
 def test_every_command_is_in_the_readme() -> None:
     """Nobody has to find one by `edged --help` alone."""
     told = set(re.findall(r"`(?:edged )?([a-z]+)\b", README.read_text()))
-    assert set() == set(typer.main.get_command(app).commands) - told  # type: ignore[attr-defined]
+    assert set() == set(typer.main.get_command(app).commands) - told
 
 
 def test_the_search_finds_commands_and_mistakes() -> None:

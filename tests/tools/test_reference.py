@@ -17,7 +17,7 @@ from pydantic import BaseModel
 
 from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
-from edged.cli import app
+from edged.cli.main import app
 from edged.commands.registers import BLOCKS
 from edged.config import Config
 from edged.domain import Calibrated, CommandKind, Reject, Status

@@ -22,7 +22,8 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.commands.doctor import show
-from edged.doctor import Check, examine
+from edged.doctor.examination import examine
+from edged.doctor.findings import Check
 from edged.sim.gige.camera import GigeCamera, moving_ramp
 
 HOST, LEFT, RIGHT = "192.168.77.1", "192.168.77.11", "192.168.77.12"

@@ -92,6 +92,6 @@ def test_the_dashboard_can_be_imported_anywhere() -> None:
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
 def test_every_alarm_says_where_and_what(rule: dict[str, object]) -> None:
     """A summary that names the instance, and stands in docs/how-to/operate.md with what to do."""
-    summary = rule["annotations"]["summary"]  # type: ignore[index]
+    summary = rule["annotations"]["summary"]
     assert summary.startswith("{{ $labels.instance }}: ")
     assert str(rule["alert"]) in (CONFIG.parent / "docs" / "how-to" / "operate.md").read_text()

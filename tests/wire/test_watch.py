@@ -18,7 +18,8 @@ from zenohcell import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor
-from edged.commands.watch import CellView, News, watch
+from edged.app.fleet import News
+from edged.commands.watch import CellView, watch
 from edged.domain import Calibrated, DriftState, Snapshot, Status
 from edged.errors import ConfigError, UserError
 

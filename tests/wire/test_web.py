@@ -19,11 +19,12 @@ from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, page
-from edged.adapters.web.access import Access, TooManyAttempts, hash_password, is_hash
+from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
 from edged.domain import CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
 from edged.errors import ListenError
+from edged.passwords import hash_password
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
 
@@ -217,7 +218,7 @@ def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: p
         ("right", rectification.right_image, pair.right.image),
     ):
         shown = cv2.imdecode(
-            np.frombuffer(picture(pair, rectification, side), np.uint8),  # type: ignore[arg-type]
+            np.frombuffer(picture(pair, rectification, side), np.uint8),
             cv2.IMREAD_UNCHANGED,
         )
         assert shown is not None
@@ -236,11 +237,11 @@ def test_marks_lie_on_the_parts_edge() -> None:
     """A circle of the rig, projected by the camera models and rectified, is the drawn outline."""
     target = make_target()
     circle = target.circles[0]
-    marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}  # type: ignore[arg-type]
+    marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}
     width, height = RECTIFICATION.size
     for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):
         drawn = np.array(marks[side]["circles"][0]) * [width, height] - 0.5
-        raw = RECTIFICATION.raw_points(side, drawn)  # type: ignore[arg-type]
+        raw = RECTIFICATION.raw_points(side, drawn)
         from_rig = np.eye(4) if side == "left" else RECTIFICATION.rig.right_from_left
         rays = np.column_stack([camera.normalise(raw), np.ones(len(raw))]) @ from_rig[:3, :3]
         eye = -from_rig[:3, :3].T @ from_rig[:3, 3]
@@ -440,12 +441,6 @@ def test_a_port_in_use_is_named() -> None:
             await other.close()
 
     run(test)
-
-
-def test_only_a_hash_is_a_hash() -> None:
-    """A password in the clear is not taken for one."""
-    assert is_hash(HASH)
-    assert not is_hash(PASSWORD)
 
 
 def test_a_snapshot_without_its_exposure_has_no_picture() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
-from edged.cli import app
+from edged.cli.main import app
 from referencepages.markdown import code, number, table
 
 KINDS = {Path: "PATH", str: "TEXT", int: "INTEGER", float: "NUMBER"}

@@ -14,7 +14,7 @@ Bits: coil and discrete input `16 * r + n` is bit n of register r.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, cast
 
 from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.pdu.bit_message import (
@@ -26,6 +26,7 @@ from pymodbus.pdu.bit_message import (
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersResponse,
     ReadInputRegistersResponse,
+    ReadWriteMultipleRegistersRequest,
     ReadWriteMultipleRegistersResponse,
     WriteMultipleRegistersResponse,
     WriteSingleRegisterResponse,
@@ -142,14 +143,14 @@ def _execute(pdu: ModbusPDU, device: Device) -> ModbusPDU:
             device.write(pdu.address, pdu.registers)
             return WriteMultipleRegistersResponse(address=pdu.address, count=pdu.count)
         case _:
-            return _read_write(pdu, device)
+            return _read_write(cast(ReadWriteMultipleRegistersRequest, pdu), device)
 
 
-def _read_write(pdu: ModbusPDU, device: Device) -> ModbusPDU:
+def _read_write(pdu: ReadWriteMultipleRegistersRequest, device: Device) -> ModbusPDU:
     """FC23: the write comes first; a read that cannot be answered must not leave a write behind."""
-    read_address, read_count = pdu.read_address, pdu.read_count  # type: ignore[attr-defined]
+    read_address, read_count = pdu.read_address, pdu.read_count
     device.read(read_address, read_count)
-    device.write(pdu.write_address, pdu.write_registers)  # type: ignore[attr-defined]
+    device.write(pdu.write_address, pdu.write_registers)
     return ReadWriteMultipleRegistersResponse(registers=device.read(read_address, read_count))
 
 

@@ -1,6 +1,6 @@
 """Who may look: one password, sessions in memory, and a limit on guessing.
 
-The password is stored as an Argon2 hash (`edged password`). A session is a random cookie; Prometheus may
+The password is stored as a hash (`edged.passwords`). A session is a random cookie; Prometheus may
 send the password with each request (HTTP Basic, any user). Everything is forgotten at a restart.
 """
 
@@ -15,28 +15,13 @@ import secrets
 import time
 from collections.abc import Callable
 
-from argon2 import PasswordHasher
-from argon2.exceptions import Argon2Error, InvalidHashError
+from edged.passwords import is_password
 
 SESSION_S = 12 * 3600.0
 MAX_SESSIONS = 64
 FREE_ATTEMPTS = 5
 LOCKED_S = 30.0
 MAX_REMEMBERED = 1024
-
-
-def hash_password(password: str) -> str:
-    """The hash for the configuration."""
-    return PasswordHasher().hash(password)
-
-
-def is_hash(text: str) -> bool:
-    """Whether this is what `hash_password` gives."""
-    try:
-        PasswordHasher().check_needs_rehash(text)
-    except InvalidHashError:
-        return False
-    return text.startswith("$argon2")
 
 
 class TooManyAttempts(Exception):
@@ -103,7 +88,7 @@ class Access:
         if count >= FREE_ATTEMPTS and self._clock_s() < locked_until_s:
             raise TooManyAttempts(locked_until_s - self._clock_s())
         async with self._verifying:  # one at a time: guessing must not cost the cell its cores
-            good = await asyncio.to_thread(_verify, self._hash, password)
+            good = await asyncio.to_thread(is_password, self._hash, password)
         if good:
             self._known = digest
             self._failures.pop(address, None)
@@ -111,13 +96,6 @@ class Access:
         while len(self._failures) >= MAX_REMEMBERED:
             del self._failures[next(iter(self._failures))]
         self._failures[address] = (count + 1, self._clock_s() + LOCKED_S)
-        return False
-
-
-def _verify(password_hash: str, password: str) -> bool:
-    try:
-        return PasswordHasher().verify(password_hash, password)
-    except (Argon2Error, InvalidHashError):
         return False
 
 

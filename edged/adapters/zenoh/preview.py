@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 
 import cv2
+import numpy as np
 import zenoh
 
 from edged.adapters.zenoh.worker import Worker
@@ -67,7 +68,8 @@ def jpeg(image: Image) -> bytes:
     """A JPEG of at most `WIDTH_PX` columns, of an image (H, W) uint8."""
     scale = WIDTH_PX / image.shape[1]
     if scale < 1:
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        image = np.asarray(small, np.uint8)
     encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not encoded:
         raise ValueError(f"an image of the shape {image.shape} cannot be a JPEG")

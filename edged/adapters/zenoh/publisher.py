@@ -14,9 +14,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,26 +23,25 @@ import zenoh
 import zenoh.ext
 
 from edged.adapters.zenoh.cbor import encode_cbor
-from edged.adapters.zenoh.keys import PREFIX, QUERYABLES, TRIGGER_PARAMETERS
+from edged.adapters.zenoh.health import Health
+from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
+from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.worker import Worker
 from edged.domain import (
     CellState,
     Command,
     CommandFailed,
-    CommandKind,
     Event,
     ExposureDone,
-    FloatArray,
     JobChanged,
     Snapshot,
 )
 from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander
-from edged.robot.orientations import Brand, transform_of
 
 log = logging.getLogger(__name__)
 
@@ -52,10 +49,8 @@ SOURCE = "zenoh"  # of our commands
 HEALTH_PERIOD_S = 1.0
 OUTBOX_LENGTH = 64  # a second of the fastest cell; more would only be old news
 MAX_PENDING = 32  # triggers that wait for their answer
-MAX_TIMEOUT_S = 60.0
 OPEN_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
-RATE_WINDOW = 32  # cycles over which the rate is taken
 ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
     "json": (encode, zenoh.Encoding.APPLICATION_JSON),
     "cbor": (encode_cbor, zenoh.Encoding.APPLICATION_CBOR),
@@ -97,7 +92,7 @@ class ZenohPublisher:
         self._pending: dict[int, _Pending] = {}
         self._commands = 0
         self._closed = False
-        self._health = _Health()
+        self._health = Health()
         self._heartbeat: asyncio.Task[None] | None = None
         self._last: tuple[Snapshot, int] | None = None
         self._state: CellState | None = None
@@ -281,8 +276,7 @@ class ZenohPublisher:
             self._reply_error(query, f"a trigger must name its key, {key}")
             return
         try:
-            default_s = self._settings.trigger_timeout_s
-            kind, job, timeout_s, flange = _parse_trigger(query.parameters, default_s)
+            asked = parse_trigger(query.parameters, self._settings.trigger_timeout_s)
         except CommandRefused as error:
             self._reply_error(query, str(error))
             return
@@ -293,9 +287,9 @@ class ZenohPublisher:
             self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
             return
         self._commands += 1
-        command = Command(kind, SOURCE, self._commands, job, flange)
-        late = f"no result within {timeout_s:g} s"
-        timer = asyncio.get_running_loop().call_later(timeout_s, self._settle, command, late)
+        command = Command(asked.kind, SOURCE, self._commands, asked.job, asked.robot_from_flange)
+        late = f"no result within {asked.timeout_s:g} s"
+        timer = asyncio.get_running_loop().call_later(asked.timeout_s, self._settle, command, late)
         self._pending[command.sequence] = _Pending(query, command, timer)
         try:
             self._commander.submit(command)
@@ -350,71 +344,6 @@ class _Pending:
     timer: asyncio.TimerHandle
 
 
-class _Health:
-    """Counts of the cycles that were seen."""
-
-    def __init__(self) -> None:
-        self._started_s = time.monotonic()
-        self._ends_s: deque[float] = deque(maxlen=RATE_WINDOW)
-        self._counts: dict[str, int] = {}
-
-    def count(self, snapshot: Snapshot) -> None:
-        self._ends_s.append(time.monotonic())
-        self._counts[str(snapshot.status)] = self._counts.get(str(snapshot.status), 0) + 1
-
-    def to_json(self) -> Json:
-        now_s = time.monotonic()
-        rate_hz = None
-        if len(self._ends_s) > 1:
-            # the time since the last cycle counts too: a loop that stands still slows down to zero
-            span_s = max(self._ends_s[-1] - self._ends_s[0], now_s - self._ends_s[-1])
-            rate_hz = (len(self._ends_s) - 1) / span_s if span_s > 0 else None
-        return {
-            "uptime_s": now_s - self._started_s,
-            "cycles": sum(self._counts.values()),
-            "cycles_by_status": dict(self._counts),
-            "rate_hz": rate_hz,
-            "last_cycle_age_s": now_s - self._ends_s[-1] if self._ends_s else None,
-        }
-
-
-def _parse_trigger(
-    parameters: zenoh.Parameters, default_timeout_s: float
-) -> tuple[CommandKind, int, float, FloatArray | None]:
-    """Kind, job number, time-out and robot_from_flange of a trigger; raises `CommandRefused`."""
-    known = {name: default for name, (default, _) in TRIGGER_PARAMETERS.items()}
-    known["timeout_s"] = str(default_timeout_s)
-    for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
-        if name not in known:
-            raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
-        known[name] = value
-    kinds = {kind.name.lower(): kind for kind in CommandKind}
-    kind = kinds.get(known["kind"].lower())
-    if kind is None:
-        raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")
-    if not (known["job"].isascii() and known["job"].isdigit() and int(known["job"][:6]) <= 65535):
-        raise CommandRefused(f"job: expected a number from 0 to 65535, got {known['job'][:40]!r}")
-    try:
-        timeout_s = float(known["timeout_s"])
-    except ValueError:
-        timeout_s = math.nan
-    if not 0 < timeout_s <= MAX_TIMEOUT_S:
-        raise CommandRefused(
-            f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
-        )
-    return kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"])
-
-
-def _parse_flange(text: str) -> FloatArray | None:
-    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first."""
-    if not text:
-        return None
-    try:
-        return transform_of(Brand.ABB, tuple(float(part) for part in text[:400].split(",")))
-    except ValueError as error:
-        raise CommandRefused(f"flange: {error}") from None
-
-
 def _on_loop(
     loop: asyncio.AbstractEventLoop, name: str, handle: Callable[[str, zenoh.Query], None]
 ) -> Callable[[zenoh.Query], None]:
@@ -424,6 +353,6 @@ def _on_loop(
         try:
             loop.call_soon_threadsafe(handle, name, query)
         except RuntimeError:  # the loop is closed: the daemon is gone
-            query.drop()  # type: ignore[no-untyped-call]
+            query.drop()  # type: ignore[no-untyped-call]  # its stub says no type
 
     return arrived

@@ -41,10 +41,11 @@ _FORMATS: dict[str, _Format] = {
 
 def rig_format(name: str) -> RigFormat:
     """The format of this name, or a `UserError` that lists them."""
-    for known in get_args(RigFormat):
-        if name == known:
-            return known  # type: ignore[no-any-return]
-    raise UserError(f"rig format {name!r}: expected one of {', '.join(get_args(RigFormat))}")
+    known: tuple[RigFormat, ...] = get_args(RigFormat)
+    for form in known:
+        if name == form:
+            return form
+    raise UserError(f"rig format {name!r}: expected one of {', '.join(known)}")
 
 
 def read_rig(path: Path, form: RigFormat | None = None, options: Options = DEFAULTS) -> Imported:

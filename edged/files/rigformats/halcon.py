@@ -147,7 +147,7 @@ def _is_camera(text: str) -> bool:
 
 
 def _pose_text(left_from_right: FloatArray) -> str:
-    angles = np.degrees(_gba_angles(left_from_right[:3, :3])) % 360
+    angles = np.degrees(gba_angles(left_from_right[:3, :3])) % 360
     return (
         "# 3D POSE PARAMETERS: rotation and translation\n\n"
         "# Used representation type:\nf 0\n\n"
@@ -182,7 +182,7 @@ def _pose(path: Path, text: str) -> FloatArray:
     return relation(fields, "t", rotation, 1000 * translation)
 
 
-def _gba_angles(rotation: FloatArray) -> FloatArray:
+def gba_angles(rotation: FloatArray) -> FloatArray:
     """Angles (3,) in rad about x, y, z of R = Rx Ry Rz; y in [-90°, 90°]."""
     x = np.arctan2(-rotation[1, 2], rotation[2, 2])
     y = np.arctan2(rotation[0, 2], np.hypot(rotation[0, 0], rotation[0, 1]))

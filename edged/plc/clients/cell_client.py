@@ -107,12 +107,12 @@ class EdgedCell:
 
     def connect(self) -> None:
         """Connect and check that it is an edged cell, the map is this one and the word order is right."""
-        if not self._client.connect():  # type: ignore[no-untyped-call]
+        if not self._client.connect():  # type: ignore[no-untyped-call]  # pymodbus says no type
             raise CellError("the cell does not answer")
         try:
             self._check(self.read("constants"))
         except CellError:
-            self._client.close()  # type: ignore[no-untyped-call]
+            self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
             raise
 
     def _check(self, constants: dict[str, float]) -> None:
@@ -127,7 +127,7 @@ class EdgedCell:
         """Give the right to write to others and hang up."""
         if self._client.connected:
             self._client.write_register(self._base + ADDRESS["OPTIONS"], 1, device_id=self._unit_id)
-        self._client.close()  # type: ignore[no-untyped-call]
+        self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
 
     # --- commands ------------------------------------------------------------------------------
 

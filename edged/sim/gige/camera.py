@@ -78,12 +78,11 @@ class GigeCamera:
         if len(serial.encode()) > 15:
             raise ValueError(f"serial {serial!r}: at most 15 bytes")
         self.address, self.serial = address, serial
+        self.exposure, self.exposures = exposure, 0
         self.faults = faults or Faults()
         self.clock = clock or DeviceClock()
-        self.exposures = 0
         self._old_chunks = Quirk.OLD_CHUNKS in quirks
         self._pacing = pacing or Pacing()
-        self._exposure = exposure
         # two threads take chances: each its own, or no run is like another
         self._chance, self._answer_chance = random.Random(seed), random.Random(seed)
         self.registers = Registers(Identity(address, serial, model), width, height, frozenset(quirks))
@@ -329,7 +328,7 @@ class GigeCamera:
     def _picture(self, request: ExposureRequest) -> Image:
         if self.faults.frozen and self._last_image is not None:
             return self._last_image
-        image = self._exposure(request)
+        image = self.exposure(request)
         if image.shape != (request.height, request.width) or image.dtype != np.uint8:
             raise ValueError(
                 f"exposure gave {image.dtype} {image.shape}, expected uint8 {(request.height, request.width)}"

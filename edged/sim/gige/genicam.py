@@ -6,6 +6,7 @@ those from 0x10000 on are this camera's own and known to clients only through th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -86,7 +87,7 @@ class Feature:
     low: float = 0
     high: float = 0
     unit: str = ""
-    choices: dict[str, int] = field(default_factory=dict)
+    choices: Mapping[str, int] = field(default_factory=dict)
     read_only: bool = False
     step: int = 1
     length: int = 4
@@ -119,11 +120,15 @@ def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) ->
     table = [*_image(width, height), *_acquisition(), *_device()]
     if Quirk.FEW_NODES not in quirks:
         table += [*_rate(), *_trigger_details(), *_lines(), *_actions(), *_time(), *_chunks()]
-    sources = {"Software": SOFTWARE, "Line1": LINE1} if Quirk.FEW_NODES in quirks else TRIGGER_SOURCES
-    changes: dict[str, dict[str, object]] = {"TriggerSource": {"choices": sources}}
-    if Quirk.EXPOSURE_TIME_ABS in quirks:
-        changes["ExposureTime"] = {"name": "ExposureTimeAbs"}
-    return tuple(replace(feature, **changes.get(feature.name, {})) for feature in table)  # type: ignore[arg-type]
+    return tuple(_as_quirky(feature, quirks) for feature in table)
+
+
+def _as_quirky(feature: Feature, quirks: frozenset[Quirk]) -> Feature:
+    if feature.name == "TriggerSource" and Quirk.FEW_NODES in quirks:
+        return replace(feature, choices={"Software": SOFTWARE, "Line1": LINE1})
+    if feature.name == "ExposureTime" and Quirk.EXPOSURE_TIME_ABS in quirks:
+        return replace(feature, name="ExposureTimeAbs")
+    return feature
 
 
 def _image(width: int, height: int) -> list[Feature]:
@@ -158,7 +163,7 @@ def _acquisition() -> list[Feature]:
         Feature("AcquisitionStop", group, ACQUISITION_STOP, "command", 1),
         Feature("TriggerSelector", group, TRIGGER_SELECTOR, "enumeration", choices={"FrameStart": 0}),
         Feature("TriggerMode", group, TRIGGER_MODE, "enumeration", choices={"Off": 0, "On": 1}),
-        Feature("TriggerSource", group, TRIGGER_SOURCE, "enumeration"),
+        Feature("TriggerSource", group, TRIGGER_SOURCE, "enumeration", choices=TRIGGER_SOURCES),
         Feature("TriggerSoftware", group, TRIGGER_SOFTWARE, "command", 1),
         Feature("ExposureTime", group, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
         Feature("Gain", "AnalogControl", GAIN, "float", 0.0, 0.0, 24.0, "dB"),
@@ -224,11 +229,10 @@ def _actions() -> list[Feature]:
 
 def _time() -> list[Feature]:
     group, ptp = "DeviceControl", "TransportLayerControl"
-    long = {"low": 0, "high": LARGEST, "read_only": True, "length": 8}
     return [
         Feature("TimestampLatch", group, LATCH, "command", 1),
         Feature("TimestampReset", group, CLOCK_RESET, "command", 1),
-        Feature("TimestampLatchValue", group, LATCH_VALUE, "integer", unit="ns", **long),  # type: ignore[arg-type]
+        _counter("TimestampLatchValue", group, LATCH_VALUE, "ns"),
         Feature("PtpEnable", ptp, PTP_ENABLE, "boolean"),
         Feature("PtpStatus", ptp, PTP_STATUS, "enumeration", choices=PTP_STATES, read_only=True),
         Feature("PtpDataSetLatch", ptp, PTP_LATCH, "command", 1),
@@ -247,15 +251,19 @@ def _time() -> list[Feature]:
     ]
 
 
+def _counter(name: str, group: str, address: int, unit: str = "") -> Feature:
+    """64 bits that only the camera writes."""
+    return Feature(name, group, address, "integer", low=0, high=LARGEST, unit=unit, read_only=True, length=8)
+
+
 def bootstrap_nodes() -> list[Feature]:
     """Nodes that show registers of the standard."""
     group = "TransportLayerControl"
-    long = {"low": 0, "high": LARGEST, "read_only": True, "length": 8}
     return [
-        Feature("GevTimestampTickFrequency", group, TICKS_HIGH, "integer", unit="Hz", **long),  # type: ignore[arg-type]
+        _counter("GevTimestampTickFrequency", group, TICKS_HIGH, "Hz"),
         Feature("GevTimestampControlLatch", group, TIMESTAMP_CONTROL, "command", 2),
         Feature("GevTimestampControlReset", group, TIMESTAMP_CONTROL, "command", 1),
-        Feature("GevTimestampValue", group, TIMESTAMP_HIGH, "integer", **long),  # type: ignore[arg-type]
+        _counter("GevTimestampValue", group, TIMESTAMP_HIGH),
         Feature("GevSCPD", group, PACKET_DELAY, "integer", 0, 0, 2**31 - 1),
     ]
 

@@ -354,8 +354,8 @@ def _moved(
     poses[:, :3, :3] = rotation_matrix(pose_steps[:, :3]) @ poses[:, :3, :3]
     poses[:, :3, 3] += pose_steps[:, 3:]
     return BundleState(
-        _moved_camera(state.left, selections[0] @ rig_step[shape:split]),
-        _moved_camera(state.right, selections[1] @ rig_step[split:-6]),
+        moved_camera(state.left, selections[0] @ rig_step[shape:split]),
+        moved_camera(state.right, selections[1] @ rig_step[split:-6]),
         transform(
             rotation_matrix(rig_step[-6:-3]) @ state.right_from_left[:3, :3],
             state.right_from_left[:3, 3] + rig_step[-3:],
@@ -366,7 +366,8 @@ def _moved(
     )
 
 
-def _moved_camera(camera: CameraModel, step: FloatArray) -> CameraModel:
+def moved_camera(camera: CameraModel, step: FloatArray) -> CameraModel:
+    """The camera with its parameters moved: fx, fy, cx, cy, then the distortion."""
     fx, fy, cx, cy = (float(v) for v in np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + step[:4])
     distortion = tuple(float(v) for v in np.array(camera.distortion) + step[4:])
     return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)

@@ -132,7 +132,7 @@ def calibrate_stereo(
 class _Problem:
     """Views with their observations, and which marks are kept as no outliers."""
 
-    views: list[StereoView]
+    views: Sequence[StereoView]
     left: Observations
     right: Observations
 

@@ -86,7 +86,7 @@ def best_next_view(calibration: Calibration) -> Suggestion | None:
     boards = [fit.view.board for fit in calibration.views]
     board = max(set(boards), key=boards.count)
     best: Suggestion | None = None
-    for where, pose in _candidates(calibration, board):
+    for where, pose in candidates(calibration, board):
         seen = [_observed(calibration, board, pose, side) for side in ("left", "right")]
         if min(len(one.view) for one in seen) < _MIN_VISIBLE * len(board.points_mm):
             continue
@@ -97,7 +97,7 @@ def best_next_view(calibration: Calibration) -> Suggestion | None:
     return best
 
 
-def _candidates(calibration: Calibration, board: Board) -> Iterator[tuple[str, FloatArray]]:
+def candidates(calibration: Calibration, board: Board) -> Iterator[tuple[str, FloatArray]]:
     """Places in the left image at three depths, each with five tilts; left_from_board (4, 4)."""
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))

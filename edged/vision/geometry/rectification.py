@@ -288,4 +288,6 @@ def _maps(
             valid[rows] = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
         map_x[rows] = np.where(np.isfinite(x), np.clip(x, -1e4, 3e4), outside)
         map_y[rows] = np.where(np.isfinite(y), np.clip(y, -1e4, 3e4), outside)
+    for plane in (map_x, map_y):
+        plane.flags.writeable = False  # the cycle and the status page read them on threads of their own
     return (map_x, map_y), valid * np.uint8(255)

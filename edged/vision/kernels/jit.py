@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import numba
@@ -88,4 +89,4 @@ def for_kernel(array: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any
 def _cache_is_usable() -> bool:
     """numba raises at import where its cache directory cannot be written; run uncached there."""
     directory = os.environ.get("NUMBA_CACHE_DIR")
-    return directory is None or os.access(directory, os.W_OK) or not os.path.exists(directory)  # noqa: PTH110
+    return directory is None or os.access(directory, os.W_OK) or not Path(directory).exists()

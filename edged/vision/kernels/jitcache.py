@@ -25,7 +25,7 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
         return self._load_overload(sig, target_context)
 
 
-class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]
+class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
     """Compiled code; what comes from the cache keeps its bitcode as it is until somebody links it."""
 
     _bitcode: bytes | None = None

@@ -71,13 +71,13 @@ def _rivals(
 ) -> FloatArray:
     """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
     image = for_kernel(right, np.uint8)
-    return _row_edges(
+    return row_edges(
         image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
     )
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8, i8)")
-def _row_edges(
+def row_edges(
     image: Image,
     points: FloatArray,
     sign: FloatArray,
@@ -86,6 +86,10 @@ def _row_edges(
     min_slope: float,
     most: int,
 ) -> FloatArray:
+    """Disparities (N, most) in [low, high] of the strongest edges on each point's row, NaN where fewer.
+
+    sign (N,) : of the slope along the row, at least min_slope grey values per px.
+    """
     height, width = image.shape
     count = points.shape[0]
     found = np.full((count, most), np.nan)
@@ -135,7 +139,7 @@ def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: floa
         if vote < 0.5 * top or vote < 8:
             continue
         near = np.where(np.abs(rivals - c) < window, rivals, np.nan)
-        a, b, c, count = _ransac(centred, near, TRIALS, MAX_SLOPE, TOLERANCE_PX, 0.02 * extent**2)
+        a, b, c, count = ransac(centred, near, TRIALS, MAX_SLOPE, TOLERANCE_PX, 0.02 * extent**2)
         if count > best_count:
             best, best_count = np.array([a, b, c]), int(count)
     if best_count < max(10, 0.35 * len(points)):
@@ -153,7 +157,7 @@ def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: floa
 
 
 @kernel("UniTuple(f8, 4)(f8[:, ::1], f8[:, ::1], i8, f8, f8, f8)")
-def _ransac(
+def ransac(
     points: FloatArray,
     rivals: FloatArray,
     trials: int,

@@ -7,7 +7,7 @@ limits of its job.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -41,7 +41,7 @@ class PointCloud:
     points_mm: FloatArray
     kinds: npt.NDArray[np.uint8]
     sigma_mm: FloatArray
-    refused: dict[str, int]
+    refused: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class FacePoints:
 
     points_mm: FloatArray
     sigma_mm: FloatArray
-    refused: dict[str, int]
+    refused: Mapping[str, int]
 
 
 def point_cloud(images: StereoImages, job: Job, measured: Sequence[Measured]) -> PointCloud:

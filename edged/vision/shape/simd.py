@@ -16,7 +16,7 @@ BYTES = ir.VectorType(ir.IntType(8), LANES)
 WORDS = ir.VectorType(ir.IntType(16), LANES)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic  # type: ignore[untyped-decorator]  # numba ships no types
 def add_vectors(
     _context: Any, maps: Any, offsets: Any, p: Any, n: Any, position: Any, words: Any, at: Any
 ) -> Any:

@@ -24,12 +24,17 @@ MIN_TURN_RAD = 0.2
 
 
 class Level(Protocol):
-    """Points (N, 2) relative to the origin and unit normals (N, 2) of one pyramid level."""
+    """The edges of one pyramid level."""
 
     @property
-    def points(self) -> FloatArray: ...  # noqa: D102
+    def points(self) -> FloatArray:
+        """(N, 2) px from the origin."""
+        ...
+
     @property
-    def normals(self) -> FloatArray: ...  # noqa: D102
+    def normals(self) -> FloatArray:
+        """(N, 2) unit, across the edge."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from rigs import make_rig, random_points
 from edged.report.charts import Chart, symmetric_limit, ticks
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration import nextbestview as nextview
-from edged.vision.calibration.bundle import _moved_camera
+from edged.vision.calibration.bundle import moved_camera
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.calibration.nextbestview import best_next_view, volume_points
 from edged.vision.calibration.plainopencv import plain_opencv
@@ -38,7 +38,7 @@ def changed(rig: StereoRig, step: np.ndarray) -> StereoRig:
     relation = transform(
         rotation_matrix(step[-6:-3]) @ rig.right_from_left[:3, :3], rig.right_from_left[:3, 3] + step[-3:]
     )
-    left, right = _moved_camera(rig.left, step[:count]), _moved_camera(rig.right, step[count:-6])
+    left, right = moved_camera(rig.left, step[:count]), moved_camera(rig.right, step[count:-6])
     return replace(rig, left=left, right=right, right_from_left=relation)
 
 
@@ -81,7 +81,7 @@ def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
 def test_the_suggested_view_does_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
     """Taken and calibrated with, the view lowers the points' sigma by the share that was predicted."""
     before = calibration_of(RIG, 6, tilt_deg=12.0)
-    candidates = dict(nextview._candidates(before, BOARD))
+    candidates = dict(nextview.candidates(before, BOARD))
     advice = best_next_view(before)
     assert advice is not None
     assert 0.02 < advice.gain < 0.9

@@ -153,4 +153,4 @@ def test_points_that_determine_nothing_give_none(points: FloatArray) -> None:
 def test_wrong_parameters_are_named(wrong: dict[str, object]) -> None:
     """A typo is told by its name."""
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        FitParams(**wrong)  # type: ignore[arg-type]
+        FitParams(**wrong)

@@ -84,6 +84,15 @@ def test_maps_and_masks_agree_with_exact_points(model: str) -> None:
         assert 0.5 < inside.mean() < 1
 
 
+def test_maps_cannot_be_written() -> None:
+    """Threads share them: the cycle rectifies by them, and the status page shows by them."""
+    rectification = make_rectification(make_rig())
+
+    for plane in (*rectification.maps_left, *rectification.maps_right):
+        with pytest.raises(ValueError, match="read-only"):
+            plane[0, 0] = 0.0
+
+
 def test_pixel_scale_is_that_of_the_raw_images() -> None:
     """The rectified focal length keeps the pixel area at the image centres within 10 %."""
     rig = make_rig()
@@ -249,7 +258,7 @@ def test_rows_agree_for_any_vergence_lens_and_size(lens: str, vergence_deg: floa
         ("left", raw[0], rectification.valid_left),
         ("right", raw[1], rectification.valid_right),
     ):
-        x, y = rectification.rectify_points(side, pixels).T  # type: ignore[arg-type]
+        x, y = rectification.rectify_points(side, pixels).T
         rows_px.append(y)
         assert ((x > -1) & (y > -1) & (x < rectification.size[0]) & (y < rectification.size[1])).all()
         inside = (pixels > 2).all(axis=1) & (pixels < np.array([right.width, right.height]) / factor - 3).all(

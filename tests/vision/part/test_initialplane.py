@@ -145,7 +145,7 @@ def test_edges_of_a_row_equal_their_twin(
     image = rng.integers(0, 256, (12, 40), np.uint8)
     points = rng.uniform((-10, -2), (50, 14), (6, 2))
     sign = rng.choice([-1.0, 1.0], 6)
-    rivals = startplane._row_edges(image, points, sign, low, low + span, min_slope, most)
+    rivals = startplane.row_edges(image, points, sign, low, low + span, min_slope, most)
     for row, point, one in zip(rivals, points, sign, strict=True):
         known = {
             round(disparity, 9): slope
@@ -169,7 +169,7 @@ def test_the_plane_most_points_agree_with(seed: int, slopes: tuple[float, float]
     rivals = np.full((60, 3), np.nan)
     rivals[:, 0] = np.where(rng.random(60) < wrong, rng.uniform(-60, 60, 60), truth)
     rivals[::2, 1] = rng.uniform(-60, 60, 30)
-    a, b, c, count = startplane._ransac(points, rivals, 1500, 0.25, 1.0, 100.0)
+    a, b, c, count = startplane.ransac(points, rivals, 1500, 0.25, 1.0, 100.0)
     assert naive.plane_agreement(points, rivals, (a, b, c), 1.0) == count
     assert count >= 0.9 * naive.plane_agreement(points, rivals, (*slopes, 3.0), 1.0)
     assert max(abs(a - slopes[0]), abs(b - slopes[1])) < 0.05
@@ -178,5 +178,5 @@ def test_the_plane_most_points_agree_with(seed: int, slopes: tuple[float, float]
 def test_without_rivals_there_is_no_vote() -> None:
     """No rivals at all, or all points in one place: nobody agrees."""
     points = np.random.default_rng(0).uniform(-10, 10, (8, 2))
-    assert startplane._ransac(points, np.full((8, 2), np.nan), 100, 0.25, 1.0, 1.0)[3] == 0
-    assert startplane._ransac(np.zeros((8, 2)), np.zeros((8, 2)), 100, 0.25, 1.0, 0.0)[3] == 0
+    assert startplane.ransac(points, np.full((8, 2), np.nan), 100, 0.25, 1.0, 1.0)[3] == 0
+    assert startplane.ransac(np.zeros((8, 2)), np.zeros((8, 2)), 100, 0.25, 1.0, 0.0)[3] == 0

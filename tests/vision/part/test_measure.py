@@ -115,7 +115,7 @@ def test_a_part_without_circles_is_located() -> None:
     assert side.value == pytest.approx(nominal_size(here.job, "distance", ("k0", "k1")), abs=0.01)
     assert (square.unit, square.ok) == ("deg", True)
     assert square.value == pytest.approx(90.0, abs=0.06)
-    drawn = apply(ELSEWHERE, np.column_stack([np.array(PLATE.outline.points_mm), np.zeros(5)]))  # type: ignore[union-attr]
+    drawn = apply(ELSEWHERE, np.column_stack([np.array(PLATE.outline.points_mm), np.zeros(5)]))
     for corner in target.corners:
         assert np.linalg.norm(drawn - corner.position_mm, axis=1).min() < 0.03
 
@@ -167,7 +167,7 @@ def test_a_round_part_states_its_free_axis() -> None:
 
 def limited(**changes: object) -> Callable[[Job], Job]:
     """The job with other limits."""
-    return lambda job: replace(job, limits=replace(job.limits, **changes))  # type: ignore[arg-type]
+    return lambda job: replace(job, limits=replace(job.limits, **changes))
 
 
 def too_narrow(job: Job) -> Job:

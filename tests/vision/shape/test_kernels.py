@@ -17,7 +17,7 @@ RNG = np.random.default_rng(7)
 
 def _gradients(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(3)
-    return (rng.integers(-400, 400, (height, width)).astype(np.int16) for _ in range(2))  # type: ignore[return-value]
+    return (rng.integers(-400, 400, (height, width)).astype(np.int16) for _ in range(2))
 
 
 def _maps(unsigned: bool, reach: int = 8) -> tuple[np.ndarray, np.ndarray, int]:
@@ -117,7 +117,7 @@ def test_group_sums_and_extremes() -> None:
     expected = sum(maps[o + 5 : o + 5 + length].astype(int) for o in offsets[1])
     np.testing.assert_array_equal(words[:length], expected)
     assert (words[3 * scan.LANES :] == 999).all()
-    assert scan.highest(words, length, False) == expected.max()  # type: ignore[union-attr]
+    assert scan.highest(words, length, False) == expected.max()
     assert scan.highest(words, length, True) == np.abs(expected).max()
 
 

@@ -23,7 +23,7 @@ from edged.vision.shape.workspace import WorkspacePool
 RIGID = SearchParams(scale_min=1.0, scale_max=1.0, sub_pixel="rigid")
 
 
-def _teach(outlines: tuple) -> ShapeModel:  # type: ignore[type-arg]
+def _teach(outlines: tuple) -> ShapeModel:
     image = draw(outlines, (100.3, 99.8, 0, 1, 1), (200, 200))
     return create_model(image, np.full(image.shape, 255, np.uint8), np.array([100.3, 99.8]))
 
@@ -332,7 +332,7 @@ def test_deadline_ends_the_search(bracket: ShapeModel) -> None:
         {"min_contrast": math.inf},
     ],
 )
-def test_wrong_parameters_are_named(wrong: dict) -> None:  # type: ignore[type-arg]
+def test_wrong_parameters_are_named(wrong: dict) -> None:
     """Each impossible value is refused, and the message names it."""
     with pytest.raises(UserError, match=f"search.*{next(iter(wrong))[:7]}"):
         SearchParams(**wrong)

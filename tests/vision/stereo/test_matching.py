@@ -350,7 +350,7 @@ def test_wrong_arguments_are_named() -> None:
     with pytest.raises(ImageError, match="differ in size"):
         match_ncc(grey, grey[:, 1:], POINTS, (0, 1))
     with pytest.raises(ImageError, match="right image: expected"):
-        match_ncc(grey, np.zeros((50, 60)), POINTS, (0, 1))  # type: ignore[arg-type]
+        match_ncc(grey, np.zeros((50, 60)), POINTS, (0, 1))
     with pytest.raises(ValueError, match="points_px"):
         match_ncc(grey, grey, np.zeros(3), (0, 1))
     with pytest.raises(ValueError, match="lowest <= highest"):

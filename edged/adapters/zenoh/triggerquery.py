@@ -1,0 +1,62 @@
+"""What a trigger asks for: the parameters of its query, which anybody can write."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import zenoh
+
+from edged.adapters.zenoh.keys import TRIGGER_PARAMETERS
+from edged.domain import CommandKind, FloatArray
+from edged.errors import CommandRefused
+from edged.robot.orientations import Brand, transform_of
+
+MAX_TIMEOUT_S = 60.0
+
+
+class Trigger(NamedTuple):
+    """A command, and how long its result is waited for. job : number, 0 for the active one.
+
+    robot_from_flange (4, 4) : None where it was not said.
+    """
+
+    kind: CommandKind
+    job: int
+    timeout_s: float
+    robot_from_flange: FloatArray | None
+
+
+def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Trigger:
+    """The trigger of a query's parameters. Raises `CommandRefused` that says what was expected."""
+    known = {name: default for name, (default, _) in TRIGGER_PARAMETERS.items()}
+    known["timeout_s"] = str(default_timeout_s)
+    for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
+        if name not in known:
+            raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
+        known[name] = value
+    kinds = {kind.name.lower(): kind for kind in CommandKind}
+    kind = kinds.get(known["kind"].lower())
+    if kind is None:
+        raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")
+    if not (known["job"].isascii() and known["job"].isdigit() and int(known["job"][:6]) <= 65535):
+        raise CommandRefused(f"job: expected a number from 0 to 65535, got {known['job'][:40]!r}")
+    try:
+        timeout_s = float(known["timeout_s"])
+    except ValueError:
+        timeout_s = math.nan
+    if not 0 < timeout_s <= MAX_TIMEOUT_S:
+        raise CommandRefused(
+            f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
+        )
+    return Trigger(kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"]))
+
+
+def _parse_flange(text: str) -> FloatArray | None:
+    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first."""
+    if not text:
+        return None
+    try:
+        return transform_of(Brand.ABB, tuple(float(part) for part in text[:400].split(",")))
+    except ValueError as error:
+        raise CommandRefused(f"flange: {error}") from None

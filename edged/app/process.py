@@ -1,0 +1,55 @@
+"""The process of a daemon: its log, its threads' turns, its garbage and its signals."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import signal
+import sys
+from collections.abc import Callable
+
+from edged.adapters.journal import set_up_logging
+from edged.app.daemon import Daemon
+
+SWITCH_INTERVAL_S = 0.0005
+"""Python code in the vision thread yields to the PLC's request this often (default: 5 ms)."""
+
+
+def set_up_process(level: int = logging.INFO) -> None:
+    """Log from here on, and let the event loop have its turns; before anything is loaded."""
+    set_up_logging(level=level)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+
+
+def log_as(cell: str) -> None:
+    """Every entry of the log names the cell, now that its configuration is read."""
+    set_up_logging(cell)
+
+
+async def serve(build: Callable[[], Daemon]) -> None:
+    """Run a daemon with the signals of a service: TERM and INT stop, HUP reloads."""
+    # what is loaded by now stays: looking through it for garbage again and again would hold up the loop
+    # for a tenth of a second each time
+    gc.freeze()
+    gc.enable()
+    daemon = build()
+    loop = asyncio.get_running_loop()
+    reloads: set[asyncio.Task[bool]] = set()
+
+    def reload() -> None:
+        task = asyncio.create_task(daemon.reload(), name="reload")
+        reloads.add(task)
+        task.add_done_callback(reloads.discard)
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, daemon.stop)
+    loop.add_signal_handler(signal.SIGHUP, reload)
+    try:
+        await daemon.run()
+    finally:
+        for task in reloads:
+            task.cancel()
+        await asyncio.gather(*reloads, return_exceptions=True)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            loop.remove_signal_handler(number)

@@ -1,0 +1,50 @@
+"""Stereo pairs in a folder: `NAME_left.*` and `NAME_right.*`, PNG, TIFF, BMP or JPEG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from edged.domain import SIDES
+from edged.errors import ImageError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePair:
+    """Two files of one exposure."""
+
+    name: str
+    left: Path
+    right: Path
+
+
+def find_pairs(folder: Path) -> list[ImagePair]:
+    """The pairs of a folder, sorted by name.
+
+    Raises `ImageError` that names every half without its other half, every doubled half, or the
+    folder that holds no pair at all.
+    """
+    if not folder.is_dir():
+        raise ImageError(f"{folder}: not a folder; expected pairs NAME_left.png and NAME_right.png")
+    halves: dict[str, dict[str, Path]] = {side: {} for side in SIDES}
+    problems: list[str] = []
+    for path in sorted(folder.iterdir()):
+        name, underscore, side = path.stem.rpartition("_")
+        if path.suffix.lower() not in SUFFIXES or not underscore or side not in SIDES:
+            continue
+        if (known := halves[side].setdefault(name, path)) != path:
+            problems.append(f"{path.name}: {known.name} is another picture of the same name")
+    for side, other in (SIDES, SIDES[::-1]):
+        problems += [
+            f"{path.name}: {name}_{other} is missing"
+            for name, path in sorted(halves[side].items())
+            if name not in halves[other]
+        ]
+    if problems:
+        raise ImageError(f"{folder}: incomplete pairs\n" + "\n".join(f"  {problem}" for problem in problems))
+    if not halves["left"]:
+        formats = ", ".join(suffix[1:] for suffix in SUFFIXES)
+        raise ImageError(f"{folder}: no pictures NAME_left.* and NAME_right.* ({formats})")
+    return [ImagePair(name, left, halves["right"][name]) for name, left in sorted(halves["left"].items())]

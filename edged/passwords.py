@@ -1,0 +1,19 @@
+"""The status page's password: Argon2 hashes (RFC 9106), as `edged password` makes them."""
+
+from __future__ import annotations
+
+from argon2 import PasswordHasher
+from argon2.exceptions import Argon2Error, InvalidHashError
+
+
+def hash_password(password: str) -> str:
+    """The hash for `web.password_hash`; slow on purpose, each call with another salt."""
+    return PasswordHasher().hash(password)
+
+
+def is_password(password_hash: str, password: str) -> bool:
+    """Whether the hash was made of this password; False also for what is no hash. As slow as hashing."""
+    try:
+        return PasswordHasher().verify(password_hash, password)
+    except (Argon2Error, InvalidHashError):
+        return False

@@ -1,0 +1,58 @@
+"""Pairs in a folder: both halves of each, or every mistake at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from edged.errors import ImageError
+from edged.files.pairs import ImagePair, find_pairs
+
+
+def touch(folder: Path, *names: str) -> None:
+    """Make files; what is in them does not matter here."""
+    for name in names:
+        (folder / name).touch()
+
+
+def test_pairs_are_sorted_by_name_and_other_files_are_left_alone(tmp_path: Path) -> None:
+    """Two pictures of one name are a pair in any of the formats; notes and nameless pictures are none."""
+    touch(tmp_path, "b_left.png", "b_right.PNG", "a_1_left.tif", "a_1_right.bmp")
+    touch(tmp_path, "notes_left.txt", "left.png", "_left", "c_middle.png")
+
+    pairs = find_pairs(tmp_path)
+
+    assert [
+        ImagePair("a_1", tmp_path / "a_1_left.tif", tmp_path / "a_1_right.bmp"),
+        ImagePair("b", tmp_path / "b_left.png", tmp_path / "b_right.PNG"),
+    ] == pairs
+
+
+def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
+    """Each half without its other half, and each half that is there twice: it is open which is meant."""
+    touch(tmp_path, "a_left.png", "b_left.bmp", "b_left.png", "b_right.png", "c_right.png")
+
+    with pytest.raises(ImageError) as caught:
+        find_pairs(tmp_path)
+
+    message = str(caught.value)
+    assert [
+        f"{tmp_path}: incomplete pairs",
+        "  b_left.png: b_left.bmp is another picture of the same name",
+        "  a_left.png: a_right is missing",
+        "  c_right.png: c_left is missing",
+    ] == message.splitlines()
+
+
+@pytest.mark.parametrize("content", ["missing", "empty", "file"])
+def test_a_folder_without_pairs_is_refused(content: str, tmp_path: Path) -> None:
+    """No folder, an empty one, and a file are told apart from a folder of pairs."""
+    place = tmp_path / "place"
+    if content == "empty":
+        place.mkdir()
+    elif content == "file":
+        place.touch()
+
+    with pytest.raises(ImageError, match="no pictures" if content == "empty" else "not a folder"):
+        find_pairs(place)

@@ -1,0 +1,26 @@
+"""Hashes of passwords: what they tell, and what not."""
+
+from __future__ import annotations
+
+from edged.passwords import hash_password, is_password
+
+PASSWORD = "correct horse"
+
+
+def test_only_the_password_itself_fits_its_hash() -> None:
+    """Not another one, nor the hash."""
+    hashed = hash_password(PASSWORD)
+
+    assert is_password(hashed, PASSWORD)
+    assert not is_password(hashed, "correct hors")
+    assert not is_password(hashed, hashed)
+
+
+def test_two_hashes_of_one_password_differ() -> None:
+    """Each has a salt: nobody sees who has the same password."""
+    assert hash_password(PASSWORD) != hash_password(PASSWORD)
+
+
+def test_a_password_in_the_clear_is_no_hash() -> None:
+    """It fits nothing, itself included."""
+    assert not is_password(PASSWORD, PASSWORD)

@@ -1,0 +1,152 @@
+"""The house: what stands where, what each file says of itself, and how far one reads to follow it."""
+
+from __future__ import annotations
+
+import ast
+import pkgutil
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+
+import pytest
+from cells import frame_pair, region_around
+
+import edged.sim
+import edged.vision
+from edged.pipeline import inspect, prepare
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.vision.teaching.pair import teach
+
+ROOT = Path(__file__).parents[2]
+HOUSE = ROOT / "edged"
+SOURCES = sorted(HOUSE.rglob("*.py"))
+PACKAGES = sorted({source.parent for source in SOURCES})
+TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
+READ = sorted([*SOURCES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "tools").glob("*.py")])
+FACES = re.compile(r"(adapters|plc)/\w+|files/(rigformats|jobs)")
+"""Packages that are used by the names in their `__init__.py`; of all others the modules are named."""
+
+MOST_FILES_ENTERED = 35
+"""By `inspect`, today; who reads how a part is found opens as many. Wanted: 15."""
+
+SUPPRESSION = re.compile(
+    r"#\s*(?:type: ignore(?:\[[\w, -]+\])?|noqa(?:: [A-Z]+\d+(?:, [A-Z]+\d+)*)?)(?P<reason>.*)"
+)
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def _decorators(source: Path) -> Iterator[str]:
+    """Names of the decorators of all functions of a file."""
+    for node in ast.walk(ast.parse(source.read_text())):
+        for decorator in getattr(node, "decorator_list", ()):
+            called = decorator.func if isinstance(decorator, ast.Call) else decorator
+            yield ast.unparse(called).rpartition(".")[2]
+
+
+def test_every_kernel_is_compiled_by_warm() -> None:
+    """It walks through edged.vision and edged.sim: elsewhere, one would be compiled when the cell starts."""
+    walked = {
+        module.name
+        for package in (edged.vision, edged.sim)
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    }
+    holding = {
+        ".".join(source.relative_to(ROOT).with_suffix("").parts)
+        for source in SOURCES
+        if "kernel" in _decorators(source)
+    }
+
+    assert len(holding) > 20
+    assert set() == holding - walked
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=_name)
+def test_a_package_says_what_it_is_and_nothing_else(package: Path) -> None:
+    """One docstring: to import a module loads no neighbour. Faces hold more, and edged its version."""
+    body = ast.parse((package / "__init__.py").read_text()).body
+    place = str(package.relative_to(HOUSE))
+    allowed = len(body) if FACES.fullmatch(place) else 2 if package == HOUSE else 1
+
+    assert isinstance(body[0], ast.Expr)
+    assert isinstance(body[0].value, ast.Constant)
+    assert isinstance(body[0].value.value, str)
+    assert len(body) <= allowed
+
+
+@pytest.mark.parametrize("path", TESTS, ids=_name)
+def test_every_test_states_a_truth(path: Path) -> None:
+    """In a sentence of its own: no two tests of a file say the same."""
+    tests = [
+        node
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
+    ]
+    stated = [ast.get_docstring(test) or "" for test in tests]
+
+    assert [] == [test.name for test, text in zip(tests, stated, strict=True) if not text.endswith(".")]
+    assert len(set(stated)) == len(stated)
+
+
+def _without_reason(text: str) -> list[int]:
+    """Lines whose check is switched off without a word, there or in a comment above."""
+    lines = text.splitlines()
+    found = []
+    for number, line in enumerate(lines, 1):
+        off = SUPPRESSION.search(line)
+        above = lines[number - 2].strip() if number > 1 else ""
+        if off and not re.search(r"\w{3}", off["reason"]) and not above.startswith("#"):
+            found.append(number)
+    return found
+
+
+@pytest.mark.parametrize("path", READ, ids=_name)
+def test_whoever_switches_a_check_off_says_why(path: Path) -> None:
+    """On the same line, or in a comment above it."""
+    assert [] == _without_reason(path.read_text())
+
+
+def test_the_search_for_reasons_finds_their_lack() -> None:
+    """With several codes, none at all, and with a reason in each of its two places."""
+    off, ignore = "# no" + "qa", "# type: " + "ignore"
+    bare = f"a {off}: BLE001, ARG001\nb {off}\nc {ignore}[misc]\n"
+    reasoned = f"d {off}: B1  (as asked)\n# because\ne {ignore}[misc]\n"
+
+    assert [1, 2, 3] == _without_reason(bare + reasoned)
+
+
+def _entered(work: Callable[[], object]) -> set[str]:
+    """Files of edged whose functions this thread calls meanwhile; the other camera's does the same."""
+    entered: set[str] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            entered.add(frame.f_code.co_filename)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return {_name(Path(name)) for name in entered if name.startswith(str(HOUSE))}
+
+
+def test_the_way_of_a_measurement_is_short() -> None:
+    """From `inspect` to the demo's measured flange no more files are entered than today."""
+    cell = VirtualCell(demo_rig(), demo_part())
+    left, right, truth = cell.teach_pair()
+    outline = max(truth.circles, key=lambda circle: circle.radius_mm)
+    rig, region = prepare(cell.rig), region_around(cell.rig, outline.centre_mm, outline.radius_mm)
+    job, pair = teach(left, right, rig.rectification, region, "flange"), frame_pair(left, right)
+    assert 1 == len(inspect(pair, job, rig).measured)
+
+    entered = _entered(lambda: inspect(pair, job, rig))
+
+    print(f"{len(entered)} files entered:", *sorted(entered))
+    assert {"edged/pipeline.py", "edged/vision/part/measure.py"} < entered
+    assert len(entered) <= MOST_FILES_ENTERED
