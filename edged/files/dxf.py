@@ -7,13 +7,15 @@ Lines and arcs that meet are joined; what does not close is an error that names 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import deque
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from ezdxf import path as dxfpath
 from ezdxf.document import Drawing as DxfDocument
+from ezdxf.edgeminer import Deposit, Edge, make_edge
 from ezdxf.entities.dxfgfx import DXFGraphic
 from ezdxf.entities.insert import Insert
 from ezdxf.enums import InsertUnits
@@ -31,6 +33,8 @@ GAP_MM = 0.02
 """Ends closer than this meet; CAD rounds to less."""
 MAX_POINTS = 500_000
 MAX_ENTITIES = 50_000
+MAX_MEETING = 200
+"""Ends within the tolerance of one place: no outline has lines of a ten-thousandth of a millimetre."""
 SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
 # what the parser raises for damaged files, by fuzzing it
 _DAMAGE = (
@@ -76,9 +80,12 @@ def _read_chains(path: Path, layers: Sequence[str], units: str | None) -> list[C
         raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(known)}")
     scale = _scale(document, path, units)
     chains: list[Chain] = []
+    points = 0
     for entity in _entities(document, layers, path):
-        chains += _chains(entity, scale, path)
-        if sum(len(chain.points) for chain in chains) > MAX_POINTS:
+        more = _chains(entity, scale, path)
+        chains += more
+        points += sum(len(chain.points) for chain in more)
+        if points > MAX_POINTS:
             raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the drawing of one part")
     return chains
 
@@ -136,9 +143,9 @@ def _entities(document: DxfDocument, layers: Sequence[str], path: Path) -> list[
         return layer in layers if layers else layer not in hidden
 
     found: list[DXFGraphic] = []
-    waiting: list[tuple[DXFGraphic, int]] = [(entity, 0) for entity in document.modelspace()]
+    waiting: deque[tuple[DXFGraphic, int]] = deque((entity, 0) for entity in document.modelspace())
     while waiting:
-        entity, depth = waiting.pop(0)
+        entity, depth = waiting.popleft()
         if isinstance(entity, Insert):
             if depth > 8:
                 raise FileFormatError(f"{path}: blocks inside blocks, more than 8 deep")
@@ -174,39 +181,71 @@ def _chain(points: FloatArray) -> Chain:
     return Chain(kept[:-1] if closed else kept, closed)
 
 
-def _outlines(chains: Iterable[Chain], place: str) -> list[FloatArray]:
+def _outlines(chains: Sequence[Chain], place: str) -> list[FloatArray]:
     """Join open chains end to end. Raises `FileFormatError` for what stays open, and for nothing at all."""
     outlines = [chain.points for chain in chains if chain.closed and len(chain.points) >= 3]
-    waiting = [chain.points for chain in chains if not chain.closed and len(chain.points) >= 2]
-    while waiting:
-        line = waiting.pop(0)
-        while np.linalg.norm(line[0] - line[-1]) >= GAP_MM or len(line) < 4:
-            follows = _next(line[-1], waiting)
-            if follows is None:
-                x, y = line[-1]
-                raise FileFormatError(
-                    f"{place}: an outline is open: nothing goes on at ({x:.3f}, {y:.3f}) mm; expected closed "
-                    "outlines (leave out construction lines by choosing layers)"
-                )
-            index, flipped = follows
-            more = waiting.pop(index)
-            line = np.concatenate([line, more[::-1][1:] if flipped else more[1:]])
-        outlines.append(line[:-1])
+    outlines += _joined(
+        [chain.points for chain in chains if not chain.closed and len(chain.points) >= 2], place
+    )
     outlines = [outline for outline in outlines if abs(area(outline)) > GAP_MM**2]
     if not outlines:
         raise FileFormatError(f"{place}: no closed outline in it; expected lines, arcs, circles or polylines")
     return outlines
 
 
-def _next(end: FloatArray, waiting: Sequence[FloatArray]) -> tuple[int, bool] | None:
-    """The nearest chain that goes on at a point, and whether it has to be turned round."""
-    best, found = GAP_MM, None
-    for index, points in enumerate(waiting):
-        for flipped, start in ((False, points[0]), (True, points[-1])):
-            distance = float(np.linalg.norm(start - end))
-            if distance < best:
-                best, found = distance, (index, flipped)
-    return found
+def _joined(lines: Sequence[FloatArray], place: str) -> list[FloatArray]:
+    """Outlines of lines (N, 2) that meet end to end, in any order and direction.
+
+    ezdxf finds the ends that are near; which of them goes on is decided here. Its own chains stop where more
+    than two ends are within the tolerance, as where lines are shorter than it or two outlines nearly touch,
+    and go round for ever where two ends are near a third but not each other.
+    """
+    edges = [make_edge(points[0], points[-1], payload=points) for points in lines]
+    if not edges:
+        return []
+    ends = Deposit(edges, gap_tol=GAP_MM)
+    used: set[Edge] = set()
+    outlines = []
+    for first in edges:
+        if first in used:
+            continue
+        chain = [first]
+        used.add(first)
+        while (following := _next(chain, used, ends)) is not first:
+            if following is None:
+                raise FileFormatError(f"{place}: {_why_open(chain, ends)}")
+            chain.append(following)
+            used.add(following)
+        points = [edge.payload[::-1] if edge.is_reverse else edge.payload for edge in chain]
+        outlines.append(np.concatenate([points[0], *(more[1:] for more in points[1:])])[:-1])
+    return outlines
+
+
+def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
+    """The nearest line that goes on where a chain ends; its own first one where that closes it."""
+    end = chain[-1].end
+    linked = ends.edges_linked_to(end)
+    if len(linked) > MAX_MEETING:
+        return None
+    near = [edge for one in linked if one not in used for edge in (one, one.reversed())]
+    if sum(len(edge.payload) - 1 for edge in chain[:3]) >= 3:  # there and back encloses nothing
+        near.append(chain[0])
+    return min(
+        (edge for edge in near if edge.start.distance(end) < GAP_MM),
+        key=lambda edge: (edge.start.distance(end), edge not in used, edge.id, edge.is_reverse),
+        default=None,
+    )
+
+
+def _why_open(chain: Sequence[Edge], ends: Deposit) -> str:
+    """What is wrong with a chain that nothing closes: an end that is alone, else one where too many meet."""
+    hint = "expected closed outlines (leave out construction lines by choosing layers)"
+    last, first = chain[-1].end, chain[0].start
+    for end in (last, first):
+        if len(set(ends.edges_linked_to(end))) == 1:
+            return f"an outline is open: nothing goes on at ({end.x:.3f}, {end.y:.3f}) mm; {hint}"
+    where = f"({last.x:.3f}, {last.y:.3f}) mm, where {ends.degree(last)} ends meet"
+    return f"no outline closes at {where}: a branch or a line drawn twice; {hint}"
 
 
 def area(outline: FloatArray) -> float:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
+from datetime import UTC, datetime
+from decimal import Decimal
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -77,6 +82,20 @@ def test_hostile_bytes_are_a_value_error_or_a_value(data):
         return
 
 
+@given(st.data())
+def test_a_damaged_result_is_a_value_error_or_what_json_can_say(data):
+    """Bytes of a real message cut out or changed anywhere: refused, or still something that JSON can say."""
+    whole = encode_cbor(snapshot_to_json(make_snapshot()))
+    start = data.draw(st.integers(0, len(whole) - 1))
+    length = data.draw(st.integers(0, 40))
+    junk = data.draw(st.binary(max_size=20))
+    try:
+        value = decode_cbor(whole[:start] + junk + whole[start + length :])
+    except ValueError:
+        return
+    json.dumps(value)
+
+
 @pytest.mark.parametrize(
     "data", ["9b7fffffffffffffff", "7b7fffffffffffffff", "81" * 5000, "bf", "c000", "", "0000"]
 )
@@ -86,6 +105,43 @@ def test_what_is_not_written_here_is_refused(data):
         decode_cbor(bytes.fromhex(data))
 
 
+# tags of the registry that cbor2 reads by itself, and one that nobody has
+@pytest.mark.parametrize(
+    "tag",
+    [
+        *(0, 1, 2, 3, 4, 5, 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261),
+        *(1004, 43000, 55799, 2**64 - 1),
+    ],
+)
+@pytest.mark.parametrize("content", ["00", "6130", "4130", "80", "820000"])
+def test_no_tag_is_read(tag, content):
+    """No date, no huge integer, no regular expression, no shared structure comes out of anybody's bytes."""
+    tagged = (b"\xdb" + tag.to_bytes(8, "big")) + bytes.fromhex(content)
+    with pytest.raises(ValueError):
+        decode_cbor(tagged)
+    with pytest.raises(ValueError):
+        decode_cbor(b"\xa1\x61a\x81" + tagged)
+
+
+@pytest.mark.parametrize("data", ["41ff", "f7", "f820", "e0", "a1413000", "a10102", "a1800000", "8141ff"])
+def test_what_cbor_can_say_and_json_cannot_is_refused(data):
+    """Byte strings, undefined, simple values, and keys that are no text."""
+    with pytest.raises(ValueError):
+        decode_cbor(bytes.fromhex(data))
+
+
+def test_lying_lengths_take_no_memory():
+    """Thirty lists, each of which claims a million items, need no more than a reader's first buffer."""
+    nested = bytes.fromhex("9a000fffff" * 30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError):
+            decode_cbor(nested)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
 def test_a_result_says_the_same_in_both_encodings():
     """A snapshot in CBOR is its JSON, number by number, and shorter."""
     document = snapshot_to_json(make_snapshot())
@@ -93,7 +149,40 @@ def test_a_result_says_the_same_in_both_encodings():
     assert len(encode_cbor(document)) < len(encode(document))
 
 
-def test_what_json_cannot_say_is_a_type_error():
+@pytest.mark.parametrize(
+    "value",
+    [
+        {1},
+        b"x",
+        np.zeros(2),
+        np.int64(1),
+        Path("x"),
+        datetime(2026, 1, 1, tzinfo=UTC),
+        Decimal(1),
+        {1: 2},
+        1j,
+    ],
+)
+def test_what_json_cannot_say_is_a_type_error(value):
     """An array that was not turned into lists is a bug, not a message."""
-    with pytest.raises(TypeError, match="set"):
-        encode_cbor({"x": {1}})
+    with pytest.raises(TypeError, match="no place in JSON"):
+        encode_cbor({"x": [value]})
+
+
+@pytest.mark.parametrize("value", [2**64, -(2**64) - 1])
+def test_an_integer_beyond_64_bits_is_a_value_error(value):
+    """CBOR has a tag for it, which readers need not know."""
+    with pytest.raises(ValueError, match="64 bits"):
+        encode_cbor({"x": value})
+
+
+def test_what_is_not_finite_stays_what_it_is():
+    """NaN and infinity, which no payload of ours contains, are no other number after the way."""
+    back = decode_cbor(encode_cbor([math.nan, math.inf, -math.inf, None]))
+    assert math.isnan(back[0])
+    assert [math.inf, -math.inf, None] == back[1:]
+
+
+def test_a_broken_file_name_does_not_hold_up_a_message():
+    """A name on disk that is no UTF-8 reaches an error text as half of a surrogate pair."""
+    assert {"error": "job-?.toml"} == decode_cbor(encode_cbor({"error": "job-\udcff.toml"}))

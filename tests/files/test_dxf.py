@@ -109,6 +109,121 @@ def test_layers_choose(tmp_path: Path) -> None:
     assert len(read_dxf(saved(document, tmp_path))) == 3
 
 
+Line = tuple[tuple[float, float], tuple[float, float]]
+
+
+def polygon(corners: int, radius: float, x: float = 0.0) -> list[Line]:
+    """The sides of a regular polygon around (x, 0) with a corner at (x + radius, 0)."""
+    angles = [2 * np.pi * k / corners for k in range(corners)]
+    points = [(x + radius * np.cos(angle), radius * np.sin(angle)) for angle in angles]
+    return list(zip(points, [*points[1:], points[0]], strict=True))
+
+
+def polygon_area(corners: int, radius: float) -> float:
+    """Of a regular polygon."""
+    return 0.5 * corners * radius**2 * np.sin(2 * np.pi / corners)
+
+
+def saved_lines(lines: list[Line], folder: Path) -> Path:
+    """A drawing of lines, in this order and direction."""
+    document = ezdxf.new(units=MM)
+    for start, end in lines:
+        document.modelspace().add_line(start, end)
+    return saved(document, folder)
+
+
+def disordered(lines: list[Line], data: st.DataObject, gap_mm: float) -> list[Line]:
+    """Lines in any order and direction, whose ends miss each other by less than a gap."""
+    flips = data.draw(st.lists(st.booleans(), min_size=len(lines), max_size=len(lines)))
+    ends = [end for line in lines for end in line]
+    offsets = data.draw(st.lists(st.integers(-100, 100), min_size=2 * len(ends), max_size=2 * len(ends)))
+    largest = gap_mm / (2 * np.sqrt(2)) / 100
+    moved = [
+        (x + largest * dx, y + largest * dy)
+        for (x, y), dx, dy in zip(ends, offsets[::2], offsets[1::2], strict=True)
+    ]
+    pairs = zip(moved[::2], moved[1::2], flips, strict=True)
+    return data.draw(st.permutations([(b, a) if flip else (a, b) for a, b, flip in pairs]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data(), st.lists(st.integers(3, 7), min_size=1, max_size=4), st.sampled_from([0.0, 0.001, 0.0199]))
+def test_lines_in_any_order_and_direction_close(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: list[int], gap_mm: float
+) -> None:
+    """Each polygon is one outline with its own area, whatever the file; ends may miss by the gap."""
+    lines = [line for k, n in enumerate(corners) for line in polygon(n, 5.0, 25.0 * k)]
+    path = saved_lines(disordered(lines, data, gap_mm), tmp_path_factory.mktemp("dxf"))
+
+    found = areas(read_dxf(path))
+
+    assert found == pytest.approx(sorted(polygon_area(n, 5.0) for n in corners), abs=40 * gap_mm + 1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data(), st.integers(3, 6), st.sampled_from([2e-4, 0.005, 0.019]))
+def test_outlines_that_nearly_touch_stay_two(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int, distance_mm: float
+) -> None:
+    """Corners of two parts are nearer than the tolerance: the ends that meet more closely belong together."""
+    lines = polygon(corners, 5.0) + [
+        ((10 + distance_mm - ax, ay), (10 + distance_mm - bx, by)) for (ax, ay), (bx, by) in polygon(4, 5.0)
+    ]
+    path = saved_lines(disordered(lines, data, 1e-4), tmp_path_factory.mktemp("dxf"))
+
+    found = areas(read_dxf(path))
+
+    assert found == pytest.approx(sorted([polygon_area(corners, 5.0), polygon_area(4, 5.0)]), abs=0.01)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data(), st.integers(3, 7))
+def test_a_line_drawn_twice_is_named(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int
+) -> None:
+    """Wherever it lies in the file, and in whichever direction: no outline is guessed."""
+    lines = polygon(corners, 5.0)
+    again = data.draw(st.sampled_from(lines))
+    path = saved_lines(disordered([*lines, again], data, 1e-4), tmp_path_factory.mktemp("dxf"))
+
+    with pytest.raises(
+        FileFormatError, match=r"closes at \(.*\) mm, where 3 ends meet: a branch or .* twice"
+    ):
+        read_dxf(path)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("first", [False, True])
+def test_a_line_that_leads_nowhere_is_named_by_its_loose_end(
+    tmp_path: Path, flipped: bool, first: bool
+) -> None:
+    """Not by the corner at which it begins, whichever of both ends the file has first."""
+    loose = ((-7.0, -8.0), (5.0, 0.0))
+    loose = loose[::-1] if flipped else loose
+    square = polygon(4, 5.0)
+
+    with pytest.raises(FileFormatError, match=r"open: nothing goes on at \(-7.000, -8.000\) mm"):
+        read_dxf(saved_lines([loose, *square] if first else [*square, loose], tmp_path))
+
+
+def test_lines_shorter_than_the_tolerance_are_joined(tmp_path: Path) -> None:
+    """A curve that CAD has cut into lines of a few micrometres is one outline, with all of its points."""
+    lines = polygon(1000, 0.8)
+    shuffled = [lines[k] for k in np.random.default_rng(0).permutation(len(lines))]
+
+    (outline,) = read_dxf(saved_lines(shuffled, tmp_path))
+
+    assert 1000 == len(outline)
+    assert abs(area(outline)) == pytest.approx(np.pi * 0.8**2, rel=1e-4)
+
+
+def test_a_thousand_lines_that_meet_at_one_point_are_no_outline(tmp_path: Path) -> None:
+    """Such a drawing is refused where it begins, not followed."""
+    rays = [((0.0, 0.0), (np.cos(t), np.sin(t))) for t in np.linspace(0.0, 6.0, 1000)]
+    with pytest.raises(FileFormatError, match=r"at \(1.000, 0.000\) mm|at \(0.000, 0.000\) mm"):
+        read_dxf(saved_lines(rays, tmp_path))
+
+
 def test_what_is_no_flat_closed_drawing_is_named(tmp_path: Path) -> None:
     """Empty, in space, a foreign file: the reason, and what was expected."""
     with pytest.raises(FileFormatError, match="no closed outline"):

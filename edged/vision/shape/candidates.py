@@ -15,7 +15,6 @@ from edged.domain import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
-from edged.vision.shape.simd import GROUP
 from edged.vision.shape.workspace import Workspace
 
 SCAN_SHARE = 0.55
@@ -108,7 +107,7 @@ class _Plan:
 @lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
 def _plan(model: ShapeModel, top: int, params: SearchParams, height: int, width: int) -> _Plan:
     level = model.levels[top]
-    count = max(GROUP, min(scan.TOP_POINTS, len(level.points)) // GROUP * GROUP)
+    count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
     points, normals = level.points[:count], level.normals[:count]
     directions = np.arctan2(normals[:, 1], normals[:, 0])
     radius = float(np.linalg.norm(points, axis=1).max())

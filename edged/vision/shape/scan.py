@@ -15,15 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.vision.kernels.jit import kernel
-from edged.vision.shape.simd import GROUP, LANES, add_vectors
 
 ORIENTATIONS = 16
-PEAK = 7  # response of full agreement: 16 points fit into a signed byte
+PEAK = 7  # response of full agreement
+GROUP = 16  # points whose responses fit into a signed byte together
 SECTORS = 12  # rivals of another 30° sector, as far apart as the hours of a clock face, never hide a pose
 TOP_POINTS = 96  # a multiple of GROUP
 STEP_PX = 2.0
 """Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
-BLOCK = 4 * LANES  # positions per block: few enough that the points of one pose stay in the first-level cache
+BLOCK = 512  # positions per block: few enough that the points of one pose stay in the first-level cache
 
 SPREAD = 3 * PEAK * 0.45
 """Three sigma of the sum over a random part of the points: a response varies by at most 0.45 of its peak
@@ -35,12 +35,11 @@ Array = npt.NDArray[Any]
 def map_geometry(height: int, width: int, reach: int) -> tuple[int, int, int]:
     """(rows, columns, pad) of one parity grid for points at most `reach` px from the origin.
 
-    The zeros left of a row also serve the row above, whose points leave on the right. The last rows hold
-    what a vector reads past the end.
+    The zeros left of a row also serve the row above, whose points leave on the right.
     """
     pad = 2 * (reach // 2 + 2)
     columns = (width + 1) // 2 + pad // 2 + 2
-    return (height + 1) // 2 + pad + 2 + LANES // columns + 1, columns, pad
+    return (height + 1) // 2 + pad + 2, columns, pad
 
 
 @kernel("void(i2[:, ::1], i2[:, ::1], u1[:, ::1], i8, b1, i8, f4[:, :, :, :, ::1], i1[:, :, :, :, ::1])")
@@ -96,7 +95,7 @@ def fill_responses(
                 inner[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
 
 
-@kernel("void(i1[::1], i8[:, ::1], i8, i8, i8, i8, i2[::1])")
+@kernel(inline=True)
 def add_group(
     maps: Array,
     offsets: Array,
@@ -104,14 +103,42 @@ def add_group(
     n: int,
     first: int,
     length: int,
+    sums: Array,
     words: Array,
 ) -> None:
     """Add the responses of points n to n + 15 of pose p at `length` positions from `first` to `words`.
 
-    With n = 0 the words begin anew. Whole vectors are read and written, see `map_geometry`.
+    With n = 0 the words begin anew.  sums : scratch, int8, as many.
+    The compiler makes vectors of it as it stands here, in one expression: unsigned, no index needs a check.
     """
-    for i in range(0, length, LANES):
-        add_vectors(maps, offsets, p, n, first + i, words, i)
+    s0 = np.uint64(offsets[p, n] + first)
+    s1 = np.uint64(offsets[p, n + 1] + first)
+    s2 = np.uint64(offsets[p, n + 2] + first)
+    s3 = np.uint64(offsets[p, n + 3] + first)
+    s4 = np.uint64(offsets[p, n + 4] + first)
+    s5 = np.uint64(offsets[p, n + 5] + first)
+    s6 = np.uint64(offsets[p, n + 6] + first)
+    s7 = np.uint64(offsets[p, n + 7] + first)
+    s8 = np.uint64(offsets[p, n + 8] + first)
+    s9 = np.uint64(offsets[p, n + 9] + first)
+    s10 = np.uint64(offsets[p, n + 10] + first)
+    s11 = np.uint64(offsets[p, n + 11] + first)
+    s12 = np.uint64(offsets[p, n + 12] + first)
+    s13 = np.uint64(offsets[p, n + 13] + first)
+    s14 = np.uint64(offsets[p, n + 14] + first)
+    s15 = np.uint64(offsets[p, n + 15] + first)
+    for i in range(np.uint64(length)):
+        sums[i] = (
+            (maps[s0 + i] + maps[s1 + i] + maps[s2 + i] + maps[s3 + i])
+            + (maps[s4 + i] + maps[s5 + i] + maps[s6 + i] + maps[s7 + i])
+            + (maps[s8 + i] + maps[s9 + i] + maps[s10 + i] + maps[s11 + i])
+            + (maps[s12 + i] + maps[s13 + i] + maps[s14 + i] + maps[s15 + i])
+        )
+    source, target = sums[:length], words[:length]
+    if n == 0:
+        target[:] = 0
+    for i in range(length):
+        target[i] += source[i]
 
 
 @kernel("i8(i2[::1], i8, b1)")
@@ -146,13 +173,13 @@ def scan(
     best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
     """
     count = offsets.shape[1]
-    words = np.empty(BLOCK, np.int16)
+    sums, words = np.empty(BLOCK, np.int8), np.empty(BLOCK, np.int16)
     for first in range(0, positions, BLOCK):
         length = min(BLOCK, positions - first)
         for p in range(offsets.shape[0]):
             top = 0
             for n in range(0, count, GROUP):
-                add_group(maps, offsets, p, n, first, length, words)
+                add_group(maps, offsets, p, n, first, length, sums, words)
                 done = n + GROUP
                 if done == 2 * GROUP or done == 4 * GROUP or done == count:
                     top = highest(words, length, both)

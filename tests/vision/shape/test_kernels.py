@@ -111,12 +111,13 @@ def test_group_sums_and_extremes() -> None:
     offsets = RNG.integers(0, 3000, (2, 32))
     offsets[1, :16] = 50
     words = np.full(scan.BLOCK, 999, np.int16)
-    length = 2 * scan.LANES + 37
+    sums = np.empty(scan.BLOCK, np.int8)
+    length = 293
     for n in (0, 16):
-        scan.add_group(maps, offsets, 1, n, 5, length, words)
+        scan.add_group(maps, offsets, 1, n, 5, length, sums, words)
     expected = sum(maps[o + 5 : o + 5 + length].astype(int) for o in offsets[1])
     np.testing.assert_array_equal(words[:length], expected)
-    assert (words[3 * scan.LANES :] == 999).all()
+    assert (words[length:] == 999).all()
     assert scan.highest(words, length, False) == expected.max()
     assert scan.highest(words, length, True) == np.abs(expected).max()
 
