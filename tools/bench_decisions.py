@@ -5,7 +5,7 @@
 
 Each part has one distinguishing detail (see `distinguished`) and a plain, brushed or turned face, or is dark
 on a bright table. It is taught by `teach` and found by the whole pipeline in stereo pairs of the demo's rig
-at half its resolution. The calibration that teaching and finding use is not the one that the pictures are made
+at half its resolution. Teaching and finding use another calibration than the one that the pictures are made
 with: the right camera is moved by 0.02 px. A scene is a pose (any rotation, tilted up to 5 degrees), bars and
 neighbours that hide up to 40 % of the part, light, gain and blur. It is rendered once, exactly, and seen in
 DRAWS_PER_SCENE draws of shot and read noise. A decision is counted for the part that is partly hidden:
