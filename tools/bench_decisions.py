@@ -12,7 +12,8 @@ DRAWS_PER_SCENE draws of shot and read noise. A decision is counted for the part
 
 silent, turned    status OK without a reason against it, and the rotation off by more than 1 degree
 silent, off       ... and the position off by more than 10 sigma (and 2 µm)
-refused, seen     refused or not found though most of the detail is in sight
+refused, seen     refused or not found though most of the detail is in sight, and so is each place where it
+                  would be if the part were turned
 agreement         share of the draws of one scene that share one decision
 
 All of its neighbours' silent errors count, too. Exit status 1 if there was any silent error.
@@ -57,7 +58,8 @@ DRAWS_PER_SCENE = 8
 JITTER_PX = 0.02
 MAX_HIDDEN = 0.4
 SEEN = 0.75
-"""Share of the detail's contrast that must be in sight for a refusal to count as one too many."""
+"""Share of the detail, here and wherever a turned part would have it, that must be in sight for a refusal to
+count as one too many."""
 TURNED_RAD, OFF_SIGMA, OFF_MM = math.radians(1.0), 10.0, 0.002
 SAME_PART_MM = 4.0
 TABLE_BELOW_MM = 4.0
@@ -85,7 +87,10 @@ class Taught:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """One scene, rendered: radiance of both cameras, where its parts are, what is hidden of the first."""
+    """One scene, rendered: radiance of both cameras, where its parts are, what is hidden of the first.
+
+    seen : share of the detail that is in sight, here or, if that is less, where a turned part would have it.
+    """
 
     left: FloatArray
     right: FloatArray
@@ -230,9 +235,15 @@ def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
             break
     else:
         front, poses, hidden = (), (), 0.0
-    with_front = seen(part, front) if front else alone
-    without = seen(plain, front) if front else alone - detail
-    visible = float(np.abs(with_front - without).sum() / detail.sum()) if front else 1.0
+    visible = 1.0
+    if front:
+        clear = np.where(covered > 0, left_over / np.maximum(covered, 1e-9), 1.0)
+        visible = min(
+            float((place * clear).sum() / place.sum())
+            for place in (
+                turned_image(detail, where, 2 * math.pi * k / design.folds) for k in range(design.folds)
+            )
+        )
     scene = world(look, np.random.default_rng(light_seed), (part, where), *front)
     blur = float(rng.choice([0.0, 0.5, 0.9]))
     pictures = []
@@ -241,6 +252,19 @@ def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
         pictures.append(cv2.GaussianBlur(radiance, (0, 0), blur) if blur else radiance)
     gain = float(rng.uniform(0.7, 1.3))
     return Drawn(pictures[0], pictures[1], (where, *poses), hidden, visible, gain)
+
+
+def turned_image(picture: FloatArray, where: FloatArray, angle_rad: float) -> FloatArray:
+    """A picture of a detail as it would be if the part were turned in its own plane."""
+    if angle_rad == 0.0:
+        return picture
+    corners = np.array([(-10.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 10.0, 0.0), (-10.0, 10.0, 0.0)])
+    before, after = (
+        quick_view().project(apply(where, corners @ rotation_matrix(np.array([0.0, 0.0, turn])).T))
+        for turn in (0.0, angle_rad)
+    )
+    to_turned = cv2.getPerspectiveTransform(before.astype(np.float32), after.astype(np.float32))
+    return np.asarray(cv2.warpPerspective(picture, to_turned, picture.shape[::-1]))
 
 
 def tilted(place: FloatArray, turn_deg: float, tilt_deg: float, rng: np.random.Generator) -> FloatArray:
@@ -360,7 +384,7 @@ def run_part(index: int, look: str, scenes: int, seed: int) -> Row:
                 row.refused += 1
                 row.refused_seen += scene.seen >= SEEN
             if errors:
-                sight = f"{scene.hidden:.2f} hidden, {scene.seen:.2f} of the detail seen"
+                sight = f"{scene.hidden:.2f} hidden, {scene.seen:.2f} of what decides seen"
                 row.wrong.append(f"scene {k} draw {draw}: {first}, {errors}, {sight}")
         row.scenes += 1
         row.agreeing += decisions.most_common(1)[0][1]

@@ -26,10 +26,12 @@ class Design:
 
     shapes : openings.  cuts : what is cut off the outline.  detail : what decides how the part lies: an
     opening, or as `kind` says a mark or a cut.  replaced : what would be there if the part were symmetric.
+    folds : of that symmetry.
     """
 
     name: str
     outline: Shape
+    folds: int
     shapes: tuple[Shape, ...]
     detail: tuple[Shape, ...] = ()
     replaced: tuple[Shape, ...] = ()
@@ -149,25 +151,26 @@ _SIX = _ring(6, 9.0, 1.4)
 _FIVE = _ring(5, 9.0, 1.4)
 
 DESIGNS = (
-    Design("slot disc", Disc(0, 0, 13), (_BORE, *_FOUR), (Slot(8.5, 0, 4.0, 1.6),)),
-    Design("small hole", Disc(0, 0, 13), (_BORE, *_SIX[1:]), (Disc(9.0, 0, 0.9),), (_SIX[0],)),
-    Design("missing hole", Disc(0, 0, 13), (_BORE, *_FIVE[1:]), (), (_FIVE[0],)),
-    Design("shifted hole", Disc(0, 0, 13), (_BORE, *_FOUR[1:]), (Disc(7.6, 4.9, 1.5),), (_FOUR[0],)),
-    Design("keyway", Disc(0, 0, 13), (_BORE, *_SIX), (Box(4.2, 0, 2.6, 2.0),)),
-    Design("gear", Disc(0, 0, 13), (Disc(0, 0, 5.0),), (Box(5.4, 0, 3.0, 2.2),), cuts=_gaps(16, 13.0, 1.8)),
-    Design("notched rim", Disc(0, 0, 13), (_BORE, *_FOUR), (Box(13, 0, 3.2, 2.8),), kind="cut"),
-    Design("flattened rim", Disc(0, 0, 13), (_BORE, *_SIX), (Box(16.6, 0, 10, 26),), kind="cut"),
-    Design("letter", Disc(0, 0, 13), (_BORE, *_FOUR), (_letter_f(8.6, 0, 4.0),), kind="mark"),
-    Design("three slots", Disc(0, 0, 13), (
+    Design("slot disc", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (Slot(8.5, 0, 4.0, 1.6),)),
+    Design("small hole", Disc(0, 0, 13), 6, (_BORE, *_SIX[1:]), (Disc(9.0, 0, 0.9),), (_SIX[0],)),
+    Design("missing hole", Disc(0, 0, 13), 5, (_BORE, *_FIVE[1:]), (), (_FIVE[0],)),
+    Design("shifted hole", Disc(0, 0, 13), 4, (_BORE, *_FOUR[1:]), (Disc(7.6, 4.9, 1.5),), (_FOUR[0],)),
+    Design("keyway", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Box(4.2, 0, 2.6, 2.0),)),
+    Design("gear", Disc(0, 0, 13), 16, (Disc(0, 0, 5.0),), (Box(5.4, 0, 3.0, 2.2),), (),
+           _gaps(16, 13.0, 1.8)),
+    Design("notched rim", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (Box(13, 0, 3.2, 2.8),), kind="cut"),
+    Design("flattened rim", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Box(16.6, 0, 10, 26),), kind="cut"),
+    Design("letter", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (_letter_f(8.6, 0, 4.0),), kind="mark"),
+    Design("three slots", Disc(0, 0, 13), 3, (
         _BORE,
         *(Slot(8 * math.cos(t), 8 * math.sin(t), 6.0, 2.0, t + math.pi / 2) for t in (2.0944, 4.1888)),
     ), (Slot(8, 0, 4.4, 2.0, math.pi / 2),), (Slot(8, 0, 6.0, 2.0, math.pi / 2),)),
-    Design("cut corner", Box(0, 0, 18, 18), (_BORE, *_ring(4, 8.4, 1.3, math.pi / 4)),
+    Design("cut corner", Box(0, 0, 18, 18), 4, (_BORE, *_ring(4, 8.4, 1.3, math.pi / 4)),
            (Box(9, 9, 3.6, 3.6, angle_rad=math.pi / 4),), kind="cut"),
-    Design("long plate", Box(0, 0, 25, 14, 1.0), (Disc(-8.5, 0, 2.0),), (Disc(8.5, 0, 1.5),),
+    Design("long plate", Box(0, 0, 25, 14, 1.0), 2, (Disc(-8.5, 0, 2.0),), (Disc(8.5, 0, 1.5),),
            (Disc(8.5, 0, 2.0),)),
-    Design("hexagon", Polygon(_regular(6, 13)), (_BORE,), (Box(4.2, 0, 2.6, 2.0),)),
-    Design("square slots", Box(0, 0, 19, 19, 1.5), (
+    Design("hexagon", Polygon(_regular(6, 13)), 6, (_BORE,), (Box(4.2, 0, 2.6, 2.0),)),
+    Design("square slots", Box(0, 0, 19, 19, 1.5), 4, (
         Slot(-6, 0, 7, 2, math.pi / 2), Slot(0, 6, 7, 2), Slot(0, -6, 7, 2),
     ), (Slot(6, 0, 4.5, 2, math.pi / 2),), (Slot(6, 0, 7, 2, math.pi / 2),)),
 )  # fmt: skip

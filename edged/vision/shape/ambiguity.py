@@ -2,7 +2,8 @@
 
 A shape covers a part of itself at every rotation: the rim of a disc at any, its holes at some. Between two
 rotations only what they do not share decides: the edges that one expects and the other does not. Each of
-them is seen, or denied by the bare surface of the part, or hidden; what is hidden speaks for neither.
+them is seen, or denied by the bare face of the part or the bare table, or hidden; what is hidden speaks for
+neither.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ DECIDED, CHANCE = 0.25, 1.5
 """By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
 points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
 SEEN, STRONG_SHARE = 70, 0.2
-"""Percentile of all slopes where a found part, half hidden, still shows its own edges, and share of it: texture
+"""Percentile of all slopes where a part, half hidden, still shows its own edges, and share of that: texture
 and shadows are weaker, holes of a dark part on a bright table are not."""
 REACH_PX = 1.5
 BESIDE_PX = 3.0
@@ -92,13 +93,15 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What counts as an edge of the part and as its bare surface, in the light of one image.
+    """What counts as an edge of the part, and as a surface without one, in the light of one image.
 
-    strong : slope, grey values per px.  level, vary : grey value of the surface; NaN where it is not known.
+    strong : slope, grey values per px.  face, around : grey values of the part's face and of what lies around
+    it, NaN where they are not even.  vary : so much may a surface vary.
     """
 
     strong: float
-    level: float
+    face: float
+    around: float
     vary: float
 
     def shows(self, sight: Sight) -> Flags:
@@ -106,8 +109,9 @@ class Surroundings:
         return np.asarray(np.abs(sight.slope) >= self.strong)
 
     def denies(self, sight: Sight) -> Flags:
-        """Points (N,) where the bare surface is, without an edge."""
-        bare = (np.abs(sight.beside - self.level) < self.vary).all(axis=1)  # False for NaN
+        """Points (N,) where the bare face is, or instead of the rim the bare table, without an edge."""
+        bare = (np.abs(sight.beside - self.face) < self.vary).all(axis=1)  # False for NaN
+        bare |= (sight.inward != 0) & (np.abs(sight.beside - self.around) < self.vary).all(axis=1)
         return np.asarray(bare & (np.abs(sight.slope) < self.strong))
 
 
@@ -136,13 +140,19 @@ def surroundings(sight: Sight, min_contrast: float) -> Surroundings:
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
     if rim.sum() < MIN_APART:
-        return Surroundings(strong, math.nan, math.nan)
+        return Surroundings(strong, math.nan, math.nan, 0.0)
     steps = np.abs(sight.beside[seen, 2] - sight.beside[seen, 0])
-    inside = np.where(sight.inward[rim] > 0, sight.beside[rim, 2], sight.beside[rim, 0])
-    level, vary = float(np.median(inside)), SURFACE_SHARE * float(np.percentile(steps, WEAKER))
-    if 2 * float(np.median(np.abs(inside - level))) >= vary:
-        return Surroundings(strong, math.nan, math.nan)
-    return Surroundings(strong, level, vary)
+    vary = SURFACE_SHARE * float(np.percentile(steps, WEAKER))
+    inward = sight.inward[rim] > 0
+    inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
+    outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
+    return Surroundings(strong, _even(inside, vary), _even(outside, vary), vary)
+
+
+def _even(greys: FloatArray, vary: float) -> float:
+    """The grey value of a surface; NaN for one that is not even."""
+    level = float(np.median(greys))
+    return level if 2 * float(np.median(np.abs(greys - level))) < vary else math.nan
 
 
 def open_turns(
