@@ -35,9 +35,9 @@ MIN_TURN_RAD = 0.2
 SAME_TURN_RAD = 0.04
 MEETING_PX = (8.0, 4.0, 2.5)
 """How far, step by step, a turned outline looks for its own: the middle is known to a few pixels."""
-SHOWN, DENIED, MANY = 0.7, 0.1, 16
-"""Share of its own points that a rotation must show, and may lack, and how many there must be, to be beyond
-doubt by itself."""
+ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
+"""Share of n points where texture or clutter shows edges that are not the part's, at the most, and the spread
+of that share, times 1 / sqrt(n): a rotation that shows more of its own is beyond doubt by itself."""
 DECIDED, CHANCE = 0.25, 1.5
 """By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
 points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
@@ -136,13 +136,13 @@ def look(
 
 def surroundings(sight: Sight, min_contrast: float) -> Surroundings:
     """What the edges that a pose shows say about the part's edges and surface."""
-    strong = max(STRONG_SHARE * float(np.percentile(np.abs(sight.slope), SEEN)), min_contrast)
+    strong = _strong(sight.slope, min_contrast)
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
     if rim.sum() < MIN_APART:
         return Surroundings(strong, math.nan, math.nan, 0.0)
     steps = np.abs(sight.beside[seen, 2] - sight.beside[seen, 0])
-    vary = SURFACE_SHARE * float(np.percentile(steps, WEAKER))
+    vary = SURFACE_SHARE * _percentile(steps, WEAKER)
     inward = sight.inward[rim] > 0
     inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
     outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
@@ -156,30 +156,43 @@ def _even(greys: FloatArray, vary: float) -> float:
 
 
 def open_turns(
-    image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float
+    image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float, slopes: FloatArray
 ) -> list[int]:
-    """Indices of `turns` that the image does not rule out against a pose, most similar first.
+    """Indices of `turns` that the image does not rule out against a pose, those first that it speaks for.
 
-    First by what the pose alone expects: where the image shows nearly all of that, no other rotation can be.
+    slopes (N,) : at the edges where the pose expects them, 0 where there is none.
+    First by what the pose alone expects: where the image shows so much of that, no other rotation can be.
     Where some of it is hidden, by what the other one expects there, too.
     """
     all_turns = turns(model)
+    own = all_turns.own
+    count = own.sum(axis=1)
+    speaking = (own & (np.abs(slopes) >= _strong(slopes, min_contrast))).sum(axis=1)
+    doubtful = np.flatnonzero(speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count))
+    if not len(doubtful):
+        return []
     sight = look(image, model, pose, sign)
     light = surroundings(sight, min_contrast)
     shown, denied = light.shows(sight), light.denies(sight)
-    count = all_turns.own.sum(axis=1)
-    speaking, against = (all_turns.own & shown).sum(axis=1), (all_turns.own & denied).sum(axis=1)
-    beyond_doubt = (count >= MANY) & (speaking >= SHOWN * count) & (against <= DENIED * count)
-    left = []
-    for k in np.flatnonzero(~beyond_doubt):
+    left: list[tuple[float, int]] = []
+    for k in doubtful:
         foreign = np.flatnonzero(all_turns.foreign[k])
-        if max(len(foreign), count[k]) >= MIN_APART:
-            other = look(image, model, turned(pose, all_turns.motions[k]), sign, foreign)
-            own = all_turns.own[k]
-            if _wins(shown[own], denied[own], light.shows(other), light.denies(other)):
-                continue
-        left.append(int(k))
-    return left
+        other = look(image, model, turned(pose, all_turns.motions[k]), sign, foreign)
+        ahead = _lead(shown[own[k]], denied[own[k]], light.shows(other), light.denies(other))
+        if ahead < 0 or max(len(foreign), count[k]) < MIN_APART:
+            left.append((ahead, int(k)))
+    return [k for _, k in sorted(left)]
+
+
+def _strong(slopes: FloatArray, min_contrast: float) -> float:
+    """Slope, grey values per px, from which an edge may be the part's."""
+    return max(STRONG_SHARE * _percentile(np.abs(slopes), SEEN), min_contrast)
+
+
+def _percentile(values: FloatArray, percent: int) -> float:
+    """The value below which this share of them lies, by rank: ten times as quick as numpy's."""
+    rank = len(values) * percent // 100
+    return float(np.partition(values, rank)[rank])
 
 
 def decides(one: Sight, other: Sight, min_contrast: float) -> bool | None:
@@ -189,25 +202,26 @@ def decides(one: Sight, other: Sight, min_contrast: float) -> bool | None:
     if max(only_one.sum(), only_other.sum()) < MIN_APART:
         return None
     light = surroundings(one, min_contrast)
-    return _wins(
+    ahead = _lead(
         light.shows(one)[only_one],
         light.denies(one)[only_one],
         light.shows(other)[only_other],
         light.denies(other)[only_other],
     )
+    return ahead >= 0
 
 
-def _wins(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags) -> bool:
-    """Whether what only one of two rotations expects is there so much more than what only the other does.
+def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags) -> float:
+    """By how much more than needed what only one of two rotations expects is there, and the other's is not.
 
     Texture and things that lie there show edges anywhere, to both alike: the difference counts.
     """
     excess, fewest = 0.0, math.inf
     for there, bare, side in ((shown, denied, 1), (others_shown, others_denied, -1)):
         if len(there):
-            excess += side * float(there.mean() - bare.mean())
+            excess += side * (np.count_nonzero(there) - np.count_nonzero(bare)) / len(there)
             fewest = min(fewest, len(there))
-    return excess >= DECIDED + CHANCE / math.sqrt(fewest)
+    return excess - DECIDED - CHANCE / math.sqrt(fewest)
 
 
 def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:

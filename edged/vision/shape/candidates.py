@@ -30,7 +30,8 @@ MAX_POLISHED = 40
 class Hypothesis:
     """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far.
 
-    scanned : its score in the scan.  ambiguous : another rotation explains the image as well.
+    scanned : its score in the scan.  slopes (N,) : of the edges that agree with it on the finest level, 0
+    elsewhere.  ambiguous : another rotation explains the image as well.
     """
 
     pose: FloatArray
@@ -38,6 +39,7 @@ class Hypothesis:
     score: float
     covariance: FloatArray | None = None
     scanned: float = 0.0
+    slopes: FloatArray | None = None
     ambiguous: bool = False
 
     @cached_property

@@ -235,7 +235,8 @@ class _Search:
             return None
         sigma = float(summary[2]) * np.sqrt(self.model.repetition)
         covariance = refine.covariance(matrix, freedom, sigma, pose)
-        return replace(hypothesis, pose=pose, score=score, covariance=covariance)
+        agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
+        return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
@@ -364,14 +365,19 @@ class _Search:
         motions = rivals.turns(self.model).motions
         best = hypothesis
         for _ in range(MAX_CHANGES):
-            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast)
+            slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
+            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes)
             left = [k for k in left if all(_turn(float(row[2]), float(motions[k, 2])) > 0.1 for row in equal)]
-            tried = (self._variant(best, motions[k], climbed) for k in left[:MAX_RIVALS])
-            others = [h for h in tried if h is not None and self._is_another(h, best)]
-            others.sort(key=lambda h: -h.score)
-            winner = next((h for h in others if self._beats(h, best)), None)
+            winner, doubt = None, len(left) > MAX_RIVALS
+            for k in left[:MAX_RIVALS]:
+                other = self._variant(best, motions[k], climbed)
+                if other is None or not self._is_another(other, best):
+                    continue
+                if self._beats(other, best):
+                    winner = other
+                    break
+                doubt = doubt or not self._beats(best, other)
             if winner is None:
-                doubt = len(left) > MAX_RIVALS or not all(self._beats(best, h) for h in others)
                 return replace(best, ambiguous=doubt)
             best = winner
         return replace(best, ambiguous=True)
