@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
@@ -55,6 +55,8 @@ STRETCHES = 4
 """Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
 FIRST = 128
 """Points of the first step on the finest level: enough to come near, as they are in random order."""
+CLIPPED_PX, MAX_CLIPPED = 0.5, 0.7
+"""How far a saturated sensor may displace an edge; share of all edges that may be left out for it."""
 DECIDED_SHARE, MIN_LOSS = 0.5, 0.02
 """Of the expected distance of two nearly symmetric poses, and the least of that: below it, the image does not
 decide."""
@@ -210,12 +212,13 @@ class _Search:
         freedom = self._freedom()
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
-        sign = self._sign(hypothesis)
-        for count, reach in ((FIRST, 2.0), (len(level.points), 1.5)):
+        sign, score, sigma, agreeing = self._sign(hypothesis), 0.0, 0.0, np.zeros(len(level.points))
+        for last, count, reach in ((False, FIRST, 2.0), (True, len(level.points), 1.5)):
             points, normals = level.points[:count], level.normals[:count]
             placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
             refine.place(points, normals, pose, placed)
-            offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
+            seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, sign, (EDGE_SIGMA_PX,), 1.0)
+            offsets, slopes = seen.offset_px[0], seen.slope[0]
             edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
             if self.params.polarity == "local":
                 _drop_odd_signs(points, slopes, self._radius(0) / STRETCHES, edges)
@@ -227,15 +230,26 @@ class _Search:
             )
             if not moved or summary[0] < COARSE_SHARE * self.params.min_score:
                 return None
+            score, sigma = min(float(summary[0]), 1.0), float(summary[2])
+            agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
+            known = np.isfinite(edges[:, 0])
+            clipped = known & seen.clipped
+            if clipped.any():
+                sigma = max(sigma, CLIPPED_PX)
+            if last and 0 < clipped.sum() <= MAX_CLIPPED * known.sum():
+                # edges of the part, so they count for its score, but not where it ends: others tell its place
+                edges[clipped, 0] = np.nan
+                sure = pose.copy()
+                if refine.robust_step(
+                    points, placed, edges, sure, freedom or refine.SIMILARITY, prior, 8, summary, matrix
+                ) and self._plausible(sure, 0.03):
+                    trial, sigma = sure, float(summary[2])
             if freedom:
                 pose = trial
         # a match stays where the search found it: far moves are a slide along clutter
-        score = min(float(summary[0]), 1.0)
         if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.03):
             return None
-        sigma = float(summary[2]) * np.sqrt(self.model.repetition)
-        covariance = refine.covariance(matrix, freedom, sigma, pose)
-        agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
+        covariance = refine.covariance(matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
         return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
     def _stretches(self) -> bool:
