@@ -104,14 +104,20 @@ def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> f
     )
 
 
-def lies_beside(place: np.ndarray, outline: np.ndarray, across: float, along: float, alike: float) -> bool:
-    """Whether a place (x, y, nx, ny) has a point of the outline (M, 4) beside it, normals alike."""
+def meets(
+    place: np.ndarray, outline: np.ndarray, across: float, along: float, alike: float
+) -> tuple[float, float]:
+    """Offset along its normal from a place (x, y, nx, ny) to the nearest point of the outline (M, 4) beside
+    it, and the cosine of their normals; NaN and 0 without one."""
+    best, found = math.inf, (math.nan, 0.0)
     for other in outline:
-        dx, dy = place[:2] - other[:2]
-        near = abs(dx * place[2] + dy * place[3]) < across and abs(dx * place[3] - dy * place[2]) < along
-        if near and abs(place[2:] @ other[2:]) > alike:
-            return True
-    return False
+        dx, dy = other[:2] - place[:2]
+        off, beside = dx * place[2] + dy * place[3], dx * place[3] - dy * place[2]
+        cosine = abs(place[2:] @ other[2:])
+        near = abs(off) < across and abs(beside) < along and cosine > alike
+        if near and math.hypot(off, beside) < best:
+            best, found = math.hypot(off, beside), (off, cosine)
+    return found
 
 
 def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: float) -> np.ndarray:

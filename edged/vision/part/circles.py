@@ -248,9 +248,11 @@ def _decided(
     if not match.ambiguous:
         return 0.0, others, False
     turns = _rival_turns(job)
+    if any(_maps_on_itself(job, turn) for turn in turns):
+        # they are the same circles under other names: one half hidden may count under one and not the other
+        return 0.0, others, True
     if turns and len(others) == len(job.circles) - 1:
-        # each lies where it was taught, in its size: only a turn that maps the part on itself can equal that
-        return 0.0, others, any(_maps_on_itself(job, turn) for turn in turns)
+        return 0.0, others, False  # each lies where it was taught, in its size
     best, best_turn, rival_count = others, 0.0, 0
     for turn in turns:
         rivals = _others(images, job, match, main, start @ about_z(turn))

@@ -1,7 +1,14 @@
-"""Two rotations of a nearly symmetric part: does the image tell them apart, or hide the difference?"""
+"""Rotations of a part that its outline may be mistaken for: does the image tell them apart?
+
+A shape covers a part of itself at every rotation: the rim of a disc at any, its holes at some. Between two
+rotations only what they do not share decides: the edges that one expects and the other does not. Each of
+them is seen, or denied by the bare face of the part or the bare table, or hidden; what is hidden speaks for
+neither.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,29 +28,60 @@ APART_PX = 2.0
 ALIKE = 0.8
 """Cosine between normals of points on one smooth outline."""
 MIN_APART = 8
-SHOWN, SHOWN_MORE = 0.5, 0.4
-"""Share of a rotation's own points that the image must show, and by how much more than the rival's own."""
-STRONG_SHARE = 0.3
-"""Of the median slope of the part's edges: texture and shadows are weaker."""
+"""Points of its own that a rotation must have for the image to deny it or to show it."""
+TURNS = 72
+"""Rotations that are compared, beside the taught ones: each comes to rest on the best one near it."""
+MIN_TURN_RAD = 0.2
+SAME_TURN_RAD = 0.04
+MEETING_PX = (8.0, 4.0, 2.5)
+"""How far, step by step, a turned outline looks for its own: the middle is known to a few pixels."""
+ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
+"""Share of n points where texture or clutter shows edges that are not the part's, at the most, and the spread
+of that share, times 1 / sqrt(n): a rotation that shows more of its own is beyond doubt by itself."""
+DECIDED, CHANCE = 0.25, 1.5
+"""By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
+points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
+SEEN, STRONG_SHARE = 70, 0.2
+"""Percentile of all slopes where a part, half hidden, still shows its own edges, and share of that: texture
+and shadows are weaker, holes of a dark part on a bright table are not."""
 REACH_PX = 1.5
 BESIDE_PX = 3.0
 """Where the grey values beside an edge are taken: out of its blur, still before the next edge."""
 SURFACE_SHARE = 0.35
-"""Of the contrast between the part and what is beside it: so much may its surface vary."""
-DENIED = 0.1
-"""Share of a rotation's own points at which a bare surface is an accident."""
+"""Of the contrast of the part's weaker edges: so much may its surface vary."""
+WEAKER = 25
+"""Percentile of the part's edges that stands for its weaker ones."""
 
 Array = npt.NDArray[Any]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """Rotations of a shape, most similar first.
+
+    motions (K, 3) : dx, dy, angle in the model's plane.  own (K, N) : points of the model that lie off its
+    outline so turned; foreign (K, N) : points that, turned, lie off the model's outline.
+    """
+
+    motions: FloatArray
+    own: Flags
+    foreign: Flags
+
+    @property
+    def similarity(self) -> FloatArray:
+        """(K,) share of the outline that both have in common."""
+        return np.asarray(1.0 - self.foreign.mean(axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """What the image shows where a pose expects edges.
 
-    placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : magnitude at the edge there, grey
-    values per px, 0 without one.  beside (N, 3) : grey values before, at and behind the place of the
-    edge, NaN outside the image.  inward (N,) : on the rim of the part 1 or -1, whichever way along the
-    normal is into the part, 0 elsewhere.  gap_px : between neighbouring points.
+    placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : at the edge there, grey values per px,
+    signed, 0 without one.  beside (N, 3) : grey values before, at and behind the place of the edge, NaN
+    outside the image.  inward (N,) : on the rim of the part 1 or -1, whichever way along the normal is into
+    the part, 0 elsewhere.  gap_px : between neighbouring points.
     """
 
     placed: FloatArray
@@ -53,73 +91,222 @@ class Sight:
     gap_px: float
 
 
-def look(image: Image, model: ShapeModel, pose: FloatArray, sign: int) -> Sight:
-    """Look for the model's edges in an image (H, W) uint8 at a pose; sign as in `edges_along_normals`."""
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What counts as an edge of the part, and as a surface without one, in the light of one image.
+
+    strong : slope, grey values per px.  face, around : grey values of the part's face and of what lies around
+    it, NaN where they are not even.  vary : so much may a surface vary.
+    """
+
+    strong: float
+    face: float
+    around: float
+    vary: float
+
+    def shows(self, sight: Sight) -> Flags:
+        """Points (N,) with an edge."""
+        return np.asarray(np.abs(sight.slope) >= self.strong)
+
+    def denies(self, sight: Sight) -> Flags:
+        """Points (N,) where the bare face is, or instead of the rim the bare table, without an edge."""
+        bare = (np.abs(sight.beside - self.face) < self.vary).all(axis=1)  # False for NaN
+        bare |= (sight.inward != 0) & (np.abs(sight.beside - self.around) < self.vary).all(axis=1)
+        return np.asarray(bare & (np.abs(sight.slope) < self.strong))
+
+
+def look(
+    image: Image, model: ShapeModel, pose: FloatArray, sign: int, points: npt.NDArray[Any] | None = None
+) -> Sight:
+    """Look for the model's edges in an image (H, W) uint8 at a pose; sign as in `edges_along_normals`.
+
+    points : indices of those that are looked for, default all.
+    """
     level = model.levels[0]
-    placed = np.empty((len(level.points), 4))
-    refine.place(level.points, level.normals, pose, placed)
+    chosen = slice(None) if points is None else points
+    expected, normals = level.points[chosen], level.normals[chosen]
+    placed = np.empty((len(expected), 4))
+    refine.place(expected, normals, pose, placed)
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], REACH_PX, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
     scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
-    return Sight(placed, np.where(there, np.abs(slopes), 0.0), beside, _inward(model), scale * gap_px(model))
+    return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[chosen], scale * gap_px(model))
 
 
-def evidence(one: Sight, other: Sight, min_contrast: float) -> tuple[bool, bool]:
-    """What in the image speaks for one of two rotations against the other.
+def surroundings(sight: Sight, min_contrast: float) -> Surroundings:
+    """What the edges that a pose shows say about the part's edges and surface."""
+    strong = _strong(sight.slope, min_contrast)
+    seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
+    rim = (sight.inward != 0) & seen
+    if rim.sum() < MIN_APART:
+        return Surroundings(strong, math.nan, math.nan, 0.0)
+    steps = np.abs(sight.beside[seen, 2] - sight.beside[seen, 0])
+    vary = SURFACE_SHARE * _percentile(steps, WEAKER)
+    inward = sight.inward[rim] > 0
+    inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
+    outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
+    return Surroundings(strong, _even(inside, vary), _even(outside, vary), vary)
 
-    First, it shows what only this one predicts, and lacks the other's own (or the two hardly differ):
-    good where the scores agree, as a hidden detail speaks for neither. Second, it shows the bare surface
-    of the part where the other has an edge of its own, and not so for this one: that decides, because no
-    score counts an edge that is not there against a pose.
+
+def _even(greys: FloatArray, vary: float) -> float:
+    """The grey value of a surface; NaN for one that is not even."""
+    level = float(np.median(greys))
+    return level if 2 * float(np.median(np.abs(greys - level))) < vary else math.nan
+
+
+def open_turns(
+    image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float, slopes: FloatArray
+) -> list[int]:
+    """Indices of `turns` that the image does not rule out against a pose, those first that it speaks for.
+
+    slopes (N,) : at the edges where the pose expects them, 0 where there is none.
+    First by what the pose alone expects: where the image shows so much of that, no other rotation can be.
+    Where some of it is hidden, by what the other one expects there, too.
     """
+    all_turns = turns(model)
+    own = all_turns.own
+    count = own.sum(axis=1)
+    speaking = (own & (np.abs(slopes) >= _strong(slopes, min_contrast))).sum(axis=1)
+    doubtful = np.flatnonzero(speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count))
+    if not len(doubtful):
+        return []
+    sight = look(image, model, pose, sign)
+    light = surroundings(sight, min_contrast)
+    shown, denied = light.shows(sight), light.denies(sight)
+    left: list[tuple[float, int]] = []
+    for k in doubtful:
+        foreign = np.flatnonzero(all_turns.foreign[k])
+        other = look(image, model, turned(pose, all_turns.motions[k]), sign, foreign)
+        ahead = _lead(shown[own[k]], denied[own[k]], light.shows(other), light.denies(other))
+        if ahead < 0 or max(len(foreign), count[k]) < MIN_APART:
+            left.append((ahead, int(k)))
+    return [k for _, k in sorted(left)]
+
+
+def _strong(slopes: FloatArray, min_contrast: float) -> float:
+    """Slope, grey values per px, from which an edge may be the part's."""
+    return max(STRONG_SHARE * _percentile(np.abs(slopes), SEEN), min_contrast)
+
+
+def _percentile(values: FloatArray, percent: int) -> float:
+    """The value below which this share of them lies, by rank: ten times as quick as numpy's."""
+    rank = len(values) * percent // 100
+    return float(np.partition(values, rank)[rank])
+
+
+def decides(one: Sight, other: Sight, min_contrast: float) -> bool | None:
+    """Whether the image speaks for the first of two rotations; None where they hardly differ."""
     only_one = ~lies_on(one.placed, other.placed, other.gap_px)
     only_other = ~lies_on(other.placed, one.placed, one.gap_px)
-    if min(only_one.sum(), only_other.sum()) < MIN_APART:
-        return True, False
-    seen = one.slope[one.slope > 0]
-    strong = max(STRONG_SHARE * float(np.median(seen)) if len(seen) else 0.0, min_contrast)
-    shown, others_shown = (
-        float((sight.slope[own] >= strong).mean()) for sight, own in ((one, only_one), (other, only_other))
-    )
-    surface = _surface(one, strong)
-    bare = False
-    if surface is not None:
-        denied, other_denied = (
-            float(_is_bare(sight, surface, strong)[own].mean())
-            for sight, own in ((one, only_one), (other, only_other))
-        )
-        bare = other_denied >= SHOWN and denied <= DENIED
-    return shown >= SHOWN and shown - others_shown >= SHOWN_MORE, bare
-
-
-def _surface(sight: Sight, strong: float) -> tuple[float, float] | None:
-    """Grey value of the part, from inside its rim, and how much it may vary; None where that is unclear."""
-    rim = (sight.inward != 0) & (sight.slope >= strong) & np.isfinite(sight.beside).all(axis=1)
-    if rim.sum() < MIN_APART:
+    if max(only_one.sum(), only_other.sum()) < MIN_APART:
         return None
-    before, behind = sight.beside[rim, 0], sight.beside[rim, 2]
-    inside = np.where(sight.inward[rim] > 0, behind, before)
-    level = float(np.median(inside))
-    vary = SURFACE_SHARE * abs(level - float(np.median(np.where(sight.inward[rim] > 0, before, behind))))
-    return (level, vary) if 2 * float(np.median(np.abs(inside - level))) < vary else None
+    light = surroundings(one, min_contrast)
+    ahead = _lead(
+        light.shows(one)[only_one],
+        light.denies(one)[only_one],
+        light.shows(other)[only_other],
+        light.denies(other)[only_other],
+    )
+    return ahead >= 0
 
 
-def _is_bare(sight: Sight, surface: tuple[float, float], strong: float) -> npt.NDArray[np.bool_]:
-    """Where (N,) the image shows the part's surface without the edge that the pose expects."""
-    level, vary = surface
-    return (sight.slope < strong) & (np.abs(sight.beside - level) < vary).all(axis=1)
+def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags) -> float:
+    """By how much more than needed what only one of two rotations expects is there, and the other's is not.
+
+    Texture and things that lie there show edges anywhere, to both alike: the difference counts.
+    """
+    excess, fewest = 0.0, math.inf
+    for there, bare, side in ((shown, denied, 1), (others_shown, others_denied, -1)):
+        if len(there):
+            excess += side * (np.count_nonzero(there) - np.count_nonzero(bare)) / len(there)
+            fewest = min(fewest, len(there))
+    return excess - DECIDED - CHANCE / math.sqrt(fewest)
 
 
-def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> npt.NDArray[np.bool_]:
+def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
+    """The pose after a motion dx, dy, angle in the model's own plane; the tilt turns along."""
+    cosine, sine = math.cos(motion[2]), math.sin(motion[2])
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    linear = pose[2:6].reshape(2, 2)
+    moved = pose.copy()
+    moved[:2] = pose[:2] + linear @ motion[:2]
+    moved[2:6] = (linear @ turn).ravel()
+    moved[6:] = pose[6:] @ turn
+    return moved
+
+
+@lru_cache(maxsize=16)
+def turns(model: ShapeModel) -> Turns:
+    """Every rotation at which the outline of a model may be laid on itself, from its points alone.
+
+    What teaching found similar is only where they begin: the search bends a shape in perspective and takes
+    edges of either sign, and so it may accept a rotation that teaching did not list.
+    """
+    level = model.levels[0]
+    grid = np.arange(1, TURNS) * (2 * math.pi / TURNS)
+    about = [_about(model.centre_px, float(angle)) for angle in grid]
+    starts = [*(np.array(row[:3]) for row in model.symmetries), *about]
+    at_rest = np.column_stack([level.points, level.normals])
+    order = np.argsort(level.points[:, 0], kind="stable")
+    outline = np.ascontiguousarray(at_rest[order])
+    gap = gap_px(model)
+    motions: list[FloatArray] = []
+    flags: list[tuple[Flags, Flags]] = []
+    for start in starts:
+        motion = _settled(model, start, outline, gap)
+        angle = _wrapped(float(motion[2]))
+        if abs(angle) < MIN_TURN_RAD or any(abs(_wrapped(angle - m[2])) < SAME_TURN_RAD for m in motions):
+            continue
+        placed = np.empty((len(level.points), 4))
+        refine.place(level.points, level.normals, turned(_IDENTITY, motion), placed)
+        motions.append(np.array([motion[0], motion[1], angle]))
+        flags.append((~lies_on(at_rest, placed, gap), ~lies_on(placed, at_rest, gap)))
+    if not motions:
+        none = np.zeros((0, len(level.points)), np.bool_)
+        return Turns(np.zeros((0, 3)), none, none)
+    own, foreign = np.array([one for one, _ in flags]), np.array([other for _, other in flags])
+    best = np.argsort(foreign.sum(axis=1), kind="stable")
+    return Turns(np.array(motions)[best], own[best], foreign[best])
+
+
+_IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def _about(centre: FloatArray, angle: float) -> FloatArray:
+    """The motion dx, dy, angle of a turn about a point."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    shift = centre - np.array([[cosine, -sine], [sine, cosine]]) @ centre
+    return np.array([shift[0], shift[1], angle])
+
+
+def _settled(model: ShapeModel, motion: FloatArray, outline: FloatArray, gap: float) -> FloatArray:
+    """The motion near this one that lays most of the outline on itself; the same where none does."""
+    points, normals = model.levels[0].points, model.levels[0].normals
+    pose = turned(_IDENTITY, motion)
+    placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
+    summary, matrix = np.zeros(3), np.zeros((8, 8))
+    for reach in MEETING_PX:
+        refine.place(points, normals, pose, placed)
+        meet(placed, outline, reach, 3.0 * max(gap, 1.0), ALIKE, edges)
+        if not refine.robust_step(points, placed, edges, pose, refine.RIGID, 1.0, 8, summary, matrix):
+            return motion
+    return np.array([pose[0], pose[1], math.atan2(pose[4], pose[2])])
+
+
+def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> Flags:
     """Which of placed points (N, 4), x, y, nx, ny, lie on the outline that `other` (M, 4) samples sparsely.
 
     gap_px : between neighbours on that outline.
     """
-    found = np.empty(len(placed), np.bool_)
-    outline = other[np.argsort(other[:, 0], kind="stable")]
-    lie_on(placed, outline, APART_PX, 3.0 * max(gap_px, 1.0), ALIKE, found)
-    return found
+    edges = np.empty((len(placed), 2))
+    outline = np.ascontiguousarray(other[np.argsort(other[:, 0], kind="stable")])
+    meet(placed, outline, APART_PX, 3.0 * max(gap_px, 1.0), ALIKE, edges)
+    return np.isfinite(edges[:, 0])
 
 
 @lru_cache(maxsize=16)
@@ -143,27 +330,28 @@ def gap_px(model: ShapeModel) -> float:
     return float(np.median(gaps.min(axis=1)))
 
 
-@kernel("void(f8[:, ::1], f8[:, ::1], f8, f8, f8, b1[::1])")
-def lie_on(
-    points: Array, outline: Array, across_px: float, along_px: float, alike: float, found: Array
+@kernel("void(f8[:, ::1], f8[:, ::1], f8, f8, f8, f8[:, ::1])")
+def meet(
+    points: Array, outline: Array, across_px: float, along_px: float, alike: float, edges: Array
 ) -> None:
-    """Whether each of points (N, 4), x, y, nx, ny, has one of the outline (M, 4), sorted by x, beside it.
+    """Write for each of points (N, 4), x, y, nx, ny, how it meets an outline (M, 4), sorted by x.
 
-    Beside: at most across_px along its normal and along_px along its tangent away, with a normal whose
-    cosine to its own is more than `alike`, either sign.
+    edges (N, 2) : offset px along its normal to the nearest point of the outline that lies within across_px
+    along its normal and along_px along its tangent, with a normal whose cosine to its own is more than
+    `alike`, either sign, and that cosine; NaN and 0 where there is none.
     """
     reach = np.sqrt(across_px * across_px + along_px * along_px)
     for n in range(points.shape[0]):
         x, y, nx, ny = points[n, 0], points[n, 1], points[n, 2], points[n, 3]
-        found[n] = False
+        edges[n, 0], edges[n, 1] = np.nan, 0.0
+        nearest = np.inf
         m = np.searchsorted(outline[:, 0], x - reach)
         while m < outline.shape[0] and outline[m, 0] <= x + reach:
-            dx, dy = x - outline[m, 0], y - outline[m, 1]
-            if (
-                abs(dx * nx + dy * ny) < across_px
-                and abs(dx * ny - dy * nx) < along_px
-                and abs(nx * outline[m, 2] + ny * outline[m, 3]) > alike
-            ):
-                found[n] = True
-                break
+            dx, dy = outline[m, 0] - x, outline[m, 1] - y
+            off, beside = dx * nx + dy * ny, dx * ny - dy * nx
+            cosine = abs(nx * outline[m, 2] + ny * outline[m, 3])
+            distance = off * off + beside * beside
+            if abs(off) < across_px and abs(beside) < along_px and cosine > alike and distance < nearest:
+                nearest = distance
+                edges[n, 0], edges[n, 1] = off, cosine
             m += 1

@@ -27,12 +27,19 @@ MAX_POLISHED = 40
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far."""
+    """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far.
+
+    scanned : its score in the scan.  slopes (N,) : of the edges that agree with it on the finest level, 0
+    elsewhere.  ambiguous : another rotation explains the image as well.
+    """
 
     pose: FloatArray
     sign: int
     score: float
     covariance: FloatArray | None = None
+    scanned: float = 0.0
+    slopes: FloatArray | None = None
+    ambiguous: bool = False
 
     @cached_property
     def origin(self) -> tuple[float, float]:
@@ -80,7 +87,12 @@ def scan_top(
     order = np.argsort(-values, kind="stable")[: 24 + 2 * params.max_matches]
     good = order[values[order] >= POLISHED_SHARE * params.min_score]
     return (
-        Hypothesis(refine.start_pose(*chosen[i, :5].tolist()), int(chosen[i, 5]), float(values[i]))
+        Hypothesis(
+            refine.start_pose(*chosen[i, :5].tolist()),
+            int(chosen[i, 5]),
+            float(values[i]),
+            scanned=float(values[i]),
+        )
         for i in good
     )
 

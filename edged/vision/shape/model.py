@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,12 @@ class ShapeModel:
         return ShapeModel(
             tuple(levels), origin, radius, contrast, symmetries, centre, bool(is_round[0]), float(repetition)
         )
+
+
+@lru_cache(maxsize=16)
+def reach_px(model: ShapeModel) -> float:
+    """Farthest point of a model from the one about which it turns, wherever its origin is."""
+    return float(np.linalg.norm(model.levels[0].points - model.centre_px, axis=1).max())
 
 
 def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> FloatArray:

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
-from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.model import ShapeModel, reach_px
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
@@ -56,8 +55,18 @@ STRETCHES = 4
 """Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
 FIRST = 128
 """Points of the first step on the finest level: enough to come near, as they are in random order."""
-DECIDED_SHARE = 0.5
-"""Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
+CLIPPED_PX, MAX_CLIPPED = 0.5, 0.7
+"""How far a saturated sensor may displace an edge; share of all edges that may be left out for it."""
+DECIDED_SHARE, MIN_LOSS = 0.5, 0.02
+"""Of the expected distance of two nearly symmetric poses, and the least of that: below it, the image does not
+decide."""
+MAX_RIVALS = 12
+"""Rotations that are tried against one pose; where more are possible it is in doubt."""
+MAX_CHANGES = 3
+SAME_PLACE = 0.25
+"""Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
+SCAN_ERROR = 0.1
+"""Of the scan's score, by what the grid has of a pose: one that is lower by more is no better."""
 
 Deadline = Callable[[], bool]
 DEFAULTS = SearchParams()
@@ -124,11 +133,13 @@ class _Search:
                 and candidate.score + REFINEMENT_GAIN < good[self.params.max_matches - 1]
             ):
                 break
+            if any(self._settles(better, candidate, top) for better in found):
+                continue
             finest = self._climb(candidate, top, found)
             if finest is not None:
-                found.append(finest)
-        found = [h for h in self._prune(found) if h.score >= self.params.min_score]
-        return [match for h in found if (match := self._match(h, index, top > 0)) is not None]
+                found.append(self._decided(finest, top > 0))
+        matches = [h for h in self._prune(found) if h.score >= self.params.min_score]
+        return [match for h in self._one_of_each_place(matches) if (match := self._to_match(h, index))]
 
     def _climb(self, candidate: Hypothesis, top: int, found: list[Hypothesis]) -> Hypothesis | None:
         """Follow one candidate down the pyramid; None as soon as it fails or a better one is in its place."""
@@ -177,7 +188,7 @@ class _Search:
         share = COARSE_SHARE if first or level > 1 else NEARLY_SHARE
         if score < share * self.params.min_score or not self._plausible(pose, 0.06):
             return None
-        return Hypothesis(pose, hypothesis.sign, score)
+        return replace(hypothesis, pose=pose, score=score)
 
     def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis:
         """A pose that explains a coarse level badly, or a better one beside it."""
@@ -201,12 +212,13 @@ class _Search:
         freedom = self._freedom()
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
-        sign = self._sign(hypothesis)
-        for count, reach in ((FIRST, 2.0), (len(level.points), 1.5)):
+        sign, score, sigma, agreeing = self._sign(hypothesis), 0.0, 0.0, np.zeros(len(level.points))
+        for last, count, reach in ((False, FIRST, 2.0), (True, len(level.points), 1.5)):
             points, normals = level.points[:count], level.normals[:count]
             placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
             refine.place(points, normals, pose, placed)
-            offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
+            seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, sign, (EDGE_SIGMA_PX,), 1.0)
+            offsets, slopes = seen.offset_px[0], seen.slope[0]
             edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
             if self.params.polarity == "local":
                 _drop_odd_signs(points, slopes, self._radius(0) / STRETCHES, edges)
@@ -218,14 +230,27 @@ class _Search:
             )
             if not moved or summary[0] < COARSE_SHARE * self.params.min_score:
                 return None
+            score, sigma = min(float(summary[0]), 1.0), float(summary[2])
+            agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
+            known = np.isfinite(edges[:, 0])
+            clipped = known & seen.clipped
+            if clipped.any():
+                sigma = max(sigma, CLIPPED_PX)
+            if last and 0 < clipped.sum() <= MAX_CLIPPED * known.sum():
+                # edges of the part, so they count for its score, but not where it ends: others tell its place
+                edges[clipped, 0] = np.nan
+                sure = pose.copy()
+                if refine.robust_step(
+                    points, placed, edges, sure, freedom or refine.SIMILARITY, prior, 8, summary, matrix
+                ) and self._plausible(sure, 0.03):
+                    trial, sigma = sure, float(summary[2])
             if freedom:
                 pose = trial
         # a match stays where the search found it: far moves are a slide along clutter
-        score = min(float(summary[0]), 1.0)
         if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.03):
             return None
-        sigma = float(summary[2]) * np.sqrt(self.model.repetition)
-        return Hypothesis(pose, hypothesis.sign, score, refine.covariance(matrix, freedom, sigma, pose))
+        covariance = refine.covariance(matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
+        return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
@@ -263,6 +288,24 @@ class _Search:
 
     # --- rivals ------------------------------------------------------------------------------------
 
+    def _middle(self, h: Hypothesis, level: int) -> FloatArray:
+        """(2,) where the point is about which the shape could be turned, px of the finest level."""
+        shrink = 2.0**level
+        centre = self.model.centre_px
+        return (h.pose[:2] + 0.5) * shrink - 0.5 + h.pose[2:6].reshape(2, 2) @ centre
+
+    def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
+        """Whether a hypothesis on a level and a finished one are of one part, whichever way it is turned."""
+        apart = float(np.linalg.norm(self._middle(h, level) - self._middle(other, 0)))
+        return apart < SAME_PLACE * reach_px(self.model)
+
+    def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:
+        """Whether a finished hypothesis leaves nothing to be found at its place by a candidate."""
+        if better.ambiguous or better.score < self.params.min_score:
+            return False
+        clear = better.score >= CLEAR or candidate.score < better.scanned - SCAN_ERROR
+        return clear and self._same_place(candidate, top, better)
+
     def _hopeless(self, h: Hypothesis, level: int, found: list[Hypothesis]) -> bool:
         """Whether a finished hypothesis is the same pose or a tried variant, or much better at this place."""
         shrink = 2.0**level
@@ -277,13 +320,16 @@ class _Search:
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
+            # the right one of two rotations may look worse far up, where little of what decides is left
+            if level and better.ambiguous and self._same_place(h, level, better):
+                continue
             if h.score < better.score - margin and disc_overlap(distance, radius) > self.params.max_overlap:
                 return True
         return False
 
     def _covered(self, h: Hypothesis, better: Hypothesis, distance: float) -> bool:
         """Whether h is a symmetric variant of a better one: those are tried anyway."""
-        if h.sign != better.sign or distance > 0.25 * self.model.radius_px:
+        if h.sign != better.sign or distance > SAME_PLACE * self.model.radius_px:
             return False
         turn = h.angle - better.angle
         return self.model.round or any(
@@ -299,78 +345,100 @@ class _Search:
                 kept.append(h)
         return kept
 
-    def _match(self, hypothesis: Hypothesis, index: int, climbed: bool) -> ShapeMatch | None:
-        """The best of a hypothesis and its symmetric variants, with what is to be said about the choice."""
-        equal = [g for g in self.model.symmetries if g[3] >= self.model.same_score]
-        turned: list[tuple[Hypothesis, float]] = []
-        for dx, dy, angle, similarity in self.model.symmetries:
-            if similarity >= self.model.same_score:
-                continue
-            cosine, sine = np.cos(angle), np.sin(angle)
-            variant = np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]])
-            rival = self._variant(hypothesis, variant, climbed)
-            if rival is not None and _turn(rival.angle, hypothesis.angle) > 0.1:
-                turned.append((rival, 1 - similarity))
-        best, ambiguous = self._decide(hypothesis, turned)
-        if equal or self.model.round:
-            best = self._canonical(best, equal)
-        return self._to_match(best, index, ambiguous, bool(len(equal)) or self.model.round)
+    def _one_of_each_place(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """The one rotation at each place that the image speaks for, or the best, which is then in doubt."""
+        kept: list[Hypothesis] = []
+        for h in hypotheses:
+            index = next((k for k, one in enumerate(kept) if self._same_place(h, 0, one)), None)
+            if index is None:
+                kept.append(h)
+            elif self._is_another(h, kept[index]) and not self._beats(kept[index], h):
+                better = h if self._beats(h, kept[index]) else replace(kept[index], ambiguous=True)
+                kept[index] = better
+        return [self._canonical(h) for h in kept]
 
-    def _decide(
-        self, hypothesis: Hypothesis, turned: list[tuple[Hypothesis, float]]
-    ) -> tuple[Hypothesis, bool]:
-        """The right one of nearly symmetric rotations, with their expected losses; is it in doubt?"""
-        if not turned:
-            return hypothesis, False
-        all_of_them = [(hypothesis, min(loss for _, loss in turned)), *turned]
+    def _is_another(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether two poses at one place are two rotations of the shape that can be told apart at all."""
+        turn = one.angle - other.angle
+        same = self.model.round or any(_turn(turn, float(row[2])) < 0.1 for row in self._equal())
+        return abs(_turn(turn, 0.0)) > 0.1 and not same
 
-        @cache
-        def sight(h: Hypothesis) -> rivals.Sight:
-            return rivals.look(self.work.images[0], self.model, h.pose, self._sign(h))
+    def _equal(self) -> list[FloatArray]:
+        """The motions after which the shape looks the same."""
+        return [row for row in self.model.symmetries if row[3] >= self.model.same_score]
 
-        @cache  # the best is compared with each of the others while it is found, and once it is
-        def beats(one: Hypothesis, other: Hypothesis, loss: float) -> bool:
-            if abs(one.score - other.score) > RIVAL_MARGIN[1]:
-                return one.score > other.score
-            shows, bare = rivals.evidence(sight(one), sight(other), self.params.min_contrast)
-            return bare or (shows and one.score - other.score >= DECIDED_SHARE * loss * one.score)
+    def _decided(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis:
+        """The right one of the rotations that the search could accept, and whether it is in doubt.
 
-        best = max((h for h, _ in all_of_them), key=lambda h: h.score)
-        for other, loss in all_of_them:
-            if other is not best and not beats(best, other, loss) and beats(other, best, loss):
-                best = other
-        return best, not all(other is best or beats(best, other, loss) for other, loss in all_of_them)
+        What the hypothesis shows settles most of them; the others are tried and compared with it.
+        """
+        if self.model.round or hypothesis.score < self.params.min_score:
+            return hypothesis
+        image, contrast = self.work.images[0], self.params.min_contrast
+        equal = self._equal()
+        motions = rivals.turns(self.model).motions
+        best = hypothesis
+        for _ in range(MAX_CHANGES):
+            slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
+            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes)
+            left = [k for k in left if all(_turn(float(row[2]), float(motions[k, 2])) > 0.1 for row in equal)]
+            winner, doubt = None, len(left) > MAX_RIVALS
+            for k in left[:MAX_RIVALS]:
+                other = self._variant(best, motions[k], climbed)
+                if other is None or not self._is_another(other, best):
+                    continue
+                if self._beats(other, best):
+                    winner = other
+                    break
+                doubt = doubt or not self._beats(best, other)
+            if winner is None:
+                return replace(best, ambiguous=doubt)
+            best = winner
+        return replace(best, ambiguous=True)
 
-    def _variant(self, hypothesis: Hypothesis, variant: FloatArray, climbed: bool) -> Hypothesis | None:
-        moved = hypothesis.at(_compose(hypothesis.pose, variant))
+    def _beats(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether the image says that of two rotations at one place the first is right."""
+        if abs(one.score - other.score) > RIVAL_MARGIN[1]:
+            return one.score > other.score
+        image = self.work.images[0]
+        sight, others = (rivals.look(image, self.model, h.pose, self._sign(h)) for h in (one, other))
+        verdict = rivals.decides(sight, others, self.params.min_contrast)
+        if verdict is None:  # they hardly differ: only all edges together can tell
+            return one.score - other.score >= DECIDED_SHARE * self._loss(one, other) * one.score
+        return verdict
+
+    def _loss(self, one: Hypothesis, other: Hypothesis) -> float:
+        """Share of the score that the wrong one of two rotations lacks, as teaching measured it."""
+        turn = one.angle - other.angle
+        known = [1 - row[3] for row in self.model.symmetries if _turn(turn, float(row[2])) < 0.1]
+        return max(*known, MIN_LOSS) if known else MIN_LOSS
+
+    def _variant(self, hypothesis: Hypothesis, motion: FloatArray, climbed: bool) -> Hypothesis | None:
+        """The pose after a motion of the model in its own plane, refined as a candidate is."""
+        moved = hypothesis.at(rivals.turned(hypothesis.pose, motion))
         if not climbed:
             return self._finest(moved, climbed=False)
         pose = moved.pose.copy()
         pose[:2] = (pose[:2] + 0.5) / 2 - 0.5
         pose[6:] *= 2
         coarse = self._on_level(moved.at(pose), 1, first=False)
-        # what is clearly worse at half the resolution will not be the better one
-        if coarse is None or coarse.score < hypothesis.score - RIVAL_MARGIN[0]:
-            return None
-        return self._finest(coarse, climbed=True)
+        return None if coarse is None else self._finest(coarse, climbed=True)
 
-    def _canonical(self, hypothesis: Hypothesis, equal: list[FloatArray]) -> Hypothesis:
+    def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
         """Of all angles at which the shape looks the same, the one nearest to the taught."""
         if self.model.round:
+            centre = self.model.centre_px
             cosine, sine = np.cos(-hypothesis.angle), np.sin(-hypothesis.angle)
-            turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
-            turn[:2, 2] = self.model.centre_px - turn[:2, :2] @ self.model.centre_px
-            return hypothesis.at(_compose(hypothesis.pose, turn))
+            shift = centre - np.array([[cosine, -sine], [sine, cosine]]) @ centre
+            return hypothesis.at(rivals.turned(hypothesis.pose, np.array([*shift, -hypothesis.angle])))
         best = hypothesis
-        for dx, dy, angle, _ in equal:
-            cosine, sine = np.cos(angle), np.sin(angle)
-            pose = _compose(hypothesis.pose, np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]]))
-            other = hypothesis.at(pose)
+        for motion in self._equal():
+            other = hypothesis.at(rivals.turned(hypothesis.pose, motion))
             if abs(other.angle) < abs(best.angle) - 1e-6:
                 best = other
         return best
 
-    def _to_match(self, h: Hypothesis, index: int, ambiguous: bool, symmetric: bool) -> ShapeMatch | None:
+    def _to_match(self, h: Hypothesis, index: int) -> ShapeMatch | None:
         if h.score < self.params.min_score or not self._plausible(h.pose, 0.03):
             return None
         linear = h.pose[2:6].reshape(2, 2).copy()
@@ -385,9 +453,9 @@ class _Search:
             linear,
             h.pose[6:].copy(),
             h.sign < 0,
-            ambiguous,
+            h.ambiguous,
             index,
-            symmetric,
+            bool(self._equal()) or self.model.round,
             np.full((5, 5), np.nan) if h.covariance is None else h.covariance,
         )
         if not self.params.allow_partial:
@@ -404,16 +472,6 @@ def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edge
     cell = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     signs = np.sign(np.where(np.isfinite(edges[:, 0]), slopes, 0.0))
     edges[signs * np.bincount(cell, weights=signs)[cell] < 0, 0] = np.nan
-
-
-def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:
-    """The pose after a motion (3, 3) in the model's own plane; the tilt turns along."""
-    moved = pose.copy()
-    linear = pose[2:6].reshape(2, 2)
-    moved[:2] = pose[:2] + linear @ variant[:2, 2]
-    moved[2:6] = (linear @ variant[:2, :2]).ravel()
-    moved[6:] = pose[6:] @ variant[:2, :2]
-    return moved
 
 
 def _turn(one: float, other: float) -> float:

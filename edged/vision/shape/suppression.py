@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,8 +15,6 @@ from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams, ShapeMatch
 
-SAME_PLACE = 0.25
-"""Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
 CLAIMED_SHARE = 0.5
 """Of what speaks for a match: if better ones of its kind explain so much of it, it is made of their edges."""
 
@@ -27,11 +25,6 @@ class Placed:
 
     match: ShapeMatch
     model: ShapeModel
-
-    @cached_property
-    def centre_px(self) -> FloatArray:
-        """(2,) the point about which the shape could be turned by mistake."""
-        return np.asarray(self.match.apply(self.model.centre_px[None])[0])
 
     @cached_property
     def outline(self) -> FloatArray:
@@ -51,16 +44,14 @@ class Placed:
 def without_overlap(matches: Iterable[Placed], params: SearchParams) -> list[ShapeMatch]:
     """The best of each place, best first.
 
-    Dropped is what shares more than max_overlap of its area with a better one (and makes that one ambiguous
-    if it is nearly as good), and what consists of edges that better matches of its model explain already.
+    Dropped is what shares more than max_overlap of its area with a better one, and what consists of edges
+    that better matches of its model explain already.
     """
     kept: list[Placed] = []
     for one in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
-        rival = next((k for k, better in enumerate(kept) if _share(one, better) > params.max_overlap), None)
-        if rival is not None:
-            if _as_good(one, kept[rival]):
-                kept[rival] = replace(kept[rival], match=replace(kept[rival].match, ambiguous=True))
-        elif _claimed(one, kept) <= CLAIMED_SHARE * one.match.score:
+        if any(_share(one, better) > params.max_overlap for better in kept):
+            continue
+        if _claimed(one, kept) <= CLAIMED_SHARE * one.match.score:
             kept.append(one)
     return [one.match for one in kept[: params.max_matches]]
 
@@ -89,15 +80,3 @@ def _claimed(one: Placed, kept: list[Placed]) -> float:
             gap_px = better.size * rivals.gap_px(better.model)
             claimed |= rivals.lies_on(one.outline, better.outline, gap_px)
     return float(claimed.mean())
-
-
-def _as_good(one: Placed, better: Placed) -> bool:
-    """Whether a match is the better one's part, turned, and explains the image nearly as well."""
-    turn = abs((one.match.angle_rad - better.match.angle_rad + math.pi) % (2 * math.pi) - math.pi)
-    return (
-        one.match.model == better.match.model
-        and not better.match.symmetric
-        and one.match.score > better.match.score - 0.01
-        and turn > 0.1
-        and float(np.linalg.norm(one.centre_px - better.centre_px)) < SAME_PLACE * better.model.radius_px
-    )

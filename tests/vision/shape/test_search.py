@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from edged.domain import Image
 from edged.errors import ImageError, TeachError, UserError
+from edged.vision.shape.ambiguity import turns
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, Workspace, find_shapes
@@ -507,3 +508,48 @@ def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
     for match in find_shapes(image, _teach(flange(odd=True)), SearchParams(polarity="local")):
         off = (match.angle_rad - angle + np.pi) % (2 * np.pi) - np.pi
         assert match.ambiguous or abs(off) < 0.02
+
+
+@pytest.mark.parametrize("seed", [*range(12), 284])
+def test_a_rotation_that_teaching_did_not_list_is_a_rival(seed: int) -> None:
+    """What a search would accept is compared, whatever teaching found similar: right, or "ambiguous"."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-np.pi, np.pi)
+    image = draw(flange(True), (200.0, 160.0, angle, 1.0, 1.0), noise=2.0)
+    side, away = rng.uniform(0, np.pi), rng.uniform(-45, 45)
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    bar = np.abs((columns - 200) * np.cos(side) + (rows - 160) * np.sin(side) - away) < 14
+    image[bar] = rng.uniform(60, 160)
+    model = replace(_FUZZ, symmetries=np.zeros((0, 4)))
+    for match in find_shapes(image, model, SearchParams(polarity="local")):
+        assert match.ambiguous or _turn(match.angle_rad, angle) < 0.02
+
+
+def test_only_what_two_rotations_do_not_share_can_decide() -> None:
+    """A flange without one of six holes: each turn by 60° has one hole of its own, and lacks one."""
+    model = _teach(flange(odd=True))
+    found = turns(model)
+    for number in (1, 2, 3, -1, -2):
+        k = int(np.argmin([_turn(angle, number * math.pi / 3) for angle in found.motions[:, 2]]))
+        assert _turn(found.motions[k, 2], number * math.pi / 3) < 0.01
+        for flags, hole in ((found.own[k], number), (found.foreign[k], -number)):
+            place = 44 * np.array([math.cos(hole * math.pi / 3), math.sin(hole * math.pi / 3)])
+            own = model.levels[0].points[flags]
+            assert len(own) >= 8
+            assert np.abs(np.linalg.norm(own - place, axis=1) - 9).max() < 1
+    assert (found.similarity[:5] > 0.9).all()
+    assert (found.similarity[5:] < 0.9).all()
+
+
+@pytest.mark.parametrize("side", np.linspace(0, 2 * math.pi, 6, endpoint=False))
+def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float) -> None:
+    """Where the sensor is saturated beside an edge, that edge tells no place: no 0.7 px without a word."""
+    image = draw(BRACKET, (190.0, 150.0, 0.5, 1, 1), noise=2.0).astype(np.float64)
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    away = (columns - 190) * np.cos(side) + (rows - 150) * np.sin(side)
+    glare = cv2.GaussianBlur(np.where(image > 130, 2.5 * image, image), (0, 0), 2.0)
+    image = np.clip(np.rint(np.where(away > 0, glare, image)), 0, 255).astype(np.uint8)
+    match = _one(find_shapes(image, bracket, SearchParams(polarity="local")))
+    off = np.array([match.x_px - 190.0, match.y_px - 150.0])
+    assert np.linalg.norm(off) < 0.15
+    assert (np.abs(off) < 5 * np.sqrt(np.diag(match.covariance)[:2]) + 0.02).all()
