@@ -40,13 +40,14 @@ class Design:
 
     def part(self, albedo: float, finish: str) -> Part:
         """With its detail."""
-        return self._made(self.detail, albedo, finish)
+        return self.made(self.detail, albedo, finish)
 
     def plain(self, albedo: float, finish: str) -> Part:
         """Without it."""
-        return replace(self, kind="opening")._made(self.replaced, albedo, finish)
+        return replace(self, kind="opening").made(self.replaced, albedo, finish)
 
-    def _made(self, own: tuple[Shape, ...], albedo: float, finish: str) -> Part:
+    def made(self, own: tuple[Shape, ...], albedo: float, finish: str) -> Part:
+        """With this detail of its own, of a surface of this albedo and finish."""
         surface = Surface(albedo)
         if finish == "brushed":
             surface = Surface(albedo, contrast=0.1, feature_mm=0.35, stretch=6.0, seed=1)
