@@ -148,5 +148,5 @@ def test_files_of_the_repository_are_named_not_linked() -> None:
     page = SimpleNamespace(file=SimpleNamespace(src_uri="reference/files.md"))
     given = "[cell](../../config/cell.toml) [x](../../config/nothing) [y](../index.md) ![z](../../README.md)"
 
-    found = manuallinks.on_page_markdown(given, page=page, config=config)  # type: ignore[arg-type]
+    found = manuallinks.on_page_markdown(given, page=page, config=config)  # type: ignore[arg-type]  # what it reads of them
     assert "cell [x](../../config/nothing) [y](../index.md) ![z](../../README.md)" == found

@@ -109,7 +109,13 @@ def link(thin: Image) -> tuple[I64, I64, npt.NDArray[np.bool_]]:
 
 
 def ramer(points: FloatArray, tolerance_px: float) -> I64:
-    """Indices of the points (N, 2) of an open chain between which all others lie near straight lines."""
+    """Indices of the points (N, 2) of an open chain between which all others lie near straight lines.
+
+    OpenCV's `approxPolyDP` is no substitute: when it is done it takes out corners that look superfluous, and
+    points are then up to a third farther away than the tolerance; it begins loops elsewhere; it returns
+    points in single precision, and finding their indices takes several times as long as all of this
+    (`tools/bench kernels`).
+    """
     keep = _ramer(np.ascontiguousarray(points, dtype=np.float64), float(tolerance_px))
     return np.asarray(np.flatnonzero(keep), dtype=np.int64)
 

@@ -1,7 +1,8 @@
 """The median by counting, for kernels.
 
 Selecting and sorting compare samples with each other, and the processor guesses every second outcome
-wrong. Counting them in bins leaves it nothing to guess: twice as fast for some hundred samples.
+wrong. Counting them in bins leaves it nothing to guess: two to six times as fast as what numba makes of
+np.median, for 60 to 1,000 samples (`tools/bench kernels`).
 """
 
 from __future__ import annotations
