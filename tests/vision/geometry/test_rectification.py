@@ -138,13 +138,17 @@ def test_rectifying_into_a_given_array() -> None:
 
 
 @pytest.mark.parametrize(
-    "image",
-    [np.zeros((480, 640), np.uint8), np.zeros((960, 1280, 3), np.uint8), np.zeros((960, 1280), np.uint16)],
+    ("image", "reason"),
+    [
+        (np.zeros((480, 640), np.uint8), "640x480, the rig was calibrated for 1280x960"),
+        (np.zeros((960, 1280, 3), np.uint8), "3x1280x960, the rig was calibrated for 1280x960"),
+        (np.zeros((960, 1280), np.uint16), "uint16 pixels, expected 8-bit grey"),
+    ],
 )
-def test_an_image_that_does_not_fit_the_rig_is_refused(image: np.ndarray) -> None:
-    """Wrong size, colour and depth are an ImageError that names both sizes."""
+def test_an_image_that_does_not_fit_the_rig_is_refused(image: np.ndarray, reason: str) -> None:
+    """Wrong size and colour are an ImageError that names both sizes; another depth one that names both."""
     rectification = make_rectification(make_rig())
-    with pytest.raises(ImageError, match=r"right image.*1280 x 960"):
+    with pytest.raises(ImageError, match=f"right image: {reason}"):
         rectification.right_image(image)
 
 
