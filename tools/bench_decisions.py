@@ -444,7 +444,10 @@ def main() -> int:
     scenes = max(1, math.ceil(options.draws / (DRAWS_PER_SCENE * len(tasks))))
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         running = [pool.submit(run_part, index, look, scenes, options.seed) for index, look in tasks]
-        rows = [one.result() for one in running]
+        rows = []
+        for one in running:
+            rows.append(one.result())
+            print(f"{rows[-1].name}, {rows[-1].look}: {rows[-1].turned} turned", file=sys.stderr, flush=True)
     show(rows, "part, surface")
     show([summed([row for row in rows if row.look == look], look) for look in LOOKS], "surface")
     total = summed(rows, "all")

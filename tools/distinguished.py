@@ -40,23 +40,22 @@ class Design:
 
     def part(self, albedo: float, finish: str) -> Part:
         """With its detail."""
-        return self.made(self.detail, albedo, finish)
+        return self._made(self.detail, self.kind, albedo, finish)
 
     def plain(self, albedo: float, finish: str) -> Part:
         """Without it."""
-        return replace(self, kind="opening").made(self.replaced, albedo, finish)
+        return self._made(self.replaced, "opening", albedo, finish)
 
-    def made(self, own: tuple[Shape, ...], albedo: float, finish: str) -> Part:
-        """With this detail of its own, of a surface of this albedo and finish."""
+    def _made(self, own: tuple[Shape, ...], kind: str, albedo: float, finish: str) -> Part:
         surface = Surface(albedo)
         if finish == "brushed":
             surface = Surface(albedo, contrast=0.1, feature_mm=0.35, stretch=6.0, seed=1)
         marks = self._grooves(albedo) if finish == "turned" else ()
         holes = [Hole("opening", shape, HOLE) for shape in self.shapes]
         cuts = [Hole("cut", shape, 1.0) for shape in self.cuts]  # nothing of the part: all of the light
-        if self.kind == "mark":
+        if kind == "mark":
             marks = (*marks, *(Mark(shape, 0.35 * albedo) for shape in own))
-        elif self.kind == "cut":
+        elif kind == "cut":
             cuts += [Hole("cut", shape, 1.0) for shape in own]
         else:
             holes += [Hole("opening", shape, HOLE) for shape in own]
