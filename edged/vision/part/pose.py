@@ -10,11 +10,11 @@ import numpy as np
 from edged.domain import FloatArray
 from edged.vision.curves.outlines import Curve
 from edged.vision.curves.planefit import PlaneFit
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import EdgeFeature, Job, SlotFeature
 
 TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""
-TUKEY = 4.685
 ROUNDS = 8
 MIN_SPARE = 2
 """More observations than unknowns, before a growth is told from a feature that lies elsewhere."""
@@ -116,8 +116,7 @@ def _solved(observations: list[Observation], unknowns: int) -> tuple[FloatArray,
                 for r, (_, _, inverse) in zip(misfits, observations, strict=True)
             ]
         )
-        spread = max(1.4826 * float(np.median(far)), 1.0)
-        weights = np.clip(1 - (far / (TUKEY * spread)) ** 2, 0, None) ** 2
+        weights = tukey_weights(far, max(mad_sigma(far), 1.0))
     freedom = sum(len(gap) for gap, _, _ in observations) - unknowns
     chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in observations])) / max(freedom, 1)
     return motion, np.asarray(np.linalg.inv(normal) * max(chi2, 1.0))

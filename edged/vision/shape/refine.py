@@ -14,6 +14,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
 
 Array = npt.NDArray[Any]
 
@@ -23,8 +24,6 @@ AGREES_PX = 1.0
 """Residual up to which an edge is taken for the model's; px of the level."""
 SETTLED_PX = 0.5
 """A step shorter than this leaves less than a tenth of it: the next one is not worth its time."""
-TUKEY = 4.685
-"""95 % efficiency for normal errors (P. W. Holland and R. E. Welsch, 1977)."""
 
 
 def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:
@@ -340,11 +339,10 @@ def robust_step(
                 for i in range(freedom):
                     value -= design[n, i] * step[i]
                 residuals[n] = value
-        scale = max(1.4826 * median_magnitude(residuals, used, buffer), 0.02)
+        scale = max(SIGMA_PER_MEDIAN * median_magnitude(residuals, used, buffer), 0.02)
         for n in range(count):
             if used[n]:
-                ratio = residuals[n] / (TUKEY * scale)
-                weights[n] = (1 - ratio * ratio) ** 2 if abs(ratio) < 1 else 0.0
+                weights[n] = biweight(residuals[n] / (TUKEY * scale))
         if change < 1e-4:
             break
     apply_step(pose, step, freedom)

@@ -24,6 +24,8 @@ def test_small_kernels_equal_their_twins(seed: int) -> None:
     base = np.where(rng.random(count) < 0.2, 0.0, 1.0)
     for values in (rough, smooth, smooth + ring(count) @ rng.normal(0, 0.1, 5)):
         assert robust.robust_scale(values, base) == pytest.approx(naive_kernels.median_scale(values, base))
+        kept = values[base > 0]
+        assert robust.mad_sigma(kept) == pytest.approx(naive_kernels.median_scale(kept, base[base > 0]))
         assert robust.correlation_length(values, base) == pytest.approx(
             naive_curves.correlation_length(values, base)
         )
@@ -31,6 +33,16 @@ def test_small_kernels_equal_their_twins(seed: int) -> None:
         assert robust.tukey_weight(ratio) == pytest.approx(
             float(naive_kernels.tukey_weights(np.array(ratio)))
         )
+
+
+def test_weights_of_an_array_are_those_of_its_residuals() -> None:
+    """Tukey's biweight, 1 at 0, half at 0.541 of the threshold, 0 from there on; the sign does not matter."""
+    residuals = 0.3 * np.array([-9.0, -4.685, -2.0, -0.1, 0.0, 0.1, 2.5, 4.684, 5.0])
+    weights = robust.tukey_weights(residuals, 0.3)
+    np.testing.assert_allclose(weights, [robust.tukey_weight(one / 0.3) for one in residuals], atol=1e-12)
+    np.testing.assert_allclose(weights, naive_kernels.tukey_weights(residuals / 0.3), atol=1e-12)
+    assert robust.tukey_weights(np.array([0.0, 0.5411961 * 4.685]), 1.0) == pytest.approx([1.0, 0.5])
+    assert robust.robust_scale(residuals, np.zeros(9)) == 0.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 16, 17, 40, 333, 2000])
