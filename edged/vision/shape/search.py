@@ -16,6 +16,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
@@ -273,7 +274,7 @@ class _Search:
             distance = math.dist(origin, better.origin)
             if h.score > better.score + 0.02:
                 continue
-            turned = radius * _turn(h.angle, better.angle)
+            turned = radius * angle_between(h.angle, better.angle)
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
@@ -287,7 +288,7 @@ class _Search:
             return False
         turn = h.angle - better.angle
         return self.model.round or any(
-            _turn(turn, float(angle)) < 0.12 for angle in self.model.symmetries[:, 2]
+            angle_between(turn, float(angle)) < 0.12 for angle in self.model.symmetries[:, 2]
         )
 
     def _prune(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
@@ -306,10 +307,8 @@ class _Search:
         for dx, dy, angle, similarity in self.model.symmetries:
             if similarity >= self.model.same_score:
                 continue
-            cosine, sine = np.cos(angle), np.sin(angle)
-            variant = np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]])
-            rival = self._variant(hypothesis, variant, climbed)
-            if rival is not None and _turn(rival.angle, hypothesis.angle) > 0.1:
+            rival = self._variant(hypothesis, _motion(angle, dx, dy), climbed)
+            if rival is not None and angle_between(rival.angle, hypothesis.angle) > 0.1:
                 turned.append((rival, 1 - similarity))
         best, ambiguous = self._decide(hypothesis, turned)
         if equal or self.model.round:
@@ -357,15 +356,12 @@ class _Search:
     def _canonical(self, hypothesis: Hypothesis, equal: list[FloatArray]) -> Hypothesis:
         """Of all angles at which the shape looks the same, the one nearest to the taught."""
         if self.model.round:
-            cosine, sine = np.cos(-hypothesis.angle), np.sin(-hypothesis.angle)
-            turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
+            turn = _motion(-hypothesis.angle, 0.0, 0.0)
             turn[:2, 2] = self.model.centre_px - turn[:2, :2] @ self.model.centre_px
             return hypothesis.at(_compose(hypothesis.pose, turn))
         best = hypothesis
         for dx, dy, angle, _ in equal:
-            cosine, sine = np.cos(angle), np.sin(angle)
-            pose = _compose(hypothesis.pose, np.array([[cosine, -sine, dx], [sine, cosine, dy], [0, 0, 1]]))
-            other = hypothesis.at(pose)
+            other = hypothesis.at(_compose(hypothesis.pose, _motion(angle, dx, dy)))
             if abs(other.angle) < abs(best.angle) - 1e-6:
                 best = other
         return best
@@ -406,6 +402,13 @@ def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edge
     edges[signs * np.bincount(cell, weights=signs)[cell] < 0, 0] = np.nan
 
 
+def _motion(angle_rad: float, dx: float, dy: float) -> FloatArray:
+    """A motion (3, 3) in the model's own plane."""
+    motion = np.eye(3)
+    motion[:2, :2], motion[:2, 2] = rotation_2d(angle_rad), (dx, dy)
+    return motion
+
+
 def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:
     """The pose after a motion (3, 3) in the model's own plane; the tilt turns along."""
     moved = pose.copy()
@@ -414,7 +417,3 @@ def _compose(pose: FloatArray, variant: FloatArray) -> FloatArray:
     moved[2:6] = (linear @ variant[:2, :2]).ravel()
     moved[6:] = pose[6:] @ variant[:2, :2]
     return moved
-
-
-def _turn(one: float, other: float) -> float:
-    return abs((one - other + math.pi) % (2 * math.pi) - math.pi)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from edged.domain import FloatArray
+from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
@@ -93,11 +94,10 @@ def _claimed(one: Placed, kept: list[Placed]) -> float:
 
 def _as_good(one: Placed, better: Placed) -> bool:
     """Whether a match is the better one's part, turned, and explains the image nearly as well."""
-    turn = abs((one.match.angle_rad - better.match.angle_rad + math.pi) % (2 * math.pi) - math.pi)
     return (
         one.match.model == better.match.model
         and not better.match.symmetric
         and one.match.score > better.match.score - 0.01
-        and turn > 0.1
+        and angle_between(one.match.angle_rad, better.match.angle_rad) > 0.1
         and float(np.linalg.norm(one.centre_px - better.centre_px)) < SAME_PLACE * better.model.radius_px
     )

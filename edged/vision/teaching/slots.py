@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from edged.domain import FloatArray
+from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
 MIN_POINTS = 40
@@ -65,8 +66,7 @@ def slot_distance(points: FloatArray, slot: FloatArray) -> FloatArray:
 
 
 def _local(points: FloatArray, slot: FloatArray) -> FloatArray:
-    cosine, sine = math.cos(slot[2]), math.sin(slot[2])
-    return np.asarray((points - slot[:2]) @ np.array([[cosine, -sine], [sine, cosine]]))
+    return np.asarray((points - slot[:2]) @ rotation_2d(slot[2]))
 
 
 def _around(points: FloatArray, slot: FloatArray) -> FloatArray:
