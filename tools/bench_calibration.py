@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from edged.commands.calibrate import ImagePair, detect_views, find_pairs, remeasure_views
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.rig import load_rig
 from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
@@ -188,7 +188,7 @@ def load_truth(path: Path) -> StereoRig:
     if document.get("format"):
         return load_rig(path)
     cameras = []
-    for side in ("left", "right"):
+    for side in SIDES:
         camera = document[side]
         K = np.array(camera["K"])
         lens = (

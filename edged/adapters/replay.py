@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from edged.domain import Frame, Image
+from edged.domain import SIDES, Frame, Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 from edged.files.images import load_image
 
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ class Reel:
         self.shape = shape
         self.number = 0
         self.exposed_ns = 0
-        self._taken = set(SIDES)
+        self._taken: set[str] = set(SIDES)
 
     def expose(self, side: str) -> None:
         """Join the exposure the other side began, or begin the next one."""

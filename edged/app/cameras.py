@@ -20,13 +20,13 @@ from edged.adapters.aravis import (
 from edged.adapters.replay import replay_cameras
 from edged.capture.stereohead import StereoHead
 from edged.config import CameraSection, CamerasSection, TriggerSection
+from edged.domain import SIDES
 from edged.errors import ConfigError
 from edged.ports import Camera
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
 
-SIDES = ("left", "right")
 Size = tuple[int, int]
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from rich.console import Console
@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from edged import __version__
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
@@ -36,7 +36,6 @@ from edged.vision.geometry.rectification import make_rectification
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
-Side = Literal["left", "right"]
 T = TypeVar("T")
 
 
@@ -115,15 +114,15 @@ def find_pairs(directory: Path) -> list[ImagePair]:
     problems: list[str] = []
     for path in sorted(directory.iterdir()):
         name, underscore, side = path.stem.rpartition("_")
-        if path.suffix.lower() not in SUFFIXES or not underscore or side not in ("left", "right"):
+        if path.suffix.lower() not in SUFFIXES or not underscore or side not in SIDES:
             continue
         known = halves["left" if side == "left" else "right"]
         if name in known:
             problems.append(f"{path.name}: {known[name].name} is another picture of the same name")
         known[name] = path
-    for side, other in (("left", "right"), ("right", "left")):
-        lonely = sorted(set(halves[side]) - set(halves[other]))  # type: ignore[index]
-        problems.extend(f"{halves[side][name].name}: {name}_{other} is missing" for name in lonely)  # type: ignore[index]
+    for side, other in (SIDES, SIDES[::-1]):
+        lonely = sorted(set(halves[side]) - set(halves[other]))
+        problems.extend(f"{halves[side][name].name}: {name}_{other} is missing" for name in lonely)
     if problems:
         raise CalibrationError(f"{directory}: incomplete pairs\n" + "\n".join(f"  {p}" for p in problems))
     if not halves["left"]:
@@ -149,7 +148,7 @@ def detect_views(
         found = [[_finish(future, progress, bar) for future in pair] for pair in futures]
     sizes = tuple(
         _one_size([getattr(pair, side) for pair in pairs], [row[i].size for row in found])
-        for i, side in enumerate(("left", "right"))
+        for i, side in enumerate(SIDES)
     )
     views: list[StereoView] = []
     first_with: dict[bytes, str] = {}

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from edged.adapters.replay import find_pairs
 from edged.config import CameraSection, load
-from edged.domain import Image
+from edged.domain import SIDES, Image
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.rig import load_rig
@@ -30,7 +30,6 @@ from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Faults, Quirk
 from edged.sim.world import SERIALS, cross_wire
 
-SIDES = ("left", "right")
 ADDRESSES = ("127.0.0.2", "127.0.0.3")
 NO_CAMERA = "none"
 POLL_S = 0.1
@@ -106,7 +105,7 @@ def build(options: SimOptions) -> dict[str, GigeCamera]:
 
 def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
     """Address and serial number by side."""
-    places = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
+    places: dict[str, tuple[str, str]] = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
     if options.config is not None:
         section = load(options.config).cameras
         for side, camera in (("left", section.left), ("right", section.right)):

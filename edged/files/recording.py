@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 
 from edged import __version__
-from edged.domain import Frame, FramePair, Image, Snapshot
+from edged.domain import SIDES, Frame, FramePair, Image, Snapshot
 from edged.errors import FileFormatError, ImageError
 from edged.files.atomic import MAX_FILE_BYTES, read_bytes, replace_folder, write_atomically
 from edged.files.images import decode_image
@@ -33,7 +33,6 @@ from edged.payload import Json, snapshot_to_json
 
 FORMAT = "edged-recording"
 VERSION = 1
-SIDES = ("left", "right")
 NAME = re.compile(
     r"(?P<index>\d{9})_(?P<utc>\d{8}T\d{6}\.\d{6}Z)_(?P<status>[A-Z_]+)_(?P<fingerprint>[0-9a-f]{8})\.zip"
 )

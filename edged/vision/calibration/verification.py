@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.vision.boards.board import Detection, Missed, StereoView
 from edged.vision.calibration.calibrate import marks_in_both
 from edged.vision.calibration.initial import renumbered
@@ -143,7 +143,7 @@ def _linearised(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (N, 2), their Jacobian (N, 2, 7) by rotation, translation and size, sigma_px (N,)."""
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for side, camera in (("left", rig.left), ("right", rig.right)):
+    for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
         seen: Detection = view.found(side)
         turned = scale * view.board.points_mm[seen.ids] @ pose[:3, :3].T
         points, rotation = turned + pose[:3, 3], np.eye(3)

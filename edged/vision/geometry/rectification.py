@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain import FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
-Side = Literal["left", "right"]
 # Not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moved by up to 0.05 px,
 # against 0.02 px with either of these (tests/test_rectification.py holds them to it).
 INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "lanczos": cv2.INTER_LANCZOS4}
