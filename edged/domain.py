@@ -394,14 +394,21 @@ class Snapshot:
     exposed_bound_ns: int | None = None
 
 
+class CellPhase(enum.StrEnum):
+    """What the daemon is doing."""
+
+    STARTING = "STARTING"
+    READY = "READY"
+    BUSY = "BUSY"
+    FAULT = "FAULT"
+    STOPPING = "STOPPING"
+
+
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """The daemon's own state, published on change.
+    """The daemon's own state, published on change."""
 
-    state : "STARTING", "READY", "BUSY", "FAULT" or "STOPPING".
-    """
-
-    state: str
+    state: CellPhase
     ready: bool
     cameras_ok: bool
     job: str

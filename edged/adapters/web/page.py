@@ -19,6 +19,7 @@ from cv2.typing import MatLike
 
 from edged.domain import (
     SIDES,
+    CellPhase,
     CellState,
     Event,
     ExposureDone,
@@ -92,7 +93,7 @@ class Page:
             return False
         if isinstance(event, CellState):
             self._state = event
-            return event.state != "BUSY"
+            return event.state is not CellPhase.BUSY
         if not isinstance(event, Snapshot):
             return False
         pair = self._exposed[1] if self._exposed is not None and self._exposed[0] == event.cycle else None

@@ -22,7 +22,7 @@ from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import SearchParams, ShapeMatch
+from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams, ShapeMatch
 from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
 
@@ -149,7 +149,7 @@ class _Search:
     # --- one level ---------------------------------------------------------------------------------
 
     def _sign(self, hypothesis: Hypothesis) -> int:
-        return 0 if self.params.polarity in ("local", "ignore") else hypothesis.sign
+        return 0 if self.params.polarity in EACH_EDGE_ITSELF else hypothesis.sign
 
     def _on_level(self, hypothesis: Hypothesis, level: int, first: bool) -> Hypothesis | None:
         """Robust steps on the gradient of a coarse level."""
