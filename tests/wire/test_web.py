@@ -19,7 +19,7 @@ from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, page
-from edged.adapters.web.access import Access, TooManyAttempts, hash_password, is_hash
+from edged.adapters.web.access import Access, TooManyAttempts, hash_password
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
 from edged.domain import CellPhase, CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
@@ -440,12 +440,6 @@ def test_a_port_in_use_is_named() -> None:
             await other.close()
 
     run(test)
-
-
-def test_only_a_hash_is_a_hash() -> None:
-    """A password in the clear is not taken for one."""
-    assert is_hash(HASH)
-    assert not is_hash(PASSWORD)
 
 
 def test_a_snapshot_without_its_exposure_has_no_picture() -> None:

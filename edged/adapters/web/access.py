@@ -30,15 +30,6 @@ def hash_password(password: str) -> str:
     return PasswordHasher().hash(password)
 
 
-def is_hash(text: str) -> bool:
-    """Whether this is what `hash_password` gives."""
-    try:
-        PasswordHasher().check_needs_rehash(text)
-    except InvalidHashError:
-        return False
-    return text.startswith("$argon2")
-
-
 class TooManyAttempts(Exception):
     """Somebody guesses: `wait_s` until the next attempt."""
 

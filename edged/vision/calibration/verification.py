@@ -59,14 +59,13 @@ class Length:
 class BoardCheck:
     """A board measured with a stored rig.
 
-    epipolar_rms_px, epipolar_mean_px : of the marks' row differences, in rectified px.
+    epipolar_rms_px : of the marks' row differences, in rectified px.
     reprojection_rms_px : of the marks against the board with its size left free.
     size : the board's size as a length: its longest diagonal, by the best fit of all marks.
     """
 
     marks: int
     epipolar_rms_px: float
-    epipolar_mean_px: float
     reprojection_rms_px: float
     size: Length
 
@@ -95,7 +94,6 @@ def check_board(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -
     return BoardCheck(
         marks=len(ids),
         epipolar_rms_px=float(np.sqrt(np.mean(rows**2))),
-        epipolar_mean_px=float(rows.mean()),
         reprojection_rms_px=rms,
         size=Length("board diagonal", longest, longest * scale, longest * sigma),
     )

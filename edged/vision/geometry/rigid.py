@@ -147,12 +147,10 @@ class RigidFit:
     covariance: FloatArray
 
 
-def fit_rigid(
-    from_mm: FloatArray, to_mm: FloatArray, weights: FloatArray | None = None, *, with_scale: bool = False
-) -> RigidFit:
+def fit_rigid(from_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = False) -> RigidFit:
     """Fit `to = scale R from + t` in the least squares sense.
 
-    from_mm, to_mm (N, 3), N >= 3 and not on one line; weights (N,) positive, relative 1/sigma².
+    from_mm, to_mm (N, 3), N >= 3 and not on one line.
     Raises `CalibrationError` for too few points or points on one line.
     Source: S. Umeyama, "Least-squares estimation of transformation parameters between two
     point patterns", PAMI 1991, doi:10.1109/34.88573.
@@ -164,28 +162,24 @@ def fit_rigid(
         )
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise CalibrationError("a rigid fit needs finite coordinates")
-    w = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if w.shape != (len(source),) or not np.isfinite(w).all() or (w <= 0).any():
-        raise CalibrationError(f"a rigid fit needs one positive weight for each of {len(source)} points")
-    w = w / w.mean()
-    mean_source, mean_target = np.average(source, axis=0, weights=w), np.average(target, axis=0, weights=w)
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - mean_source, target - mean_target
     for centred in (centred_source, centred_target):
         spread = np.linalg.svd(centred, compute_uv=False)
         if spread[1] <= 1e-6 * max(spread[0], 1e-300):
             raise CalibrationError("a rigid fit needs points that are not all on one line")
-    u, singular, vt = np.linalg.svd((w[:, None] * centred_target).T @ centred_source)
+    u, singular, vt = np.linalg.svd(centred_target.T @ centred_source)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = (u * signs) @ vt
-    scale = float(singular @ signs / (w @ np.sum(centred_source**2, axis=1))) if with_scale else 1.0
+    scale = float(singular @ signs / np.sum(centred_source**2)) if with_scale else 1.0
     fitted = transform(rotation, mean_target - scale * rotation @ mean_source)
     arms = scale * source @ rotation.T
     residuals = target - arms - fitted[:3, 3]
 
     freedom = 3 * len(source) - 6 - int(with_scale)
-    sigma = float(np.sqrt(w @ np.sum(residuals**2, axis=1) / freedom)) if freedom > 0 else float("nan")
+    sigma = float(np.sqrt(np.sum(residuals**2) / freedom)) if freedom > 0 else float("nan")
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(source), 3, 3)), -skew(arms)], axis=2)
-    normal = np.einsum("n,nij,nik->jk", w, jacobian, jacobian)
+    normal = np.einsum("nij,nik->jk", jacobian, jacobian)
     return RigidFit(fitted, scale, residuals, sigma, sigma**2 * np.linalg.inv(normal))
 
 

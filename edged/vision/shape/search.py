@@ -7,7 +7,7 @@ least squares on sub-pixel edges (`refine`), level by level. Rivals are dropped 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -60,7 +60,6 @@ FIRST = 128
 DECIDED_SHARE = 0.5
 """Of the expected distance of two nearly symmetric poses: below it, the image does not decide."""
 
-Deadline = Callable[[], bool]
 DEFAULTS = SearchParams()
 
 
@@ -70,13 +69,11 @@ def find_shapes(
     params: SearchParams = DEFAULTS,
     valid: Image | None = None,
     workspace: Workspace | None = None,
-    deadline: Deadline | None = None,
 ) -> list[ShapeMatch]:
     """Find models in a rectified image (H, W) uint8, best first; the best one wins at each place.
 
     valid : (H, W) uint8, 0 where the image has no content or nothing is to be looked for; its border is
-    no edge.  workspace : buffers to reuse, one per thread.  deadline : asked between the steps; once it
-    says True, what was found so far is returned.
+    no edge.  workspace : buffers to reuse, one per thread.
     The order is deterministic, and equal input gives bit-equal output. An image too small for the model
     has no match. Raises `ImageError` for another kind of array.
     """
@@ -91,18 +88,10 @@ def find_shapes(
     listed = [models] if isinstance(models, ShapeModel) else list(models)
     work = workspace or Workspace()
     work.load(image, max((len(model.levels) for model in listed), default=1))
-    over = deadline or _never
     matches: list[Placed] = []
     for index, model in enumerate(listed):
-        if over():
-            break
-        search = _Search(work, model, params, over)
-        matches += [Placed(match, model) for match in search.run(index, valid)]
+        matches += [Placed(match, model) for match in _Search(work, model, params).run(index, valid)]
     return without_overlap(matches, params)
-
-
-def _never() -> bool:
-    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +101,6 @@ class _Search:
     work: Workspace
     model: ShapeModel
     params: SearchParams
-    over: Deadline
 
     def run(self, index: int, valid: Image | None) -> list[ShapeMatch]:
         top = min(len(self.model.levels), len(self.work.images)) - 1
@@ -120,7 +108,7 @@ class _Search:
         for candidate in scan_top(self.work, self.model, top, self.params, valid):
             good = sorted((h.score for h in found if h.score >= self.params.min_score), reverse=True)
             # the rest comes in order: not even a perfect refinement makes one of them better
-            if self.over() or (
+            if (
                 len(good) >= self.params.max_matches
                 and candidate.score + REFINEMENT_GAIN < good[self.params.max_matches - 1]
             ):

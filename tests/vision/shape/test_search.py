@@ -306,12 +306,6 @@ def test_images_without_the_part_have_no_match(
     assert find_shapes(image, _FUZZ, SearchParams(polarity=polarity, max_matches=limit)) == []
 
 
-def test_deadline_ends_the_search(bracket: ShapeModel) -> None:
-    """Once the deadline has passed the search returns what it has, here nothing."""
-    image = draw(BRACKET, (190.0, 150.0, 0.2, 1, 1))
-    assert find_shapes(image, bracket, RIGID, deadline=lambda: True) == []
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
