@@ -21,6 +21,7 @@ from typing import Protocol
 from edged.capture.tasks import cancel_and_await
 from edged.domain import (
     Calibrated,
+    CellPhase,
     CellState,
     Command,
     CommandFailed,
@@ -177,7 +178,7 @@ class Cycle:
 
     async def run(self) -> None:
         """Measure until `stop`; every accepted command has been answered when this returns."""
-        self._tell_state("STARTING")
+        self._tell_state(CellPhase.STARTING)
         try:
             await self._check_cameras()
             due_s = time.monotonic()
@@ -191,7 +192,7 @@ class Cycle:
                 else:
                     due_s = await self._tick_or_wait(due_s)
         finally:
-            self._tell_state("STOPPING")
+            self._tell_state(CellPhase.STOPPING)
             while self._commands:
                 self._announce(CommandFailed(self._commands.popleft(), "the daemon is stopping"))
             await self._head.close()
@@ -202,9 +203,9 @@ class Cycle:
         try:
             await self._head.open()
         except CaptureError as error:
-            self._tell_state("FAULT", error=str(error), code=error.code)
+            self._tell_state(CellPhase.FAULT, error=str(error), code=error.code)
         else:
-            self._tell_state("READY")
+            self._tell_state(CellPhase.READY)
 
     async def _apply(self, setup: Setup, head: Head | None) -> None:
         """Exchange setup and cameras; a job that is gone falls back to the default."""
@@ -268,13 +269,13 @@ class Cycle:
             return
         self._number += 1
         cycle_number.set(self._number)
-        self._tell_state("BUSY", keep_error=True)
+        self._tell_state(CellPhase.BUSY, keep_error=True)
         snapshot = await self._measure(command, heard)
         self._announce(snapshot)
         if snapshot.status is Status.CAPTURE_FAULT:
-            self._tell_state("FAULT", error=snapshot.error, code=snapshot.error_code)
+            self._tell_state(CellPhase.FAULT, error=snapshot.error, code=snapshot.error_code)
         else:
-            self._tell_state("READY")
+            self._tell_state(CellPhase.READY)
         cycle_number.set(None)
         # a free-running loop at full speed must still let every other task run
         await asyncio.sleep(0)
@@ -362,13 +363,16 @@ class Cycle:
         for publisher in self._publishers:
             publisher.announce(event)
 
-    def _tell_state(self, state: str, *, error: str = "", code: int = 0, keep_error: bool = False) -> None:
+    def _tell_state(
+        self, state: CellPhase, *, error: str = "", code: int = 0, keep_error: bool = False
+    ) -> None:
         if keep_error and self._state is not None:
             error, code = self._state.error, self._state.error_code
+        able = state in (CellPhase.READY, CellPhase.BUSY) and not error
         new = CellState(
             state=state,
-            ready=state in ("READY", "BUSY") and not error,
-            cameras_ok=state in ("READY", "BUSY") and not error,
+            ready=able,
+            cameras_ok=able,
             job=self._active.name,
             job_number=self._active.number,
             missed_triggers=self._missed,
@@ -378,7 +382,7 @@ class Cycle:
         )
         if error and not keep_error:
             self._faults.failed(error, code)
-        elif state == "READY" and not error:
+        elif state is CellPhase.READY and not error:
             self._faults.well()
         if new == self._state:
             return

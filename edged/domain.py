@@ -13,13 +13,15 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
-SIDES = ("left", "right")
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class Status(enum.StrEnum):
@@ -409,14 +411,21 @@ def _seal(value: object) -> None:
             _seal(getattr(value, one.name))
 
 
+class CellPhase(enum.StrEnum):
+    """What the daemon is doing."""
+
+    STARTING = "STARTING"
+    READY = "READY"
+    BUSY = "BUSY"
+    FAULT = "FAULT"
+    STOPPING = "STOPPING"
+
+
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """The daemon's own state, published on change.
+    """The daemon's own state, published on change."""
 
-    state : "STARTING", "READY", "BUSY", "FAULT" or "STOPPING".
-    """
-
-    state: str
+    state: CellPhase
     ready: bool
     cameras_ok: bool
     job: str

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
+from edged.vision.geometry.rigid import rotation_2d
 
 
 def disc(x: float, y: float, radius: float) -> FloatArray:
@@ -45,7 +46,7 @@ def draw(
     width, height = size
     x, y, angle, scale_x, scale_y = pose
     canvas = np.full((height, width), 70.0) if background is None else background.astype(np.float64)
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    turn = rotation_2d(angle)
     for points, grey in outlines:
         placed = (points * (scale_x, scale_y)) @ turn.T + (x, y)
         canvas += _coverage(placed, width, height) * (grey - canvas)

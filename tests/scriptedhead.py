@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from edged.domain import (
+    CellPhase,
     CellState,
     Command,
     CommandFailed,
@@ -70,9 +71,9 @@ class Ear:
     def snapshots(self) -> list[Snapshot]:
         return [event for event in self.events if isinstance(event, Snapshot)]
 
-    def state(self) -> str:
+    def state(self) -> CellPhase | None:
         """The latest state that was told."""
-        return next((event.state for event in reversed(self.events) if isinstance(event, CellState)), "")
+        return next((event.state for event in reversed(self.events) if isinstance(event, CellState)), None)
 
     def answers(self, command: Command) -> list[Event]:
         kinds = (Snapshot, JobChanged, CommandFailed)

@@ -20,7 +20,7 @@ import numpy as np
 
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain import Image
-from edged.sim.cell import CAMERAS, Motion, VirtualCell, demo_rig
+from edged.sim.cell import SIDES, Motion, VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
@@ -56,11 +56,11 @@ def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image,
     pairs = []
     for number in range(parts):
         request = ExposureRequest(number + 1, number * 10**9, number * 10**9, 2000.0, 0.0, WIDTH, HEIGHT)
-        left, right = (cell.exposure(side)(request) for side in CAMERAS)
+        left, right = (cell.exposure(side)(request) for side in SIDES)
         pairs.append((left, right))
         rng = np.random.default_rng(number)
         for _ in range(empty):
-            left, right = (rng.integers(20, 30, (HEIGHT, WIDTH), np.uint8) for _ in CAMERAS)
+            left, right = (rng.integers(20, 30, (HEIGHT, WIDTH), np.uint8) for _ in SIDES)
             pairs.append((left, right))
     return pairs
 
@@ -102,7 +102,7 @@ class SmallCell:
             text = text.replace('source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
             (folder / "pairs").mkdir(exist_ok=True)
             for number, pair in enumerate(pictures(self.virtual, 3)):
-                for side, image in zip(CAMERAS, pair, strict=True):
+                for side, image in zip(SIDES, pair, strict=True):
                     cv2.imwrite(str(folder / "pairs" / f"{number}_{side}.png"), image)
         if recordings is not None:
             text += f'\n[recorder]\nfolder = "{recordings}"\nkeep_good = 60\nmin_free_mib = {min_free_mib}\n'
@@ -127,7 +127,7 @@ class SmallWorld(VirtualWorld):
             def expose(request: ExposureRequest) -> Image:
                 return self._pairs[request.frame_id % len(self._pairs)][index]
 
-            return InProcessCamera(CAMERAS[index], expose, width=WIDTH, height=HEIGHT)
+            return InProcessCamera(SIDES[index], expose, width=WIDTH, height=HEIGHT)
 
         return camera(0), camera(1)
 

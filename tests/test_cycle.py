@@ -14,6 +14,7 @@ from scriptedhead import Ear, Head, until
 
 from edged.cycle import QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
+    CellPhase,
     CellState,
     Command,
     CommandFailed,
@@ -134,7 +135,9 @@ def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
         for command in commands:
             cycle.submit(command)
         await until(
-            lambda: any(isinstance(event, CellState) and event.state == "BUSY" for event in ear.events)
+            lambda: any(
+                isinstance(event, CellState) and event.state is CellPhase.BUSY for event in ear.events
+            )
         )
 
     ear, _ = drive(make_setup(), script, head)
@@ -176,8 +179,8 @@ def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
     assert faults
     assert all(shot.targets == () and shot.exposed_ns == 0 and shot.error_code == 104 for shot in faults)
     states = [event.state for event in ear.events if isinstance(event, CellState)]
-    assert "FAULT" in states
-    assert states.index("FAULT") < len(states) - 1 - states[::-1].index("READY")
+    assert CellPhase.FAULT in states
+    assert states.index(CellPhase.FAULT) < len(states) - 1 - states[::-1].index(CellPhase.READY)
 
 
 def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
@@ -185,11 +188,11 @@ def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monke
     monkeypatch.setattr("edged.cycle.IDLE_CHECK_S", 0.01)
 
     async def script(cycle, ear, head):
-        await until(lambda: ear.state() == "READY")
+        await until(lambda: ear.state() is CellPhase.READY)
         head.broken = True
-        await until(lambda: ear.state() == "FAULT")
+        await until(lambda: ear.state() is CellPhase.FAULT)
         head.broken = False
-        await until(lambda: ear.state() == "READY")
+        await until(lambda: ear.state() is CellPhase.READY)
 
     drive(make_setup(), script)
 

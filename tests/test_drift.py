@@ -16,7 +16,7 @@ from snapshots import make_target
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
-from edged.domain import Calibrated, CellState, Event, Measurement, Outcome, Reject, Status, Target
+from edged.domain import Calibrated, CellPhase, CellState, Event, Measurement, Outcome, Reject, Status, Target
 from edged.drift import DriftLimits, DriftMonitor
 from edged.pipeline import locate, prepare
 from edged.plc import registers as reg
@@ -203,7 +203,7 @@ def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
         def announce(self, event: Event) -> None:
             super().announce(event)
             cell.take(event)
-            if isinstance(event, CellState) and event.state == "READY" and self.snapshots():
+            if isinstance(event, CellState) and event.state is CellPhase.READY and self.snapshots():
                 bits.append(cell.read(201, 1)[0])
 
     async def main() -> None:

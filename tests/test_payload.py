@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from schema_check import load_schema, violations
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import CellState, Command, CommandKind, Dismissed, Match, Outcome, Reject, Status
+from edged.domain import CellPhase, CellState, Command, CommandKind, Dismissed, Match, Outcome, Reject, Status
 from edged.payload import (
     encode,
     message,
@@ -47,7 +47,7 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
 
 def test_state_fits_the_published_schema():
     """The daemon's state is documented too."""
-    state = CellState("FAULT", False, False, "flange", 1, 4, "camera left: unplugged", 101)
+    state = CellState(CellPhase.FAULT, False, False, "flange", 1, 4, "camera left: unplugged", 101)
     document = publish({"published_ns": 1, **state_to_json(state)}, "state")
     assert [] == violations(document, SCHEMA, SCHEMA)
     assert ("FAULT", 4, 101) == (document["state"], document["missed_triggers"], document["error_code"])

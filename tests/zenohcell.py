@@ -17,6 +17,7 @@ from typing import Any
 
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.domain import (
+    CellPhase,
     CellState,
     Command,
 )
@@ -27,7 +28,7 @@ PEER = Path(__file__).parent / "wire" / "zenoh_peer.py"
 WAIT_S = 15.0  # what a loaded machine may need; nothing here sleeps for it
 
 
-READY = CellState("READY", True, True, "flange", 1, 0)
+READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 
 
 def free_port() -> int:

@@ -60,6 +60,7 @@ from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import apply, fit_rigid, skew
 from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
+from edged.vision.kernels.robust import mad_sigma
 
 Corners = Literal["fit", "edges"]
 NEAREST, FARTHEST, SAMPLES = 0.2, 0.8, 16
@@ -251,7 +252,7 @@ def _at_zero(t: FloatArray, offset: FloatArray) -> tuple[float, float] | None:
         inverse = np.linalg.inv(design.T @ design)
         line = inverse @ design.T @ offset[kept]
         residual = np.abs(offset - line[0] - line[1] * t)
-        spread = max(1.4826 * float(np.median(residual[kept])), 1e-3)
+        spread = max(mad_sigma(residual[kept]), 1e-3)
         kept = np.isfinite(offset) & (residual < OUTLIER * spread)
     return float(line[0]), float(inverse[0, 0]) * spread**2
 

@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from edged.commands.calibrate import detect_views, remeasure_views
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import load_rig
@@ -189,7 +189,7 @@ def load_truth(path: Path) -> StereoRig:
     if document.get("format"):
         return load_rig(path)
     cameras = []
-    for side in ("left", "right"):
+    for side in SIDES:
         camera = document[side]
         K = np.array(camera["K"])
         lens = (

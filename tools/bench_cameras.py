@@ -41,7 +41,7 @@ from edged.adapters.modbus import ModbusSettings
 from edged.app.cameras import head_of
 from edged.capture.stereohead import StereoHead
 from edged.config import CamerasSection, TriggerSection
-from edged.domain import FramePair, Outcome, Status
+from edged.domain import SIDES, FramePair, Outcome, Status
 from edged.errors import CaptureError
 from edged.logs import fields_of
 from edged.plc.registers import Flag
@@ -258,7 +258,7 @@ def cable(world: CameraWorld, options: argparse.Namespace) -> Figures:
         for number in range(options.pulls):
             asyncio.run(_valid(cell.port, wanted=True))
             time.sleep(rng.uniform(0.3, 0.5))
-            side = ("left", "right")[number % 2]
+            side = SIDES[number % 2]
             pulled_s = time.monotonic()
             world.fault(side, "unplugged", True)
             gone_s.append(asyncio.run(_valid(cell.port, wanted=False)) - pulled_s)
@@ -373,7 +373,7 @@ def faults(world: CameraWorld, options: argparse.Namespace) -> Figures:
         until_s = time.monotonic() + 60 * options.minutes
         while time.monotonic() < until_s:
             lines.injected += 1
-            side = rng.choice(("left", "right"))
+            side = rng.choice(SIDES)
             name = _injure(world, side, rng.randrange(len(FAULTS) + 3), rng.uniform(0.3, 3.0))
             kinds[name] += 1
             ended_s = time.monotonic()

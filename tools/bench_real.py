@@ -31,6 +31,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.domain import Image
+from edged.vision.geometry.rigid import wrapped
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
@@ -148,7 +149,7 @@ def clock_errors(folder: Path) -> list[float]:
         image = grey(folder / f"rotated_{step}.png")
         matches = [] if image is None else find_shapes(image, model, PARAMS)
         turns += [(step - 10, np.degrees(match.angle_rad)) for match in matches[:1]]
-    errors = [[(sign * turn - step + 180) % 360 - 180 for step, turn in turns] for sign in (1, -1)]
+    errors = [[wrapped(sign * turn - step, 360.0) for step, turn in turns] for sign in (1, -1)]
     return min(errors, key=lambda e: float(np.square(e).sum()))
 
 

@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import scenes as sc
 
+from edged.vision.geometry.rigid import angle_between, wrapped
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, Workspace, find_shapes
@@ -246,12 +247,11 @@ def chi2_dof(found: Found, truth: sc.Truth) -> float:
     """Squared error over the stated covariance, per degree of freedom that was fitted; NaN without one."""
     if found.covariance is None:
         return float("nan")
-    turn = (found.angle - truth.angle + np.pi) % (2 * np.pi) - np.pi
     error = np.array(
         [
             found.x - truth.x,
             found.y - truth.y,
-            turn,
+            wrapped(found.angle - truth.angle),
             found.scale_x - truth.scale_x,
             found.scale_y - truth.scale_y,
         ]
@@ -263,11 +263,6 @@ def chi2_dof(found: Found, truth: sc.Truth) -> float:
     return float(
         error[fitted] @ inverse @ error[fitted] / np.linalg.matrix_rank(inner, 1e-18, hermitian=True)
     )
-
-
-def turn_deg(one: float, other: float) -> float:
-    """Magnitude of the angle between two rotations in rad."""
-    return float(np.degrees(abs((one - other + np.pi) % (2 * np.pi) - np.pi)))
 
 
 def measure(
@@ -292,7 +287,7 @@ def measure(
         for truth in truths:
             for match in matches:
                 offset = float(np.hypot(match.x - truth.x, match.y - truth.y))
-                turn = turn_deg(match.angle, truth.angle)
+                turn = float(np.degrees(angle_between(match.angle, truth.angle)))
                 if offset < FOUND_WITHIN_PX and turn < FOUND_WITHIN_DEG:
                     right += 1
                     offsets.append(offset)
@@ -375,7 +370,7 @@ def clock_rows(folder: Path) -> list[float]:
         image = cv2.imread(str(folder / f"rotated_{step}.png"), cv2.IMREAD_GRAYSCALE)
         turns += [(step - 10, np.degrees(m.angle_rad)) for m in find_shapes(image, model, params)]
     # whether the pictures turn clockwise is theirs: the sign that fits is taken
-    errors = [[(sign * turn - step + 180) % 360 - 180 for step, turn in turns] for sign in (1, -1)]
+    errors = [[wrapped(sign * turn - step, 360.0) for step, turn in turns] for sign in (1, -1)]
     return min(errors, key=lambda e: float(np.square(e).sum()))
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain import SIDES, FloatArray, Image
 from edged.errors import CalibrationError
 
 MIN_PAIRS = 3
@@ -82,7 +82,7 @@ def true_plain_rig(path: Path) -> PlainRig:
     """The true cameras of a rendered data set."""
     document = json.loads(path.read_text())
     cameras = []
-    for side in ("left", "right"):
+    for side in SIDES:
         one = document[side]
         lens = (
             [one["kappa_normalised"]] if one["model"] == "division" else [*one["opencv_dist_k1k2p1p2"], 0.0]

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.teaching.coverage import coverage
 
 Float = npt.NDArray[np.float64]
@@ -44,8 +45,7 @@ class Truth:
     @property
     def linear(self) -> Float:
         """(2, 2) image from part."""
-        c, s = np.cos(self.angle), np.sin(self.angle)
-        return np.array([[c, -s], [s, c]]) @ np.diag([self.scale_x, self.scale_y])
+        return rotation_2d(self.angle) @ np.diag([self.scale_x, self.scale_y])
 
 
 def circle(x: float, y: float, radius: float, count: int = 180) -> Float:
@@ -57,8 +57,7 @@ def circle(x: float, y: float, radius: float, count: int = 180) -> Float:
 def box(x: float, y: float, width: float, height: float, angle: float = 0.0) -> Float:
     """Polygon of a turned rectangle."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2, height / 2)
-    c, s = np.cos(angle), np.sin(angle)
-    return corners @ np.array([[c, s], [-s, c]]) + (x, y)
+    return corners @ rotation_2d(-angle) + (x, y)
 
 
 def bracket(size: float = 250.0) -> Part:

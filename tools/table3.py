@@ -27,7 +27,7 @@ import numpy as np
 from imperfections import KINDS, degraded
 from plainopencv import PlainRig, calibrate_plain, measure_circle, true_plain_rig
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.rig import save_rig
 from edged.vision.geometry.camera import CameraModel, StereoRig
@@ -157,7 +157,7 @@ def teach_part(path: Path, rig: Path, truth: StereoRig, work: Path) -> tuple[Pat
     low, high = outline.min(axis=0) - margin, outline.max(axis=0) + margin
     region = ",".join(f"{value:.0f}" for value in part.get("roi", (*low, *(high - low))))
     job = work / f"job_{path.stem[6:]}"
-    left, right = (path.with_name(f"{path.stem}_{side}.png") for side in ("left", "right"))
+    left, right = (path.with_name(f"{path.stem}_{side}.png") for side in SIDES)
     run = edged(
         "teach",
         "--rig",
@@ -184,7 +184,7 @@ def locate_scene(
     """Locate every design that lies in a scene (or one, where there is none) and compare."""
     scene = json.loads(path.read_text())
     designs = sorted({part["design"] for part in scene["parts"]}) or sorted(jobs)[:1]
-    left, right = (path.with_name(f"{path.stem}_{side}.png") for side in ("left", "right"))
+    left, right = (path.with_name(f"{path.stem}_{side}.png") for side in SIDES)
     rows, problems = [], 0
     for design in designs:
         job, taught = jobs[design]
@@ -208,7 +208,7 @@ def locate_scene(
 
 def with_plain(row: dict[str, Any], path: Path, rig: PlainRig, truth: StereoRig) -> dict[str, Any]:
     """The row with plain OpenCV's ΔX, ΔY, ΔZ, ΔR in mm and the normal's error in degrees; None: no circle."""
-    left, right = (load_image(path.with_name(f"{path.stem}_{side}.png")) for side in ("left", "right"))
+    left, right = (load_image(path.with_name(f"{path.stem}_{side}.png")) for side in SIDES)
     part = row.pop("truth")
     found = measure_circle(rig, (left, right), outlines(truth, part))
     if found is None:

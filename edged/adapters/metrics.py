@@ -24,7 +24,6 @@ from edged.errors import CaptureError
 from edged.payload import reject_names
 
 STAGE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 Figures = Callable[[], Mapping[str, tuple[str, float]]]
 """Name without prefix to (help text, value now)."""
@@ -114,7 +113,7 @@ class MetricsPublisher:
                 self._sigma.labels(axis).set(sigma_mm * 1e-3)
 
     def render(self) -> bytes:
-        """All figures in Prometheus' text format (`CONTENT_TYPE`)."""
+        """All figures in Prometheus' text format 0.0.4."""
         return generate_latest(self._registry)
 
     async def close(self) -> None:

@@ -28,7 +28,7 @@ class Reel:
         self.shape = shape
         self.number = 0
         self.exposed_ns = 0
-        self._taken = set(SIDES)
+        self._taken: set[str] = set(SIDES)
 
     def expose(self, side: str) -> None:
         """Join the exposure the other side began, or begin the next one."""

@@ -16,7 +16,7 @@ import socket
 import time
 from collections.abc import Callable, Mapping
 
-from edged.domain import CellState, Event, Snapshot
+from edged.domain import CellPhase, CellState, Event, Snapshot
 
 log = logging.getLogger(__name__)
 
@@ -63,9 +63,9 @@ class SystemdNotifier:
             return
         if isinstance(event, Snapshot):
             self._cycles += 1
-        elif isinstance(event, CellState) and event.state != "BUSY":  # BUSY is a moment, not a state to show
+        elif isinstance(event, CellState) and event.state is not CellPhase.BUSY:  # a moment, nothing to show
             self._state = event
-        if self._state is not None and self._state.state == "STOPPING":
+        if self._state is not None and self._state.state is CellPhase.STOPPING:
             self._tell_stopping()
         elif not self._is_ready and self._state is not None and self._state.ready:
             self._is_ready = self._tell("READY=1", "WATCHDOG=1", *self._changed_status())

@@ -22,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edged.domain import Event, FloatArray, Snapshot, Status
+from edged.vision.geometry.rigid import rotation_vector
 
 REFRESH_HZ = 8
 STOP_TIMEOUT_S = 1.0
@@ -97,9 +98,7 @@ class Comparison:
         target = snapshot.targets[0]
         error_mm = target.position_mm - truth[:3, 3]
         turn = target.rig_from_part[:3, :3] @ truth[:3, :3].T
-        # from the skew part: exact for small angles, where the trace loses all digits
-        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-        angle_rad = float(np.arctan2(sine, (np.trace(turn) - 1) / 2))
+        angle_rad = float(np.linalg.norm(rotation_vector(turn)))
         try:
             chi2 = float(error_mm @ np.linalg.solve(target.covariance[:3, :3], error_mm))
         except np.linalg.LinAlgError:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from rich.console import Console
@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from edged import __version__
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
@@ -36,7 +36,6 @@ from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
-Side = Literal["left", "right"]
 T = TypeVar("T")
 
 
@@ -114,7 +113,7 @@ def detect_views(
         found = [[_finish(future, progress, bar) for future in pair] for pair in futures]
     sizes = tuple(
         _one_size([getattr(pair, side) for pair in pairs], [row[i].size for row in found])
-        for i, side in enumerate(("left", "right"))
+        for i, side in enumerate(SIDES)
     )
     views: list[StereoView] = []
     first_with: dict[bytes, str] = {}

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.images import load_image
@@ -270,7 +270,7 @@ def _views(
     found: dict[str, FloatArray] = {}
     for name in names:
         sides = []
-        for side in ("left", "right"):
+        for side in SIDES:
             path = folder / f"{name}_{side}.png"
             image = load_image(path)
             camera = rig.left if side == "left" else rig.right

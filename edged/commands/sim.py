@@ -105,7 +105,7 @@ def build(options: SimOptions) -> dict[str, GigeCamera]:
 
 def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
     """Address and serial number by side."""
-    places = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
+    places: dict[str, tuple[str, str]] = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
     if options.config is not None:
         section = load(options.config).cameras
         for side, camera in (("left", section.left), ("right", section.right)):

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Target
+from edged.domain import SIDES, FloatArray, Target
 from edged.pictures.captions import measured_names, reference_name
 from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
 from edged.pictures.view import Box, View
@@ -302,7 +302,7 @@ def draw_unrolled(canvas: Canvas, feature: Feature, found: Sequence[Residuals]) 
     title = f"{feature.name}: edge minus fit, px" + (", from x over y around" if feature.closed else "")
     write(canvas, title, (low, 31), GREY, CHART_TEXT_PX)
     half = (height - 60) // 2
-    for row, (one, name) in enumerate(zip(found, ("left", "right"), strict=True)):
+    for row, (one, name) in enumerate(zip(found, SIDES, strict=True)):
         middle = 52 + row * half + half // 2
         reach = half // 2 - 9
         for value, text in ((-reach_px, ""), (0.0, name), (reach_px, f"{reach_px:+.2f}")):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import Dismissed, FloatArray, Image, Status, Target
+from edged.domain import SIDES, Dismissed, FloatArray, Image, Status, Target
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -119,7 +119,7 @@ def _views(
 
 def _side_by_side(views: tuple[View, View]) -> Canvas:
     """Both canvases with the cameras' names."""
-    for view, name in zip(views, ("left", "right"), strict=True):
+    for view, name in zip(views, SIDES, strict=True):
         words = f"{name} image" if view.scale == 1 else f"{name} image, {view.scale:.2g} times as large"
         write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
     height = max(view.canvas.shape[0] for view in views)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.crossvalidation import HeldOutView
@@ -39,7 +39,7 @@ def lengths(held: Sequence[HeldOutView]) -> str:
     return chart.figure(caption)
 
 
-def coverage(calibration: Calibration, side: str, camera: CameraModel) -> str:
+def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> str:
     """Where the marks lay in an image, each with its residual."""
     pixels, residuals = _marks(calibration, side)
     rms = calibration.rms_left_px if side == "left" else calibration.rms_right_px
@@ -55,7 +55,7 @@ def coverage(calibration: Calibration, side: str, camera: CameraModel) -> str:
     return chart.figure(caption)
 
 
-def _marks(calibration: Calibration, side: str) -> tuple[FloatArray, FloatArray]:
+def _marks(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray]:
     """Pixels (N, 2) and residuals (N, 2) of all views."""
     pixels = np.concatenate([fit.view.found(side).pixels for fit in calibration.views])
     residuals = [
@@ -67,7 +67,7 @@ def _marks(calibration: Calibration, side: str) -> tuple[FloatArray, FloatArray]
 def radial(calibration: Calibration) -> str:
     """Mean radial residual over the distance from the principal point: what the lens model leaves."""
     pictures = []
-    for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+    for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True):
         pixels, residuals = _marks(calibration, side)
         arm = pixels - (camera.cx, camera.cy)
         radius = np.linalg.norm(arm, axis=1)

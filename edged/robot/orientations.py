@@ -19,6 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from edged.domain import FloatArray
+from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, skew, wrapped
 
 SINGULAR = 1e-9
 """Below this sine (or cosine) the outer angles cannot be told apart in float64."""
@@ -83,36 +84,10 @@ def oat(R: FloatArray) -> tuple[float, float, float]:
     return math.degrees(o), math.degrees(a), math.degrees(t)
 
 
-def quaternion(R: FloatArray) -> tuple[float, float, float, float]:
-    """(q1, q2, q3, q4) of ABB's `orient`: scalar first, unit, q1 >= 0.
-
-    Source: S. W. Shepperd, "Quaternion from rotation matrix", 1978: the largest of four candidates
-    is the divisor, so that no digits are lost near half a turn.
-    """
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    candidates = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
-    k = int(np.argmax(candidates))
-    if k == 0:
-        q = np.array([1 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        q = np.empty(4)
-        q[0] = R[m, j] - R[j, m]
-        q[1 + i] = 1 + 2 * R[i, i] - trace
-        q[1 + j] = R[i, j] + R[j, i]
-        q[1 + m] = R[i, m] + R[m, i]
-    q /= np.linalg.norm(q)
-    q = -q if q[0] < 0 else q
-    return float(q[0]), float(q[1]), float(q[2]), float(q[3])
-
-
 def rotation_vector_rad(R: FloatArray) -> tuple[float, float, float]:
     """(rx, ry, rz) of Universal Robots in rad: the axis times the angle, length in [0, π]."""
-    q1, q2, q3, q4 = quaternion(R)
-    sine = math.sqrt(q2 * q2 + q3 * q3 + q4 * q4)
-    # angle / sine -> 2 as the angle -> 0
-    factor = 2 * math.atan2(sine, q1) / sine if sine > SINGULAR else 2.0
-    return factor * q2, factor * q3, factor * q4
+    rx, ry, rz = rotation_vector(R).tolist()
+    return rx, ry, rz
 
 
 def rotation_vector_deg(R: FloatArray) -> tuple[float, float, float]:
@@ -143,8 +118,7 @@ def sigma_angles_deg(R: FloatArray, covariance: FloatArray, convention: Conventi
     jacobian = np.empty((3, 3))
     for axis in range(3):
         ahead, behind = (np.array(angles(_small_turn(axis, h) @ R)) for h in (step_rad, -step_rad))
-        difference = (ahead - behind + 180.0) % 360.0 - 180.0
-        jacobian[:, axis] = difference / (2 * step_rad)
+        jacobian[:, axis] = wrapped(ahead - behind, 360.0) / (2 * step_rad)
     variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
 
@@ -212,19 +186,14 @@ def matrix_oat(o_rad: float, a_rad: float, t_rad: float) -> FloatArray:
 
 def matrix_rotation_vector(x_rad: float, y_rad: float, z_rad: float) -> FloatArray:
     """Inverse of `rotation_vector_rad`."""
-    angle = math.sqrt(x_rad**2 + y_rad**2 + z_rad**2)
-    if angle < SINGULAR:
-        return np.eye(3)
-    x, y, z = x_rad / angle, y_rad / angle, z_rad / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K)
+    return rotation_matrix(np.array([x_rad, y_rad, z_rad]))
 
 
 def matrix_quaternion(q1: float, q2: float, q3: float, q4: float) -> FloatArray:
-    """Inverse of `quaternion`; scalar first, any length but 0."""
+    """(3, 3) of ABB's `orient` and of other quaternions; scalar first, any length but 0."""
     q = np.array([q1, q2, q3, q4]) / math.sqrt(q1 * q1 + q2 * q2 + q3 * q3 + q4 * q4)
     w, v = q[0], q[1:]
-    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    K = skew(v)
     return np.asarray(np.eye(3) + 2 * w * K + 2 * K @ K)
 
 

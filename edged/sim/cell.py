@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain import SIDES, FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import (
@@ -37,7 +37,6 @@ from edged.sim.render.scene import (
 )
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
-CAMERAS = ("left", "right")
 PAIR_WINDOW_NS = 50_000_000
 """Longer than two software triggers in a row on a busy PC, shorter than any cycle."""
 
@@ -136,7 +135,7 @@ class VirtualCell:
                     f"the sensor has {view.camera.width}x{view.camera.height}"
                 )
             truth = self.moment(camera, request)
-            rng = np.random.default_rng((self._seed, 1 + CAMERAS.index(camera), truth.number))
+            rng = np.random.default_rng((self._seed, 1 + SIDES.index(camera), truth.number))
             image = view.render(self.scene(truth.rig_from_part), rng, request.exposure_us, request.gain_db)
             return np.ascontiguousarray(image[: request.height, : request.width])
 
@@ -167,7 +166,7 @@ class VirtualCell:
         scene = self.scene(rig_from_part)
         left, right = (
             self._views[camera].render(scene, np.random.default_rng((self._seed, 3, index)))
-            for index, camera in enumerate(CAMERAS)
+            for index, camera in enumerate(SIDES)
         )
         return left, right, self._truth(-1, 0, rig_from_part)
 
@@ -301,7 +300,7 @@ def calibration_views(
         scene = Scene(table, (Placed(plate.part, pose),))
         left, right = (
             views[camera].render(scene, np.random.default_rng((seed, 5 + index, number)))
-            for index, camera in enumerate(CAMERAS)
+            for index, camera in enumerate(SIDES)
         )
         yield CalibrationView(left, right, pose)
 

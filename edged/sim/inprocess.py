@@ -74,7 +74,7 @@ class InProcessCamera:
         self._pending: asyncio.Task[Frame | None] | None = None
         self.faults = InProcessFaults()
         self.is_open = False
-        self.opened = self.triggered = self.closed = 0
+        self.opened = self.closed = 0
 
     @property
     def name(self) -> str:
@@ -103,7 +103,6 @@ class InProcessCamera:
         if fault is not None:
             raise fault
         await self._drop_pending()
-        self.triggered += 1
         if not self.faults.repeat_id or self._frame_id == 0:
             self._frame_id += 1
         exposed_ns = time.time_ns() + round(self.faults.skew_s * 1e9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import TracebackType
 
+from edged.domain import SIDES
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
@@ -32,7 +33,7 @@ class VirtualWorld:
     def __enter__(self) -> VirtualWorld:
         """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
         try:
-            for address, serial, side in zip(self.addresses or (), SERIALS, ("left", "right"), strict=False):
+            for address, serial, side in zip(self.addresses or (), SERIALS, SIDES, strict=False):
                 device = GigeCamera(address, serial, self.cell.exposure(side))
                 device.start()
                 self._devices.append(device)
@@ -55,5 +56,5 @@ class VirtualWorld:
 
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
         """Cameras that need neither Aravis nor a network."""
-        left, right = (InProcessCamera(side, self.cell.exposure(side)) for side in ("left", "right"))
+        left, right = (InProcessCamera(side, self.cell.exposure(side)) for side in SIDES)
         return left, right

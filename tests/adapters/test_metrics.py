@@ -9,7 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from snapshots import make_snapshot, make_target
 
 from edged.adapters.metrics import MetricsPublisher
-from edged.domain import CellState, Command, CommandFailed, CommandKind, Reject, Status
+from edged.domain import CellPhase, CellState, Command, CommandFailed, CommandKind, Reject, Status
 
 
 def samples(metrics: MetricsPublisher) -> dict[tuple[str, tuple[str, ...]], float]:
@@ -67,7 +67,7 @@ def test_state_and_failures_are_shown() -> None:
     """Ready, cameras, missed triggers, failed commands, and figures of other parts as they are now."""
     number = [3.0]
     metrics = MetricsPublisher("cell1", lambda: {"recordings": ("recordings on disk", number[0])})
-    metrics.announce(CellState("FAULT", False, False, "flange", 1, 7, "cable", 104))
+    metrics.announce(CellState(CellPhase.FAULT, False, False, "flange", 1, 7, "cable", 104))
     metrics.announce(CommandFailed(Command(CommandKind.LOCATE, "modbus", 1), "stopping"))
     number[0] = 4.0
 

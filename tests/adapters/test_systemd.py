@@ -13,13 +13,13 @@ import pytest
 from snapshots import make_snapshot
 
 from edged.adapters.systemd import SystemdNotifier
-from edged.domain import CellState, Event, Idle
+from edged.domain import CellPhase, CellState, Event, Idle
 
 UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"
-READY = CellState("READY", True, True, "flange", 1, 0)
-BUSY = CellState("BUSY", True, True, "flange", 1, 0)
-FAULT = CellState("FAULT", False, False, "flange", 1, 0, "camera left:\nunplugged", 101)
-STOPPING = CellState("STOPPING", False, False, "flange", 1, 0)
+READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
+BUSY = CellState(CellPhase.BUSY, True, True, "flange", 1, 0)
+FAULT = CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "camera left:\nunplugged", 101)
+STOPPING = CellState(CellPhase.STOPPING, False, False, "flange", 1, 0)
 
 
 class Manager:

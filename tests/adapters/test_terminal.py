@@ -13,7 +13,7 @@ from rich.console import Console
 from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.terminal import DemoView, reading_hints
-from edged.domain import CellState, FloatArray, Snapshot, Status
+from edged.domain import CellPhase, CellState, FloatArray, Snapshot, Status
 
 TRUTH = make_target().rig_from_part
 
@@ -42,7 +42,7 @@ def show(snapshots: list[Snapshot], console: Console, *, cycles: int = 0, truth=
 
     async def main() -> None:
         await view.start()
-        view.announce(CellState("READY", True, True, "flange", 1, 0))
+        view.announce(CellState(CellPhase.READY, True, True, "flange", 1, 0))
         for snapshot in snapshots:
             view.announce(snapshot)
         await view.close()

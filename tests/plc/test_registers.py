@@ -20,7 +20,8 @@ from edged.commands.registers import render
 from edged.domain import Reject, Snapshot, Status
 from edged.errors import UserError
 from edged.plc import registers as reg
-from edged.robot.orientations import ANGLES_DEG, Convention, quaternion, rotation_vector_rad, sigma_angles_deg
+from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
+from edged.vision.geometry.rigid import quaternion
 
 STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 215), "result": (300, 347)} | {
     "ur": (400, 419),
@@ -232,7 +233,7 @@ def test_quarter_and_half_turns_give_the_rotation_back(convention: Convention, t
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_quaternion_and_rotation_vector_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
-    """ABB's scalar-first quaternion with q1 >= 0, and UR's vector no longer than π."""
+    """The scalar-first quaternion with q1 >= 0, and UR's vector no longer than π."""
     rotation = Rotation.from_quat(q)
     mine = quaternion(rotation.as_matrix())
     assert mine[0] >= 0

@@ -17,7 +17,7 @@ from snapshots import make_target, make_transform
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
-from edged.domain import Command, CommandKind, Event, FloatArray, Outcome, Status
+from edged.domain import CellPhase, Command, CommandKind, Event, FloatArray, Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
 from edged.files.rig import load_rig, save_rig
 from edged.payload import command_to_json
@@ -91,7 +91,7 @@ def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: 
         plc = Plc(cycle, convention)
         cycle.set_publishers([plc])
         task = asyncio.create_task(cycle.run())
-        await until(lambda: plc.state() == "READY")
+        await until(lambda: plc.state() is CellPhase.READY)
         for sequence, flange in enumerate(flanges, 1):
             write_command(plc.cell, sequence, flange, convention)
             await until(lambda n=sequence: plc.status()["DONE_SEQ"] == n)
@@ -115,7 +115,7 @@ def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -
         plc = Plc(cycle, Convention.KUKA_ABC)
         cycle.set_publishers([plc])
         task = asyncio.create_task(cycle.run())
-        await until(lambda: plc.state() == "READY")
+        await until(lambda: plc.state() is CellPhase.READY)
         write_command(plc.cell, 1, make_transform((0.1, 2.0, 0.0), (500.0, 0.0, 700.0)), Convention.KUKA_ABC)
         await until(lambda: plc.status()["DONE_SEQ"] == 1)
         assert set(plc.cell.read(reg.ADDRESS["FLANGE_X"], 12)) == {0}

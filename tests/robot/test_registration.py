@@ -30,7 +30,6 @@ from edged.robot.orientations import (
     Brand,
     Convention,
     matrix_quaternion,
-    quaternion,
     rotation_vector_rad,
     transform_of,
 )
@@ -38,7 +37,7 @@ from edged.robot.readings import rank_readings
 from edged.robot.touch import register_points
 from edged.sim.cell import calibration_views
 from edged.sim.render.scene import chessboard_plate
-from edged.vision.geometry.rigid import apply, invert, rotation_vector, transform
+from edged.vision.geometry.rigid import apply, invert, quaternion, rotation_vector, transform
 
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))

@@ -15,8 +15,8 @@ from naive import sim as naive
 from edged.domain import FloatArray
 from edged.errors import ImageError
 from edged.sim.cell import (
-    CAMERAS,
     PAIR_WINDOW_NS,
+    SIDES,
     Motion,
     VirtualCell,
     calibration_views,
@@ -395,7 +395,7 @@ def test_scenes_follow_from_the_seed() -> None:
 def test_the_picture_shows_the_truth(cell: VirtualCell) -> None:
     """The outer circle of the truth projects onto the rim of the bright part in both pictures."""
     views = stereo_views(cell.rig)
-    for camera in CAMERAS:
+    for camera in SIDES:
         image = cell.exposure(camera)(request(1, S))
         truth = cell.truth(S)
         assert truth is not None

@@ -26,12 +26,12 @@ from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSetting
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
-from edged.domain import CellState, Command, CommandKind, ExposureDone, JobChanged, Status
+from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
 from edged.errors import CommandRefused, ListenError
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
 
-READY = CellState("READY", True, True, "flange", 1, 0)
+READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 WAIT_S = 10.0  # what a loaded machine may need; nothing here sleeps for it
 
 
@@ -204,7 +204,7 @@ def test_a_dead_camera_shows() -> None:
         rig.server.announce(make_snapshot(3))
         assert StatusBit.RESULT_VALID in await rig.bits()
         rig.server.announce(make_snapshot(4, status=Status.CAPTURE_FAULT))
-        rig.server.announce(CellState("FAULT", False, False, "flange", 1, 0, "unplugged", 104))
+        rig.server.announce(CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "unplugged", 104))
         bits = await rig.bits()
         assert StatusBit.CAM_FAULT | StatusBit.ERROR | StatusBit.NOK in bits
         assert not bits & (StatusBit.RESULT_VALID | StatusBit.OK | StatusBit.READY)

@@ -22,7 +22,7 @@ from edged.adapters.web import Sources, WebPublisher, WebSettings, page
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
-from edged.domain import CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
+from edged.domain import CellPhase, CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
 from edged.errors import ListenError
 from edged.passwords import hash_password
 from edged.sim.cell import demo_rig
@@ -31,7 +31,7 @@ from edged.vision.geometry.rectification import make_rectification
 PASSWORD = "correct horse"
 HASH = hash_password(PASSWORD)
 RECTIFICATION = make_rectification(demo_rig())
-READY = CellState("READY", True, True, "flange", 1, 0)
+READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 
 
 def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
@@ -308,7 +308,7 @@ def test_ready_tells_a_load_balancer_and_a_person() -> None:
     async def test() -> None:
         async with served() as (web, session):
             for state, expected in (
-                (CellState("FAULT", False, False, "flange", 1, 0, "cable", 104), 503),
+                (CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "cable", 104), 503),
                 (READY, 200),
             ):
                 web.announce(state)

@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import GVCP_PORT
@@ -32,6 +32,9 @@ ACK_S = 0.3
 """A camera acknowledges within milliseconds. The command is not repeated: it might expose twice."""
 
 
+Edge = Literal["rising", "falling", "any"]
+
+
 @dataclass(frozen=True, slots=True)
 class Software:
     """A command to the camera."""
@@ -48,12 +51,11 @@ class FreeRun:
 class Line:
     """A pulse on an input of the camera.
 
-    edge : "rising", "falling" or "any". delay_us : from pulse to exposure. debounce_us : shorter pulses are
-    disturbances.
+    delay_us : from pulse to exposure. debounce_us : shorter pulses are disturbances.
     """
 
     line: str = "Line1"
-    edge: str = "rising"
+    edge: Edge = "rising"
     delay_us: float = 0.0
     debounce_us: float = 0.0
 
@@ -77,7 +79,7 @@ class Action:
 
 Trigger = Software | FreeRun | Line | Action
 
-ACTIVATIONS = {"rising": "RisingEdge", "falling": "FallingEdge", "any": "AnyEdge"}
+ACTIVATIONS: dict[Edge, str] = {"rising": "RisingEdge", "falling": "FallingEdge", "any": "AnyEdge"}
 
 
 @dataclass(frozen=True, slots=True)

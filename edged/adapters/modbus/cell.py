@@ -16,6 +16,7 @@ from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALU
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.domain import (
     Calibrated,
+    CellPhase,
     CellState,
     Command,
     CommandFailed,
@@ -34,7 +35,13 @@ from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"
-STATES = {"STARTING": 0, "READY": 1, "BUSY": 2, "FAULT": 3, "STOPPING": 4}
+STATES = {
+    CellPhase.STARTING: 0,
+    CellPhase.READY: 1,
+    CellPhase.BUSY: 2,
+    CellPhase.FAULT: 3,
+    CellPhase.STOPPING: 4,
+}
 
 VERDICTS = {
     reg.ResultCode.OK: hs.Verdict.GOOD,
@@ -142,7 +149,7 @@ class CellRegisters:
         if cell is not None and cell.error and not error:
             error = 1
         return {
-            "STATE": STATES.get(cell.state, 0) if cell is not None else 0,
+            "STATE": STATES[cell.state] if cell is not None else 0,
             "STATUS_BITS": self._status_bits(now_s, valid),
             "CMD_SEQ_ECHO": state.command_sequence,
             "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
@@ -161,7 +168,7 @@ class CellRegisters:
     def _status_bits(self, now_s: float, valid: bool) -> int:
         state, cell = self._state, self._cell
         ready = cell is not None and cell.ready and len(state.open) < state.limits.queue
-        busy = bool(state.open) or (cell is not None and cell.state == "BUSY")
+        busy = bool(state.open) or (cell is not None and cell.state is CellPhase.BUSY)
         verdict = state.result.verdict if state.result is not None else None
         passed = verdict is hs.Verdict.PASSED and hs.is_fresh(state, now_s)
         simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
@@ -174,11 +181,14 @@ class CellRegisters:
             (reg.StatusBit.RESULT_VALID, valid),
             (reg.StatusBit.OK, valid or passed),
             (reg.StatusBit.NOK, verdict in (hs.Verdict.BAD, hs.Verdict.FAULT)),
-            (reg.StatusBit.ERROR, cell is not None and (cell.state == "FAULT" or bool(cell.error))),
+            (reg.StatusBit.ERROR, cell is not None and (cell.state is CellPhase.FAULT or bool(cell.error))),
             (reg.StatusBit.OVERRUN, state.overrun),
             (reg.StatusBit.DRIFT_WARN, cell is not None and cell.calibrated is not Calibrated.HOLDS),
             (reg.StatusBit.CAL_INVALID, cell is not None and cell.calibrated is Calibrated.INVALID),
-            (reg.StatusBit.CAM_FAULT, cell is not None and cell.state == "FAULT" and not cell.cameras_ok),
+            (
+                reg.StatusBit.CAM_FAULT,
+                cell is not None and cell.state is CellPhase.FAULT and not cell.cameras_ok,
+            ),
             (reg.StatusBit.SIMULATED, simulated),
         )
         return sum(int(bit) for bit, is_up in raised if is_up)
@@ -284,7 +294,9 @@ class CellRegisters:
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
             case CellState():
-                if event.state == "BUSY" and (self._cell is None or self._cell.state != "BUSY"):
+                if event.state is CellPhase.BUSY and (
+                    self._cell is None or self._cell.state is not CellPhase.BUSY
+                ):
                     self._step(hs.CycleBegun(), now_s)
                 self._cell = event
             case _:

@@ -11,13 +11,25 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 from cv2.typing import MatLike
 
-from edged.domain import CellState, Event, ExposureDone, FloatArray, FramePair, Snapshot, Status, Target
+from edged.domain import (
+    SIDES,
+    CellPhase,
+    CellState,
+    Event,
+    ExposureDone,
+    FloatArray,
+    FramePair,
+    Side,
+    Snapshot,
+    Status,
+    Target,
+)
 from edged.logs import FaultMemory
 from edged.payload import Json, snapshot_to_json, state_to_json
 from edged.vision.geometry.rectification import Rectification
@@ -32,9 +44,6 @@ WIDTH_PX = 960
 """Of the pictures that are sent."""
 QUALITY = 82
 OUTLINE_POINTS = 72
-
-Side = Literal["left", "right"]
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +93,7 @@ class Page:
             return False
         if isinstance(event, CellState):
             self._state = event
-            return event.state != "BUSY"
+            return event.state is not CellPhase.BUSY
         if not isinstance(event, Snapshot):
             return False
         pair = self._exposed[1] if self._exposed is not None and self._exposed[0] == event.cycle else None

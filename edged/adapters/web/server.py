@@ -23,8 +23,8 @@ from aiohttp import web
 
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
-from edged.adapters.web.page import Page, Side, Sources, picture
-from edged.domain import Event
+from edged.adapters.web.page import Page, Sources, picture
+from edged.domain import Event, Side
 from edged.errors import ListenError
 from edged.payload import Json
 

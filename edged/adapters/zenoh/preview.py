@@ -14,7 +14,7 @@ import numpy as np
 import zenoh
 
 from edged.adapters.zenoh.worker import Worker
-from edged.domain import ExposureDone, Frame, Image
+from edged.domain import SIDES, ExposureDone, Frame, Image
 from edged.payload import encode
 
 PERIOD_S = 0.2
@@ -33,7 +33,7 @@ class Preview:
                 priority=zenoh.Priority.BACKGROUND,
                 congestion_control=zenoh.CongestionControl.DROP,
             )
-            for side in ("left", "right")
+            for side in SIDES
         }
         self._worker = Worker("zenoh-preview", 1)
         self._offered_s = float("-inf")
@@ -51,7 +51,7 @@ class Preview:
         self._offered_s = now_s
 
         def send() -> None:
-            for side, frame in (("left", pair.left), ("right", pair.right)):
+            for side, frame in zip(SIDES, (pair.left, pair.right), strict=True):
                 publisher = self._publishers[side]
                 status = publisher.matching_status
                 if getattr(status, "matching", status):  # its stub says bool, it is a MatchingStatus

@@ -31,6 +31,7 @@ from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, p
 from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.worker import Worker
 from edged.domain import (
+    CellPhase,
     CellState,
     Command,
     CommandFailed,
@@ -230,7 +231,7 @@ class ZenohPublisher:
         while True:
             await asyncio.sleep(HEALTH_PERIOD_S)
             health = {
-                "state": "STARTING" if self._state is None else self._state.state,
+                "state": CellPhase.STARTING if self._state is None else self._state.state,
                 **self._health.to_json(),
                 "links": self.links(),
                 "pending_triggers": len(self._pending),

@@ -22,7 +22,7 @@ import zenoh
 from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
 from edged.errors import ConfigError
 from edged.robot.covariance import robot_covariance
-from edged.vision.geometry.rigid import rotation_vector
+from edged.vision.geometry.rigid import quaternion
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10
 POSE_SIZES_M = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # mm to m, rad stays
@@ -72,15 +72,11 @@ def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
         covariance = robot_covariance(target, snapshot.robot_from_rig, snapshot.registration_covariance)
     if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
         return None
-    turn = rotation_vector(pose[:3, :3])
-    angle = float(np.linalg.norm(turn))
-    # np.sinc(x) is sin(pi x) / (pi x): exact at no rotation
-    quaternion = np.append(turn * 0.5 * np.sinc(angle / (2 * np.pi)), np.cos(angle / 2))
     return RosPose(
         snapshot.exposed_ns,
         frame,
         pose[:3, 3] * 1e-3,
-        quaternion,
+        np.roll(quaternion(pose[:3, :3]), -1),
         covariance * np.outer(POSE_SIZES_M, POSE_SIZES_M),
     )
 

@@ -21,7 +21,7 @@ from edged.vision.part.job import (
     crossing,
 )
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import SearchParams
+from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
 MIN_LENGTH_MM = 1e-3
 MAX_FEATURES = 256
@@ -83,7 +83,7 @@ class _Search(_Section):
     max_overlap: float = Field(
         0.5, ge=0, le=1, description="of two that share more than this of their area the better one remains"
     )
-    polarity: Literal["same", "global", "local", "ignore"] = Field(
+    polarity: Polarity = Field(
         "local",
         description='contrast "same" as taught; "global": may be inverted as a whole; "local": each stretch '
         'of the outline by itself; "ignore": each edge by itself, which clutter imitates most easily',
@@ -91,7 +91,7 @@ class _Search(_Section):
     min_contrast: float = Field(
         2.0, gt=0, le=255, description="grey values per px below which there is no edge"
     )
-    sub_pixel: Literal["none", "rigid", "similarity", "stretch", "affine", "projective"] = Field(
+    sub_pixel: SubPixel = Field(
         "projective",
         description="what the refinement may adapt: nothing; position and angle; and size; and sizes along x "
         "and y; an affine map; a tilted face",

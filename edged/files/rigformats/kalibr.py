@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from edged.domain import SIDES
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation
@@ -45,7 +46,7 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
     in_metres = rig.right_from_left.copy()
     in_metres[:3, 3] /= 1000
     document = {}
-    for number, (lens, name) in enumerate(zip(lenses, ("left", "right"), strict=True)):
+    for number, (lens, name) in enumerate(zip(lenses, SIDES, strict=True)):
         camera = lens.camera
         document[f"cam{number}"] = {
             **({"T_cn_cnm1": in_metres.tolist()} if number else {}),

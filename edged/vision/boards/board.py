@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain import FloatArray, Side
 from edged.errors import CalibrationError
 
 IntArray = npt.NDArray[np.int64]
@@ -201,8 +201,8 @@ class StereoView:
     left: Detection | Missed
     right: Detection | Missed
 
-    def found(self, side: str) -> Detection:
-        """The detection of "left" or "right"; for views known to have it."""
+    def found(self, side: Side) -> Detection:
+        """The detection in one image; for views known to have it."""
         detection = self.left if side == "left" else self.right
         if isinstance(detection, Missed):
             raise TypeError(f"{self.name}: no board in the {side} image: {detection.reason}")

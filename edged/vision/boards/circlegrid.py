@@ -17,6 +17,7 @@ Source of the effect: J. Heikkilä, PAMI 2000, doi:10.1109/34.879788.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -27,7 +28,7 @@ from edged.domain import FloatArray, Image
 from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, Missed
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.geometry.camera import CameraModel
-from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.rigid import apply, rotation_2d
 
 _BLOCK_SHARES = (6, 12, 24)  # threshold windows as parts of the image's shorter side: large and small plates
 _MIN_DIAMETER_PX = 6.0
@@ -248,8 +249,7 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
     # a contour runs through pixel centres: half a pixel inside the blob's edge
     if abs(area / (0.25 * np.pi * first * second) - 1) > _ROUNDNESS:
         return None
-    angle = np.radians(angle_deg)
-    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    axes = rotation_2d(-math.radians(angle_deg))
     matrix = axes.T @ np.diag([2 / first, 2 / second]) @ axes
     return np.array([x, y, matrix[0, 0], matrix[0, 1], matrix[1, 1]])
 

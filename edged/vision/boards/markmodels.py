@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from edged.domain import FloatArray, Image
+from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 
 CORNER, DOT = 0, 1
@@ -23,34 +24,6 @@ _RECENTRED = 2  # the window is laid round the corner found, so that what is sym
 _CENTRED_PX = 0.2  # a window that lies this well needs no second fit
 _MIN_SHARE_INSIDE = 0.7  # of the window's pixels; less lets one edge go unseen
 _TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
-
-
-@kernel()
-def solve_spd(matrix: FloatArray, right: FloatArray, n: int) -> bool:
-    """Solve matrix @ x = right in place by Cholesky; False if not positive definite.
-
-    matrix (n, n) is overwritten by its factor, right (n,) by x. (numba's linalg needs SciPy.)
-    """
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(n):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True
 
 
 @kernel(inline=True)
@@ -222,8 +195,9 @@ def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covar
         for i in range(n):
             damped[i, i] *= 1.0 + damping
         step[:] = gradient
-        if not solve_spd(damped, step, n):
+        if factorise(damped, n) == 0.0:
             return math.nan
+        substitute(damped, step, n)
         # far below what noise leaves open; asked before the trial, whose sum may only differ by rounding
         if math.fabs(step[0]) < 1e-5 and math.fabs(step[1]) < 1e-5 and math.fabs(step[blur]) < 1e-4:
             break
@@ -258,15 +232,15 @@ def centre_covariance(
     promise too much. N^-1 (sum of r² g gᵀ) N^-1 does not. Source: H. White, 1980, doi:10.2307/1912934.
     """
     n = unknowns_of(kind)
-    meat, factor = np.empty((n, n)), np.empty((n, n))
+    meat, factor = np.empty((n, n)), normal.copy()
     scratch = np.empty(n)
     inverse = np.zeros((2, n))
     _, count = accumulate(kind, image, p, window, meat, scratch, True)
+    if factorise(factor, n) == 0.0:
+        return False
     for axis in range(2):
-        factor[:] = normal
         inverse[axis, axis] = 1.0
-        if not solve_spd(factor, inverse[axis], n):
-            return False
+        substitute(factor, inverse[axis], n)
     covariance[:] = 0.0
     for a in range(2):
         for b in range(2):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
 from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
 from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped
@@ -172,7 +172,7 @@ def _problem(views: list[StereoView]) -> _Problem:
     return _Problem(views, observations(views, "left"), observations(views, "right"))
 
 
-def observations(views: Sequence[StereoView], side: str) -> Observations:
+def observations(views: Sequence[StereoView], side: Side) -> Observations:
     """All marks of the "left" or "right" images, with the precision their own fits state."""
     found = [view.found(side) for view in views]
     return Observations(
@@ -335,7 +335,7 @@ def freedom_of(camera: CameraModel) -> LensFreedom:
 
 def _release(solution: _Solution) -> _Solution:
     """Free fx from fy, and k3, where the data contradict the simpler lens."""
-    for index, side in enumerate(("left", "right")):
+    for index, side in enumerate(SIDES):
         freedom = solution.freedoms[index]
         trials = [replace(freedom, square_pixels=False)]
         if "k1" in freedom.distortion:
@@ -349,7 +349,7 @@ def _release(solution: _Solution) -> _Solution:
     return solution
 
 
-def _significance(result: BundleResult, side: str, trial: LensFreedom, before: LensFreedom) -> float:
+def _significance(result: BundleResult, side: Side, trial: LensFreedom, before: LensFreedom) -> float:
     """|value| / sigma of what `trial` frees."""
     rig = _rig(result, "")
     names = list(rig.parameter_names)
@@ -397,7 +397,7 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
         fit_of_view(view, rig, pose)
         for view, pose in zip(problem.views, result.state.left_from_board, strict=True)
     )
-    marks = sum(len(view.found(side).ids) for view in problem.views for side in ("left", "right"))
+    marks = sum(len(view.found(side).ids) for view in problem.views for side in SIDES)
     rows = np.concatenate([epipolar_errors_px(rig, fit.view) for fit in fits])
     return Calibration(
         rig=rig,
@@ -415,7 +415,7 @@ def _summarise(solution: _Solution, excluded: list[tuple[str, str]]) -> Calibrat
 
 def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
     notes = []
-    for side in ("left", "right"):
+    for side in SIDES:
         blur = np.array([view.found(side).blur_px for view in views])
         notes += [
             f"{view.name}: the {side} image is blurred (edges of {b:.1f} px, else {np.median(blur):.1f})"

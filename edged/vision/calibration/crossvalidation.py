@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.errors import CalibrationError
 from edged.vision.calibration.bundle import BundleState, adjust, adjust_poses
 from edged.vision.calibration.calibrate import (
@@ -77,7 +77,7 @@ def _calibrated_without(calibration: Calibration, rest: list[int]) -> StereoRig:
     state = BundleState(rig.left, rig.right, rig.right_from_left, poses)
     left, right = (
         with_model_error(observations(views, side), error)
-        for side, error in zip(("left", "right"), calibration.model_error_px, strict=True)
+        for side, error in zip(SIDES, calibration.model_error_px, strict=True)
     )
     try:
         result = adjust(state, left, right, freedom_of(rig.left), freedom_of(rig.right))
@@ -93,7 +93,7 @@ def _measure(calibration: Calibration, rig: StereoRig, index: int) -> HeldOutVie
     state = BundleState(rig.left, rig.right, rig.right_from_left, fit.left_from_board[None])
     left, right = (
         with_model_error(observations([view], side), error)
-        for side, error in zip(("left", "right"), calibration.model_error_px, strict=True)
+        for side, error in zip(SIDES, calibration.model_error_px, strict=True)
     )
     pose = adjust_poses(state, left, right).left_from_board[0]
     ids, left_px, right_px = marks_in_both(view)

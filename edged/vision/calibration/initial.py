@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Detection, Missed, StereoView
 from edged.vision.geometry.camera import CameraModel, LensModel
@@ -35,7 +35,7 @@ def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tu
             ),
             None,
         )
-        if problem is None and min(len(view.found(s).ids) for s in ("left", "right")) < MIN_MARKS:
+        if problem is None and min(len(view.found(s).ids) for s in SIDES) < MIN_MARKS:
             problem = f"fewer than {MIN_MARKS} marks in one image"
         if problem is None:
             usable.append(view)
@@ -51,7 +51,7 @@ def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tu
 
 
 def zhang(
-    views: Sequence[StereoView], side: str, size: tuple[int, int], model: LensModel
+    views: Sequence[StereoView], side: Side, size: tuple[int, int], model: LensModel
 ) -> tuple[CameraModel, list[FloatArray]]:
     """Camera and camera_from_board for each view."""
     found = [view.found(side) for view in views]
@@ -85,7 +85,7 @@ def _column(vector: cv2.typing.MatLike) -> FloatArray:
     return np.asarray(vector, dtype=np.float64).ravel()
 
 
-def _check_tilt(poses: Sequence[FloatArray], side: str) -> None:
+def _check_tilt(poses: Sequence[FloatArray], side: Side) -> None:
     normals = np.array([pose[:3, 2] for pose in poses])
     spread = float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1, 1))))
     if spread < _MIN_TILT_SPREAD_DEG:

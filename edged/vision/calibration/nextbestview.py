@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray, Side
 from edged.vision.boards.board import Board
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration.calibrate import Calibration, freedom_of
@@ -87,7 +87,7 @@ def best_next_view(calibration: Calibration) -> Suggestion | None:
     board = max(set(boards), key=boards.count)
     best: Suggestion | None = None
     for where, pose in candidates(calibration, board):
-        seen = [_observed(calibration, board, pose, side) for side in ("left", "right")]
+        seen = [_observed(calibration, board, pose, side) for side in SIDES]
         if min(len(one.view) for one in seen) < _MIN_VISIBLE * len(board.points_mm):
             continue
         state = BundleState(rig.left, rig.right, rig.right_from_left, pose[None])
@@ -114,7 +114,7 @@ def candidates(calibration: Calibration, board: Board) -> Iterator[tuple[str, Fl
                     yield text, transform(rotation, place - rotation @ middle)
 
 
-def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: str) -> Observations:
+def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:
     """The marks that a camera would see, as precisely as it saw those before."""
     rig = calibration.rig
     points = apply(pose, board.points_mm)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import SIDES, FloatArray
 from edged.vision.boards.board import Detection, Missed, StereoView
 from edged.vision.calibration.calibrate import marks_in_both
 from edged.vision.calibration.initial import renumbered
@@ -59,14 +59,13 @@ class Length:
 class BoardCheck:
     """A board measured with a stored rig.
 
-    epipolar_rms_px, epipolar_mean_px : of the marks' row differences, in rectified px.
+    epipolar_rms_px : of the marks' row differences, in rectified px.
     reprojection_rms_px : of the marks against the board with its size left free.
     size : the board's size as a length: its longest diagonal, by the best fit of all marks.
     """
 
     marks: int
     epipolar_rms_px: float
-    epipolar_mean_px: float
     reprojection_rms_px: float
     size: Length
 
@@ -95,7 +94,6 @@ def check_board(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -
     return BoardCheck(
         marks=len(ids),
         epipolar_rms_px=float(np.sqrt(np.mean(rows**2))),
-        epipolar_mean_px=float(rows.mean()),
         reprojection_rms_px=rms,
         size=Length("board diagonal", longest, longest * scale, longest * sigma),
     )
@@ -143,7 +141,7 @@ def _linearised(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (N, 2), their Jacobian (N, 2, 7) by rotation, translation and size, sigma_px (N,)."""
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for side, camera in (("left", rig.left), ("right", rig.right)):
+    for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
         seen: Detection = view.found(side)
         turned = scale * view.board.points_mm[seen.ids] @ pose[:3, :3].T
         points, rotation = turned + pose[:3, 3], np.eye(3)

@@ -17,11 +17,6 @@ from edged.domain import FloatArray
 from edged.vision.kernels.jit import F2
 
 Kind = Literal["circle", "edge", "slot"]
-PARAMETERS: dict[Kind, tuple[str, ...]] = {
-    "circle": ("x", "y", "radius"),
-    "edge": ("x", "y", "angle"),
-    "slot": ("x", "y", "angle", "length", "width"),
-}
 PLANE_PARAMETERS = 3
 """Height of the plane over the face, and its slopes along u and v."""
 MIN_RADIUS_MM = 1e-3
@@ -62,8 +57,8 @@ class Face:
 class Curve:
     """One outline in the face.
 
-    parameters : as named in `PARAMETERS`, mm and rad. Of an edge x, y are its middle and angle its direction
-    (u to v); of a slot x, y are its centre, angle its long axis, length is over all.
+    parameters : mm and rad. Of a circle (x, y, radius); of an edge (x, y, angle): its middle, its direction
+    (u to v); of a slot (x, y, angle, length, width): its centre, its long axis, its length over all.
     polarity : +1 brighter along the normal, -1 darker, 0 not known. The normal points outwards; of an edge
     it is the direction turned by 90° from u to v.
     length_mm : of an edge; its ends are no result of a fit.

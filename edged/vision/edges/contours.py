@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.edges.fitting import FitParams, fit_circle, fit_line
+from edged.vision.edges.fitting import fit_circle, fit_line
 from edged.vision.edges.hysteresis import strong_edges
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
@@ -26,7 +26,9 @@ I64 = npt.NDArray[np.int64]
 REACH_PX = 1.5
 """An edge pixel is within 0.7 px of its edge; texture beside it must not catch it."""
 MIN_CONTOUR = 8
-PIECE_PARAMS = FitParams("tukey", iterations=12)
+TOLERANCE_PX = 1.0
+"""Farthest that a point may lie from the line or arc of its piece."""
+MIN_PIECE = 8
 MAX_STRETCH = 20.0
 """An arc whose radius exceeds this many times its length is a line: it bends by less than 1/160 of it."""
 
@@ -43,14 +45,6 @@ class Contour:
     normals: FloatArray
     slopes: FloatArray
     closed: bool
-
-
-@dataclass(frozen=True, slots=True)
-class SplitParams:
-    """tolerance_px : farthest that a point may lie from its line or arc.  min_points : of a piece."""
-
-    tolerance_px: float = 1.0
-    min_points: int = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,15 +122,14 @@ def misfit_px(points: FloatArray) -> float:
     return float(_misfit(np.ascontiguousarray(points, dtype=np.float64)))
 
 
-def split(contour: Contour, params: SplitParams | None = None) -> list[Piece]:
-    """Cut a contour into lines and arcs, in order; what is shorter than params.min_points is left out."""
-    params = params or SplitParams()
+def split(contour: Contour) -> list[Piece]:
+    """Cut a contour into lines and arcs, in order; pieces of fewer than `MIN_PIECE` points are left out."""
     order = _opened(contour)
     points = contour.points[order]
-    corners = ramer(points, params.tolerance_px)
+    corners = ramer(points, TOLERANCE_PX)
     spans = [(int(a), int(b)) for a, b in itertools.pairwise(corners)]
-    spans = _joined(points, spans, params.tolerance_px)
-    return [piece for span in spans if (piece := _piece(points, order, span, params)) is not None]
+    spans = _joined(points, spans)
+    return [piece for span in spans if (piece := _piece(points, order, span)) is not None]
 
 
 def _opened(contour: Contour) -> I64:
@@ -148,7 +141,7 @@ def _opened(contour: Contour) -> I64:
     return np.append((far + np.arange(count)) % count, far)
 
 
-def _joined(points: FloatArray, spans: list[tuple[int, int]], tolerance: float) -> list[tuple[int, int]]:
+def _joined(points: FloatArray, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Neighbouring spans joined wherever one line or circle passes through both; best fits first."""
     spans = list(spans)
 
@@ -158,7 +151,7 @@ def _joined(points: FloatArray, spans: list[tuple[int, int]], tolerance: float) 
     misfits = [misfit(k) for k in range(len(spans) - 1)]
     while misfits:
         best = int(np.argmin(misfits))
-        if misfits[best] > tolerance:
+        if misfits[best] > TOLERANCE_PX:
             break
         spans[best : best + 2] = [(spans[best][0], spans[best + 1][1])]
         del misfits[best]
@@ -168,31 +161,31 @@ def _joined(points: FloatArray, spans: list[tuple[int, int]], tolerance: float) 
     return spans
 
 
-def _piece(points: FloatArray, order: I64, span: tuple[int, int], params: SplitParams) -> Piece | None:
+def _piece(points: FloatArray, order: I64, span: tuple[int, int]) -> Piece | None:
     own = points[span[0] : span[1] + 1]
-    if len(own) < params.min_points:
+    if len(own) < MIN_PIECE:
         return None
     indices = order[span[0] : span[1] + 1]
-    inner = own[1:-1] if len(own) > params.min_points + 2 else own  # the ends belong to the corners
-    line, circle = fit_line(inner, PIECE_PARAMS), fit_circle(inner, PIECE_PARAMS)
+    inner = own[1:-1] if len(own) > MIN_PIECE + 2 else own  # the ends belong to the corners
+    line, circle = fit_line(inner), fit_circle(inner)
     way = float(np.linalg.norm(own[-1] - own[0]))
-    if line is not None and np.abs(line.distances).max() <= params.tolerance_px:
+    if line is not None and np.abs(line.distances).max() <= TOLERANCE_PX:
         bend = np.inf if circle is None else circle.radius
         better = circle is not None and circle.rms_px < 0.7 * line.rms_px
         if bend > MAX_STRETCH * way or not better:
             start, end = (point - (point @ line.normal - line.offset) * line.normal for point in own[[0, -1]])
             return Piece("line", indices, start, end, np.full(2, np.nan), np.nan)
-    if circle is None or np.abs(circle.distances).max() > 2 * params.tolerance_px:
+    if circle is None or np.abs(circle.distances).max() > 2 * TOLERANCE_PX:
         return None
     arms = own[[0, -1]] - circle.centre
     start, end = circle.centre + circle.radius * arms / np.linalg.norm(arms, axis=1, keepdims=True)
     return Piece("arc", indices, start, end, circle.centre, circle.radius)
 
 
-def pieces(contours: list[Contour], params: SplitParams | None = None) -> Iterator[tuple[Contour, Piece]]:
+def pieces(contours: list[Contour]) -> Iterator[tuple[Contour, Piece]]:
     """Every piece of every contour."""
     for contour in contours:
-        for piece in split(contour, params):
+        for piece in split(contour):
             yield contour, piece
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.geometry.rigid import rotation_2d
 
 MIN_AXIS_RATIO = 0.7
 """A circle seen at up to 45°."""
@@ -34,16 +35,14 @@ class ImageEllipse:
     def outline(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) on it and outward unit normals (N, 2)."""
         t = np.arange(count) * (2 * np.pi / count)
-        cosine, sine = np.cos(self.angle), np.sin(self.angle)
-        turn = np.array([[cosine, -sine], [sine, cosine]])
+        turn = rotation_2d(self.angle)
         points = np.column_stack([self.a * np.cos(t), self.b * np.sin(t)]) @ turn.T + (self.x, self.y)
         normals = np.column_stack([self.b * np.cos(t), self.a * np.sin(t)]) @ turn.T
         return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance (N,), to first order, and the angle (N,) around the centre."""
-        cosine, sine = np.cos(self.angle), np.sin(self.angle)
-        local = (points - (self.x, self.y)) @ np.array([[cosine, -sine], [sine, cosine]])
+        local = (points - (self.x, self.y)) @ rotation_2d(self.angle)
         scaled = local / (self.a, self.b)
         value = np.linalg.norm(scaled, axis=1)
         gradient = np.linalg.norm(scaled / (self.a, self.b), axis=1) / np.maximum(value, 1e-9)

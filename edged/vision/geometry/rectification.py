@@ -9,21 +9,14 @@ common principal column would push that place out of both images.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain import FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import CameraModel, StereoRig
-
-Side = Literal["left", "right"]
-# Not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moved by up to 0.05 px,
-# against 0.02 px with either of these (tests/test_rectification.py holds them to it).
-INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "lanczos": cv2.INTER_LANCZOS4}
-Interpolation = Literal["linear", "lanczos"]
 
 _BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
 _BAND_ROWS = 16  # maps are computed in bands that stay in the cache: 2.4 times as fast as in one piece
@@ -60,17 +53,13 @@ class Rectification:
     valid_left: Image
     valid_right: Image
 
-    def left_image(
-        self, image: Image, out: Image | None = None, interpolation: Interpolation = "linear"
-    ) -> Image:
+    def left_image(self, image: Image) -> Image:
         """The rectified left image (h, w); pixels outside the raw image are 0."""
-        return self._remap(self.rig.left, self.maps_left, image, out, interpolation, "left")
+        return self._remap(self.rig.left, self.maps_left, image, "left")
 
-    def right_image(
-        self, image: Image, out: Image | None = None, interpolation: Interpolation = "linear"
-    ) -> Image:
+    def right_image(self, image: Image) -> Image:
         """The rectified right image (h, w); pixels outside the raw image are 0."""
-        return self._remap(self.rig.right, self.maps_right, image, out, interpolation, "right")
+        return self._remap(self.rig.right, self.maps_right, image, "right")
 
     def rectify_points(self, side: Side, pixels: FloatArray) -> FloatArray:
         """Rectified points (..., 2) of raw image points (..., 2); exact, needs no image."""
@@ -101,8 +90,6 @@ class Rectification:
         camera: CameraModel,
         maps: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
         image: Image,
-        out: Image | None,
-        interpolation: Interpolation,
         side: Side,
     ) -> Image:
         if image.dtype != np.uint8:
@@ -112,14 +99,9 @@ class Rectification:
             raise ImageError(
                 f"{side} image: {found}, the rig was calibrated for {camera.width}x{camera.height}"
             )
-        result = cv2.remap(
-            image,
-            *maps,
-            INTERPOLATIONS[interpolation],
-            dst=out,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
-        )
+        # not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moves by up to
+        # 0.05 px, against 0.02 px with this
+        result = cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         return np.asarray(result, dtype=np.uint8)
 
 

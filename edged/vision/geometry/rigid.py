@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms.
+"""Rotations, angles and rigid transforms.
 
 A rotation vector is axis times angle (rad). A transform is a (4, 4) matrix named
 `to_from_from`. Small rotations are applied on the left: `R' = rotation_matrix(w) @ R`; every
@@ -9,11 +9,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
+
+Angles = TypeVar("Angles", float, FloatArray)
+
+
+def wrapped(angle: Angles, period: float = 2 * math.pi) -> Angles:
+    """The angle without whole periods, in [-period / 2, period / 2); in the unit of the period."""
+    return (angle + period / 2) % period - period / 2
+
+
+def angle_between(one_rad: float, other_rad: float) -> float:
+    """By how much two directions of a plane differ, in [0, pi]."""
+    return abs(wrapped(one_rad - other_rad))
+
+
+def rotation_2d(angle_rad: float) -> FloatArray:
+    """The rotation (2, 2) of a plane, positive from x to y."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[cosine, -sine], [sine, cosine]])
 
 
 def skew(vectors: FloatArray) -> FloatArray:
@@ -50,34 +69,38 @@ def rotation_matrix(vectors_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine * crossing + cosine * (crossing @ crossing))
 
 
-def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """The rotation vector (3,) of a rotation matrix (3, 3), of length in [0, pi].
+def quaternion(rotation: FloatArray) -> FloatArray:
+    """The unit quaternion (4,), scalar first and not negative, of a rotation matrix (3, 3).
 
-    Goes through the quaternion's largest component, so that it is exact at both 0 and pi.
+    By its largest component, so that no digits are lost, neither at no turn nor at half a turn.
     Source: S. W. Shepperd, "Quaternion from Rotation Matrix", 1978.
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = float(np.trace(r))
     choices = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
     i = int(np.argmax(choices)) - 1
-    quaternion = np.empty(4)  # w, x, y, z, up to a common factor
+    q = np.empty(4)  # w, x, y, z, up to a common factor
     if i < 0:
-        quaternion[0] = 1 + trace
-        quaternion[1:] = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+        q[0] = 1 + trace
+        q[1:] = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
     else:
         j, k = (i + 1) % 3, (i + 2) % 3
-        quaternion[0] = r[k, j] - r[j, k]
-        quaternion[1 + i] = 1 + r[i, i] - r[j, j] - r[k, k]
-        quaternion[1 + j] = r[j, i] + r[i, j]
-        quaternion[1 + k] = r[k, i] + r[i, k]
-    quaternion /= np.linalg.norm(quaternion)
-    if quaternion[0] < 0:
-        quaternion = -quaternion
-    half_sine = float(np.linalg.norm(quaternion[1:]))
+        q[0] = r[k, j] - r[j, k]
+        q[1 + i] = 1 + r[i, i] - r[j, j] - r[k, k]
+        q[1 + j] = r[j, i] + r[i, j]
+        q[1 + k] = r[k, i] + r[i, k]
+    q /= np.linalg.norm(q)
+    return -q if q[0] < 0 else q
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """The rotation vector (3,) of a rotation matrix (3, 3), of length in [0, pi]; exact at both."""
+    q = quaternion(rotation)
+    half_sine = float(np.linalg.norm(q[1:]))
     if half_sine < 1e-150:
         return np.zeros(3)
-    angle = 2 * np.arctan2(half_sine, quaternion[0])
-    return np.asarray(quaternion[1:] * (angle / half_sine))
+    angle = 2 * np.arctan2(half_sine, q[0])
+    return np.asarray(q[1:] * (angle / half_sine))
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
@@ -124,12 +147,10 @@ class RigidFit:
     covariance: FloatArray
 
 
-def fit_rigid(
-    from_mm: FloatArray, to_mm: FloatArray, weights: FloatArray | None = None, *, with_scale: bool = False
-) -> RigidFit:
+def fit_rigid(from_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = False) -> RigidFit:
     """Fit `to = scale R from + t` in the least squares sense.
 
-    from_mm, to_mm (N, 3), N >= 3 and not on one line; weights (N,) positive, relative 1/sigma².
+    from_mm, to_mm (N, 3), N >= 3 and not on one line.
     Raises `CalibrationError` for too few points or points on one line.
     Source: S. Umeyama, "Least-squares estimation of transformation parameters between two
     point patterns", PAMI 1991, doi:10.1109/34.88573.
@@ -141,28 +162,24 @@ def fit_rigid(
         )
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise CalibrationError("a rigid fit needs finite coordinates")
-    w = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if w.shape != (len(source),) or not np.isfinite(w).all() or (w <= 0).any():
-        raise CalibrationError(f"a rigid fit needs one positive weight for each of {len(source)} points")
-    w = w / w.mean()
-    mean_source, mean_target = np.average(source, axis=0, weights=w), np.average(target, axis=0, weights=w)
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - mean_source, target - mean_target
     for centred in (centred_source, centred_target):
         spread = np.linalg.svd(centred, compute_uv=False)
         if spread[1] <= 1e-6 * max(spread[0], 1e-300):
             raise CalibrationError("a rigid fit needs points that are not all on one line")
-    u, singular, vt = np.linalg.svd((w[:, None] * centred_target).T @ centred_source)
+    u, singular, vt = np.linalg.svd(centred_target.T @ centred_source)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = (u * signs) @ vt
-    scale = float(singular @ signs / (w @ np.sum(centred_source**2, axis=1))) if with_scale else 1.0
+    scale = float(singular @ signs / np.sum(centred_source**2)) if with_scale else 1.0
     fitted = transform(rotation, mean_target - scale * rotation @ mean_source)
     arms = scale * source @ rotation.T
     residuals = target - arms - fitted[:3, 3]
 
     freedom = 3 * len(source) - 6 - int(with_scale)
-    sigma = float(np.sqrt(w @ np.sum(residuals**2, axis=1) / freedom)) if freedom > 0 else float("nan")
+    sigma = float(np.sqrt(np.sum(residuals**2) / freedom)) if freedom > 0 else float("nan")
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(source), 3, 3)), -skew(arms)], axis=2)
-    normal = np.einsum("n,nij,nik->jk", w, jacobian, jacobian)
+    normal = np.einsum("nij,nik->jk", jacobian, jacobian)
     return RigidFit(fitted, scale, residuals, sigma, sigma**2 * np.linalg.inv(normal))
 
 

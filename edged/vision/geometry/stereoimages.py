@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain import FloatArray, Image, Side
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import Rectification, Side
+from edged.vision.geometry.rectification import Rectification
 
 
 @dataclass(frozen=True, slots=True, eq=False)

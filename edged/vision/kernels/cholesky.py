@@ -1,6 +1,12 @@
-"""Small symmetric positive matrices, solved in kernels."""
+"""Cholesky's factor of a small symmetric positive matrix, in kernels: factorise, substitute, invert.
+
+Sums are added up one after the other, whatever the place and the caller: equal systems have bit-equal
+solutions.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +18,49 @@ F64 = npt.NDArray[np.float64]
 _TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
 
 
+@kernel("f8(f8[:, ::1], i8)")
+def factorise(matrix: F64, size: int) -> float:
+    """Put the factor L of matrix = LLᵀ, upper left size x size, in the place of its lower triangle.
+
+    Only the lower triangle is read.  Returns the smallest pivot relative to its diagonal element, so that the
+    unit of an unknown does not matter, in [0, 1]; 0 if the matrix is not positive.
+    """
+    smallest = 1.0
+    for j in range(size):
+        diagonal = matrix[j, j]
+        pivot = diagonal
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return 0.0
+        smallest = min(smallest, pivot / diagonal)
+        matrix[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = value / matrix[j, j]
+    return smallest
+
+
+@kernel("void(f8[:, ::1], f8[::1], i8)")
+def substitute(factor: F64, vector: F64, size: int) -> None:
+    """Solve LLᵀ x = vector in place, L being what `factorise` left."""
+    for i in range(size):
+        for k in range(i):
+            vector[i] -= factor[i, k] * vector[k]
+        vector[i] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            vector[i] -= factor[k, i] * vector[k]
+        vector[i] /= factor[i, i]
+
+
 @kernel("b1(f8[:, ::1], f8[:, ::1])", any_order=True)
 def invert_spd(matrix: F64, inverse: F64) -> bool:
-    """Invert a symmetric positive matrix by Cholesky, scaled to a unit diagonal; False if it is singular.
+    """Invert a symmetric positive matrix, scaled to a unit diagonal; False if it is singular.
 
-    Every inner loop runs along a row: the inverse of the factor, row by row, then its square.
+    By the inverse of the factor, row by row, then its square: every inner loop runs along a row.
     """
     size = matrix.shape[0]
     scale, row = np.empty(size), np.empty(size)
@@ -27,16 +71,10 @@ def invert_spd(matrix: F64, inverse: F64) -> bool:
         scale[i] = 1.0 / np.sqrt(matrix[i, i])
     for i in range(size):
         for j in range(i + 1):
-            total = 0.0
-            for k in range(j):
-                total += lower[i, k] * lower[j, k]
-            total = matrix[i, j] * scale[i] * scale[j] - total
-            if i > j:
-                lower[i, j] = total / lower[j, j]
-            elif total > _TINY_PIVOT:
-                lower[i, i] = np.sqrt(total)
-            else:
-                return False
+            lower[i, j] = matrix[i, j] * scale[i] * scale[j]
+    if not factorise(lower, size) > _TINY_PIVOT:
+        return False
+    for i in range(size):
         row[:i] = 0.0
         for k in range(i):
             for c in range(k + 1):

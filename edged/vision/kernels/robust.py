@@ -1,7 +1,8 @@
-"""Robust statistics of edge samples along a curve, as kernels.
+"""Robust statistics: scale and weights of residuals, and the correlation of samples along a curve.
 
-Samples scatter (scale) and repeat each other along the edge (correlation); both are estimated without the
-samples that are wrong. The solver that stands on them is `curves.adjustment`.
+Samples of an edge scatter (scale) and repeat each other along the edge (correlation); both are estimated
+without the samples that are wrong. The solver that stands on them is `curves.adjustment`. Other fits take
+scale and weights of whole arrays.
 Source: P. J. Huber, "Robust Statistics", 1981; J. W. Tukey's biweight with c = 4.685.
 """
 
@@ -16,7 +17,10 @@ from edged.vision.kernels.median import median
 F64 = npt.NDArray[np.float64]
 
 TUKEY = 4.685
-"""Tukey's constant for 95 % efficiency with normal errors; the usual 3 costs 5-9 %."""
+"""Tukey's constant for 95 % efficiency with normal errors (P. W. Holland and R. E. Welsch, 1977); the usual
+3 costs 5-9 %."""
+SIGMA_PER_MEDIAN = 1.4826
+"""The sigma of normal errors over the median of their magnitudes."""
 MIN_SIGMA_PX = 0.01
 """No edge is better than this in an 8-bit image: floor of the robust scale."""
 MAX_LAG = 24
@@ -24,9 +28,19 @@ MIN_SAMPLES = 12.0
 _AT_ONCE = 192  # samples whose terms stay in the fastest memory
 
 
+def mad_sigma(residuals: F64) -> float:
+    """The sigma of normal errors, from the median of |residuals| (N,), N >= 1."""
+    return SIGMA_PER_MEDIAN * float(np.median(np.abs(residuals)))
+
+
+def tukey_weights(residuals: F64, sigma: float) -> F64:
+    """Tukey's biweight (N,) of residuals (N,), in [0, 1]; 0 from `TUKEY` sigma on."""
+    return np.asarray(np.clip(1 - (residuals / (TUKEY * sigma)) ** 2, 0, None) ** 2)
+
+
 @kernel("f8(f8[::1], f8[::1])")
 def robust_scale(residuals: F64, base: F64) -> float:
-    """1.4826 x the median of |residual| where base > 0: the sigma of normal errors; 0 if there is none."""
+    """The sigma of normal errors, from the median of |residuals| where base > 0; 0 if there is none."""
     count = 0
     kept = np.empty(len(residuals))
     for n in range(len(residuals)):
@@ -34,15 +48,20 @@ def robust_scale(residuals: F64, base: F64) -> float:
         count += base[n] > 0
     if count == 0:
         return 0.0
-    return 1.4826 * median(kept[:count])
+    return SIGMA_PER_MEDIAN * median(kept[:count])
+
+
+@kernel("f8(f8)")
+def biweight(share: float) -> float:
+    """Tukey's biweight of a residual as a share of the one from which on the weight is 0."""
+    near = max(1.0 - share * share, 0.0)
+    return near * near
 
 
 @kernel("f8(f8)")
 def tukey_weight(ratio: float) -> float:
     """Tukey's biweight of residual / scale."""
-    scaled = ratio / TUKEY
-    near = max(1.0 - scaled * scaled, 0.0)
-    return near * near
+    return float(biweight(ratio / TUKEY))
 
 
 @kernel("f8(f8[::1], f8[::1])", any_order=True)

@@ -257,7 +257,7 @@ def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
     angles = {slot.name: slot.angle_rad for slot in job.slots}
     angles |= {edge.name: edge.angle_rad for edge in job.edges}
     if kind == "angle":
-        return angle_between(angles[of[1]] - angles[of[0]], None)
+        return angle_of_lines(angles[of[1]] - angles[of[0]], None)
     one, two = (job.place_of(name)[:2] for name in of)
     lines = [name for name in of if job.kind_of(name) == "edge"]
     if not lines:
@@ -266,7 +266,7 @@ def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
     return float(abs((two - one) @ (-math.sin(angle), math.cos(angle))))
 
 
-def angle_between(turn: float, nominal: float | None) -> float:
+def angle_of_lines(turn: float, nominal: float | None) -> float:
     """The angle between two lines, rad: of all that may be meant, the one nearest to the nominal value.
 
     Without one it is within [0, pi / 2]. Folded there, 89.9° and 90.1° would be the same.

@@ -10,11 +10,12 @@ import numpy as np
 from edged.domain import FloatArray
 from edged.vision.curves.outlines import Curve
 from edged.vision.curves.planefit import PlaneFit
+from edged.vision.geometry.rigid import rotation_2d, wrapped
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import EdgeFeature, Job, SlotFeature
 
 TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""
-TUKEY = 4.685
 ROUNDS = 8
 MIN_SPARE = 2
 """More observations than unknowns, before a growth is told from a feature that lies elsewhere."""
@@ -51,8 +52,7 @@ class Motion:
 
     def apply(self, point: FloatArray) -> FloatArray:
         """(2,) where a taught point lies."""
-        cosine, sine = math.cos(self.turn), math.sin(self.turn)
-        return np.asarray(np.array([[cosine, -sine], [sine, cosine]]) @ point + self.shift)
+        return np.asarray(rotation_2d(self.turn) @ point + self.shift)
 
 
 def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
@@ -116,8 +116,7 @@ def _solved(observations: list[Observation], unknowns: int) -> tuple[FloatArray,
                 for r, (_, _, inverse) in zip(misfits, observations, strict=True)
             ]
         )
-        spread = max(1.4826 * float(np.median(far)), 1.0)
-        weights = np.clip(1 - (far / (TUKEY * spread)) ** 2, 0, None) ** 2
+        weights = tukey_weights(far, max(mad_sigma(far), 1.0))
     freedom = sum(len(gap) for gap, _, _ in observations) - unknowns
     chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in observations])) / max(freedom, 1)
     return motion, np.asarray(np.linalg.inv(normal) * max(chi2, 1.0))
@@ -142,7 +141,7 @@ def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
         if curve.kind == "edge":
             project = np.array([[-math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]])
         gap = curve.parameters[:3] - taught[curve.name]
-        gap[2] = (gap[2] + math.pi / 2) % math.pi - math.pi / 2
+        gap[2] = wrapped(gap[2], math.pi)
         spread = np.zeros((3, 3))
         known = fit.covariance[where, where][: sizes[curve.kind], : sizes[curve.kind]]
         spread[: len(known), : len(known)] = known

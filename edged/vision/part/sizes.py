@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Measurement
 from edged.vision.curves.planefit import PlaneFit, derived
-from edged.vision.part.job import Job, MeasurementSpec, angle_between
+from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 
 Size = Callable[[FloatArray], float]
 """Of the parameters of a `PlaneFit`."""
@@ -53,7 +53,7 @@ def _size(job: Job, spec: MeasurementSpec, fit: PlaneFit) -> Size | None:
         one, two = (fit.place(name) for name in spec.of)
         if one is None or two is None:
             return None
-        return lambda p: angle_between(float(p[two][2] - p[one][2]), spec.nominal)
+        return lambda p: angle_of_lines(float(p[two][2] - p[one][2]), spec.nominal)
     first, second = (place(job, fit, name) for name in spec.of)
     if first is None or second is None:
         return None

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import SearchParams
+from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams
 from edged.vision.shape.workspace import Workspace
 
 SCAN_SHARE = 0.55
@@ -66,7 +66,7 @@ def scan_top(
     shape = (scan.ORIENTATIONS, 2, 2, plan.rows, plan.columns)
     maps = work.buffer("maps", shape, np.int8, top)
     gx, gy = work.gradient(top)
-    unsigned = params.polarity in ("local", "ignore")
+    unsigned = params.polarity in EACH_EDGE_ITSELF
     scratch = work.buffer("directions", (2, *shape[1:]), np.float32, top)
     minimum = int((8 * params.min_contrast) ** 2)
     scan.fill_responses(gx, gy, _at_level(valid, gx.shape), minimum, unsigned, plan.pad, scratch, maps)

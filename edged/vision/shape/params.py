@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal, get_args
 
 import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import UserError
 
-POLARITIES = ("same", "global", "local", "ignore")
-SUB_PIXEL_MODES = ("none", "rigid", "similarity", "stretch", "affine", "projective")
+Polarity = Literal["same", "global", "local", "ignore"]
+SubPixel = Literal["none", "rigid", "similarity", "stretch", "affine", "projective"]
+EACH_EDGE_ITSELF: tuple[Polarity, ...] = ("local", "ignore")
+"""Where the sign of one edge says nothing about that of another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +42,11 @@ class SearchParams:
     min_score: float = 0.6
     max_matches: int = 1
     max_overlap: float = 0.5
-    polarity: str = "global"
+    polarity: Polarity = "global"
     min_contrast: float = 2.0
     scale_y_min: float | None = None
     scale_y_max: float | None = None
-    sub_pixel: str = "projective"
+    sub_pixel: SubPixel = "projective"
     allow_partial: bool = True
 
     def __post_init__(self) -> None:
@@ -64,10 +67,12 @@ class SearchParams:
         if self.scale_y_min is not None and self.scale_y_max is not None:
             _in_range("scale_y_min", self.scale_y_min, 0.1, 10)
             _in_range("scale_y_max", self.scale_y_max, self.scale_y_min, 10)
-        if self.polarity not in POLARITIES:
-            raise UserError(f"search.polarity: expected one of {POLARITIES}, got {self.polarity!r}")
-        if self.sub_pixel not in SUB_PIXEL_MODES:
-            raise UserError(f"search.sub_pixel: expected one of {SUB_PIXEL_MODES}, got {self.sub_pixel!r}")
+        for name, given, modes in (
+            ("polarity", self.polarity, get_args(Polarity)),
+            ("sub_pixel", self.sub_pixel, get_args(SubPixel)),
+        ):
+            if given not in modes:
+                raise UserError(f"search.{name}: expected one of {modes}, got {given!r}")
 
 
 def _in_range(name: str, value: float, low: float, high: float) -> None:

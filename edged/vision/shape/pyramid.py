@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
+from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import scan
 from edged.vision.shape.scan import STEP_PX
 from edged.vision.shape.symmetry import MIN_CONTRAST, Level
@@ -46,8 +47,7 @@ def _similarity(
     angle, shift = pose[0], 2.0**index * np.array(pose[1:])
     reach = int(np.ceil(2.0**index * (np.linalg.norm(level.points, axis=1).max() + 8)))
     centre = reach + shift
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turn = np.array([[cosine, -sine], [sine, cosine]])
+    turn = rotation_2d(angle)
     motion = np.column_stack([turn, centre - turn @ origin_px])
     moved = cv2.warpAffine(
         image, motion, (2 * reach + 1, 2 * reach + 1), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

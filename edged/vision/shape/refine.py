@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
+from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
 
 Array = npt.NDArray[Any]
 
@@ -22,8 +24,6 @@ AGREES_PX = 1.0
 """Residual up to which an edge is taken for the model's; px of the level."""
 SETTLED_PX = 0.5
 """A step shorter than this leaves less than a tenth of it: the next one is not worth its time."""
-TUKEY = 4.685
-"""95 % efficiency for normal errors (P. W. Holland and R. E. Welsch, 1977)."""
 
 
 def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:
@@ -180,35 +180,6 @@ def edge_directions(
             edges[n, 1] = abs(cosine) if sign == 0 else sign * cosine
 
 
-@kernel("b1(f8[:, ::1], f8[::1], i8)")
-def solve_spd(
-    matrix: Array,
-    right: Array,
-    size: int,
-) -> bool:
-    """Solve matrix x = right in place by Cholesky (upper left size x size); False when not positive."""
-    for j in range(size):
-        for i in range(j, size):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not value > 0:
-                    return False
-                matrix[j, j] = np.sqrt(value)
-            else:
-                matrix[i, j] = value / matrix[j, j]
-    for i in range(size):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True
-
-
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], i8, f8[:, ::1])")
 def jacobian(
     points: Array,
@@ -355,8 +326,9 @@ def robust_step(
             for i in range(6, 8):
                 matrix[i, i] += stiffness
                 right[i] -= stiffness * pose[i]
-        if not solve_spd(matrix, right, freedom):
+        if factorise(matrix, freedom) == 0.0:
             return False
+        substitute(matrix, right, freedom)
         change = 0.0
         for i in range(freedom):
             change = max(change, abs(right[i] - step[i]) * np.sqrt(normal_matrix[i, i] / seen))
@@ -367,11 +339,10 @@ def robust_step(
                 for i in range(freedom):
                     value -= design[n, i] * step[i]
                 residuals[n] = value
-        scale = max(1.4826 * median_magnitude(residuals, used, buffer), 0.02)
+        scale = max(SIGMA_PER_MEDIAN * median_magnitude(residuals, used, buffer), 0.02)
         for n in range(count):
             if used[n]:
-                ratio = residuals[n] / (TUKEY * scale)
-                weights[n] = (1 - ratio * ratio) ** 2 if abs(ratio) < 1 else 0.0
+                weights[n] = biweight(residuals[n] / (TUKEY * scale))
         if change < 1e-4:
             break
     apply_step(pose, step, freedom)

@@ -7,7 +7,7 @@ least squares on sub-pixel edges (`refine`), level by level. Rivals are dropped 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +15,13 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
+from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel, reach_px
-from edged.vision.shape.params import SearchParams, ShapeMatch
+from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams, ShapeMatch
 from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
 
@@ -68,7 +69,6 @@ SAME_PLACE = 0.25
 SCAN_ERROR = 0.1
 """Of the scan's score, by what the grid has of a pose: one that is lower by more is no better."""
 
-Deadline = Callable[[], bool]
 DEFAULTS = SearchParams()
 
 
@@ -78,13 +78,11 @@ def find_shapes(
     params: SearchParams = DEFAULTS,
     valid: Image | None = None,
     workspace: Workspace | None = None,
-    deadline: Deadline | None = None,
 ) -> list[ShapeMatch]:
     """Find models in a rectified image (H, W) uint8, best first; the best one wins at each place.
 
     valid : (H, W) uint8, 0 where the image has no content or nothing is to be looked for; its border is
-    no edge.  workspace : buffers to reuse, one per thread.  deadline : asked between the steps; once it
-    says True, what was found so far is returned.
+    no edge.  workspace : buffers to reuse, one per thread.
     The order is deterministic, and equal input gives bit-equal output. An image too small for the model
     has no match. Raises `ImageError` for another kind of array.
     """
@@ -99,18 +97,10 @@ def find_shapes(
     listed = [models] if isinstance(models, ShapeModel) else list(models)
     work = workspace or Workspace()
     work.load(image, max((len(model.levels) for model in listed), default=1))
-    over = deadline or _never
     matches: list[Placed] = []
     for index, model in enumerate(listed):
-        if over():
-            break
-        search = _Search(work, model, params, over)
-        matches += [Placed(match, model) for match in search.run(index, valid)]
+        matches += [Placed(match, model) for match in _Search(work, model, params).run(index, valid)]
     return without_overlap(matches, params)
-
-
-def _never() -> bool:
-    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +110,6 @@ class _Search:
     work: Workspace
     model: ShapeModel
     params: SearchParams
-    over: Deadline
 
     def run(self, index: int, valid: Image | None) -> list[ShapeMatch]:
         top = min(len(self.model.levels), len(self.work.images)) - 1
@@ -128,7 +117,7 @@ class _Search:
         for candidate in scan_top(self.work, self.model, top, self.params, valid):
             good = sorted((h.score for h in found if h.score >= self.params.min_score), reverse=True)
             # the rest comes in order: not even a perfect refinement makes one of them better
-            if self.over() or (
+            if (
                 len(good) >= self.params.max_matches
                 and candidate.score + REFINEMENT_GAIN < good[self.params.max_matches - 1]
             ):
@@ -159,7 +148,7 @@ class _Search:
     # --- one level ---------------------------------------------------------------------------------
 
     def _sign(self, hypothesis: Hypothesis) -> int:
-        return 0 if self.params.polarity in ("local", "ignore") else hypothesis.sign
+        return 0 if self.params.polarity in EACH_EDGE_ITSELF else hypothesis.sign
 
     def _on_level(self, hypothesis: Hypothesis, level: int, first: bool) -> Hypothesis | None:
         """Robust steps on the gradient of a coarse level."""
@@ -316,7 +305,7 @@ class _Search:
             distance = math.dist(origin, better.origin)
             if h.score > better.score + 0.02:
                 continue
-            turned = radius * _turn(h.angle, better.angle)
+            turned = radius * angle_between(h.angle, better.angle)
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
@@ -333,7 +322,7 @@ class _Search:
             return False
         turn = h.angle - better.angle
         return self.model.round or any(
-            _turn(turn, float(angle)) < 0.12 for angle in self.model.symmetries[:, 2]
+            angle_between(turn, float(angle)) < 0.12 for angle in self.model.symmetries[:, 2]
         )
 
     def _prune(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
@@ -360,8 +349,8 @@ class _Search:
     def _is_another(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two poses at one place are two rotations of the shape that can be told apart at all."""
         turn = one.angle - other.angle
-        same = self.model.round or any(_turn(turn, float(row[2])) < 0.1 for row in self._equal())
-        return abs(_turn(turn, 0.0)) > 0.1 and not same
+        same = self.model.round or any(angle_between(turn, float(row[2])) < 0.1 for row in self._equal())
+        return abs(angle_between(turn, 0.0)) > 0.1 and not same
 
     def _equal(self) -> list[FloatArray]:
         """The motions after which the shape looks the same."""
@@ -381,7 +370,11 @@ class _Search:
         for _ in range(MAX_CHANGES):
             slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
             left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes)
-            left = [k for k in left if all(_turn(float(row[2]), float(motions[k, 2])) > 0.1 for row in equal)]
+            left = [
+                k
+                for k in left
+                if all(angle_between(float(row[2]), float(motions[k, 2])) > 0.1 for row in equal)
+            ]
             winner, doubt = None, len(left) > MAX_RIVALS
             for k in left[:MAX_RIVALS]:
                 other = self._variant(best, motions[k], climbed)
@@ -410,7 +403,7 @@ class _Search:
     def _loss(self, one: Hypothesis, other: Hypothesis) -> float:
         """Share of the score that the wrong one of two rotations lacks, as teaching measured it."""
         turn = one.angle - other.angle
-        known = [1 - row[3] for row in self.model.symmetries if _turn(turn, float(row[2])) < 0.1]
+        known = [1 - row[3] for row in self.model.symmetries if angle_between(turn, float(row[2])) < 0.1]
         return max(*known, MIN_LOSS) if known else MIN_LOSS
 
     def _variant(self, hypothesis: Hypothesis, motion: FloatArray, climbed: bool) -> Hypothesis | None:
@@ -428,8 +421,7 @@ class _Search:
         """Of all angles at which the shape looks the same, the one nearest to the taught."""
         if self.model.round:
             centre = self.model.centre_px
-            cosine, sine = np.cos(-hypothesis.angle), np.sin(-hypothesis.angle)
-            shift = centre - np.array([[cosine, -sine], [sine, cosine]]) @ centre
+            shift = centre - rotation_2d(-hypothesis.angle) @ centre
             return hypothesis.at(rivals.turned(hypothesis.pose, np.array([*shift, -hypothesis.angle])))
         best = hypothesis
         for motion in self._equal():
@@ -472,7 +464,3 @@ def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edge
     cell = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     signs = np.sign(np.where(np.isfinite(edges[:, 0]), slopes, 0.0))
     edges[signs * np.bincount(cell, weights=signs)[cell] < 0, 0] = np.nan
-
-
-def _turn(one: float, other: float) -> float:
-    return abs((one - other + math.pi) % (2 * math.pi) - math.pi)

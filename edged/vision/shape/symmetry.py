@@ -10,6 +10,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape import refine, scan
 from edged.vision.shape.workspace import Workspace
 
@@ -95,7 +96,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
             fitted = _score(image, levels[0], pose, MIN_CONTRAST, reach=3.0 * 2**index)
             similarity = fitted[0] / max(own[0], 1e-9)
             angle = float(np.arctan2(fitted[1][4], fitted[1][2]))
-            known = any(abs((angle - other[2] + np.pi) % (2 * np.pi) - np.pi) < 0.1 for other in found)
+            known = any(angle_between(angle, other[2]) < 0.1 for other in found)
             if similarity >= CONFUSABLE and abs(angle) > MIN_TURN_RAD and not known:
                 found.append([*(fitted[1][:2] - origin_px), angle, min(similarity, 1.0)])
     rotations = _with_inverses(np.array(found, np.float64).reshape(-1, 4))
@@ -106,15 +107,14 @@ def _with_inverses(rotations: FloatArray) -> FloatArray:
     """If a motion confuses, so does its inverse."""
     complete = list(rotations)
     for dx, dy, angle, similarity in rotations:
-        if not any(abs((other[2] + angle + np.pi) % (2 * np.pi) - np.pi) < 0.1 for other in complete):
+        if not any(angle_between(other[2], -angle) < 0.1 for other in complete):
             back = -_turned(np.array([dx, dy]), -angle)
             complete.append(np.array([*back, -angle, similarity]))
     return np.array(complete, np.float64).reshape(-1, 4)
 
 
 def _turned(point: FloatArray, angle: float) -> FloatArray:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1]])
+    return np.asarray(np.sum(rotation_2d(angle) * point, axis=1))
 
 
 def _score(

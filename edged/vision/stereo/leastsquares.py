@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import Image
+from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 
 SMOOTHING_PX = 0.7  # takes noise from the gradients; less costs precision, more as well
@@ -37,6 +38,7 @@ nothing beside it leaves the slope open, and the fit goes astray."""
 MAX_ITERATIONS = 20
 MAX_STEP_PX = 1.5  # the fit refines the peak that the search chose; it must not look for another
 MAX_SLOPE = 0.8
+TINY_PIVOT = 1e-12  # relative to its diagonal element: below, an unknown is left open
 CONVERGED_PX = 1e-3  # the steps shrink tenfold each: what remains is a tenth of this
 POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
 
@@ -218,46 +220,6 @@ def normal_equations(left: F64, value: F64, slope: F64, unknowns: F64, normal: F
 
 
 @kernel()
-def _substitute(factor: F64, vector: F64) -> None:
-    n = vector.shape[0]
-    for i in range(n):
-        for k in range(i):
-            vector[i] -= factor[i, k] * vector[k]
-        vector[i] /= factor[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            vector[i] -= factor[k, i] * vector[k]
-        vector[i] /= factor[i, i]
-
-
-@kernel("f8(f8[:, ::1], f8[::1])")
-def solve_positive(matrix: F64, vector: F64) -> float:
-    """Solve matrix x = vector in place by Cholesky, from the lower triangle, which becomes the factor.
-
-    Returns the smallest pivot relative to its diagonal, so that the unit of an unknown does not
-    matter; 0 if the matrix is not positive.
-    """
-    n = vector.shape[0]
-    smallest = 1.0
-    for j in range(n):
-        diagonal = matrix[j, j]
-        pivot = diagonal
-        for k in range(j):
-            pivot -= matrix[j, k] * matrix[j, k]
-        if not pivot > 0.0:
-            return 0.0
-        smallest = min(smallest, pivot / diagonal)
-        matrix[j, j] = math.sqrt(pivot)
-        for i in range(j + 1, n):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = value / matrix[j, j]
-    _substitute(matrix, vector)
-    return smallest
-
-
-@kernel()
 def fit(unknowns: F64, p: Patches) -> float:
     """Gauss-Newton from `unknowns`, in place; p.normal is left factorised at the solution.
 
@@ -276,8 +238,9 @@ def fit(unknowns: F64, p: Patches) -> float:
         for a in (SLOPE_X, SLOPE_Y):
             p.normal[a, a] += variance / SLOPE_SIGMA**2
             p.gradient[a] -= variance / SLOPE_SIGMA**2 * unknowns[a]
-        if solve_positive(p.normal, p.gradient) < 1e-12:
+        if factorise(p.normal, len(unknowns)) < TINY_PIVOT:
             return DIVERGED
+        substitute(p.normal, p.gradient, len(unknowns))
         unknowns += p.gradient
         steepest = max(abs(unknowns[SLOPE_X]), abs(unknowns[SLOPE_Y]))
         if not (abs(unknowns[SHIFT]) <= MAX_STEP_PX and steepest <= MAX_SLOPE):
@@ -308,8 +271,7 @@ def _true_normal(unknowns: F64, variance: float, p: Patches) -> float:
     normal[SLOPE_X, SLOPE_X] -= area * moment * energy
     normal[SLOPE_Y, SLOPE_Y] -= area * moment * energy
     p.normal[:] = normal
-    p.gradient[:] = 0.0
-    return energy if solve_positive(p.normal, p.gradient) > 1e-12 else -1.0
+    return energy if factorise(p.normal, len(unknowns)) > TINY_PIVOT else -1.0
 
 
 @kernel()
@@ -328,7 +290,7 @@ def variance_of(weights: F64, unknowns: F64, variance: float, row_sigma_px: floa
     energy = _true_normal(unknowns, variance, p)
     if energy < 0.0:
         return np.inf
-    _substitute(p.normal, weights)
+    substitute(p.normal, weights, len(weights))
     # a, set into zeros so that Sᵀ a is complete: S spreads it over the window's rim
     p.influence[:] = 0.0
     plain, per_row = 0.0, 0.0

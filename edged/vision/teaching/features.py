@@ -17,7 +17,7 @@ from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_plan
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rigid import transform
+from edged.vision.geometry.rigid import transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
@@ -286,7 +286,7 @@ def _edge_feature(curve: Curve) -> EdgeFeature:
 
 def _slot_feature(curve: Curve, name: str) -> SlotFeature:
     x, y, angle, length, width = (float(value) for value in curve.parameters)
-    upright = (angle + math.pi / 2) % math.pi - math.pi / 2  # both ends look the same
+    upright = wrapped(angle, math.pi)  # both ends look the same
     return SlotFeature(name, np.array([x, y, 0.0]), upright, length, width, curve.polarity)
 
 

@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 from edged.domain import FloatArray
+from edged.vision.geometry.rigid import rotation_2d
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
 MIN_POINTS = 40
 MIN_STRETCH = 1.15
@@ -38,8 +40,7 @@ def fit_slot(points: FloatArray) -> FloatArray | None:
         return None
     for _ in range(STEPS):
         distance = slot_distance(points, slot)
-        scale = max(1.4826 * float(np.median(np.abs(distance))), 1e-6)
-        weights = np.clip(1 - (distance / (4.685 * scale)) ** 2, 0, None) ** 2
+        weights = tukey_weights(distance, max(mad_sigma(distance), 1e-6))
         units = 1e-6 * np.eye(5)
         design = np.column_stack(
             [(slot_distance(points, slot + u) - slot_distance(points, slot - u)) / 2e-6 for u in units]
@@ -65,8 +66,7 @@ def slot_distance(points: FloatArray, slot: FloatArray) -> FloatArray:
 
 
 def _local(points: FloatArray, slot: FloatArray) -> FloatArray:
-    cosine, sine = math.cos(slot[2]), math.sin(slot[2])
-    return np.asarray((points - slot[:2]) @ np.array([[cosine, -sine], [sine, cosine]]))
+    return np.asarray((points - slot[:2]) @ rotation_2d(slot[2]))
 
 
 def _around(points: FloatArray, slot: FloatArray) -> FloatArray:

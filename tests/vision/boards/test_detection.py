@@ -16,7 +16,7 @@ from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, Detection
 from edged.vision.boards.charuco import detect_charuco
 from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
-from edged.vision.boards.markmodels import CORNER, DOT, accumulate, fit_corners, solve_spd
+from edged.vision.boards.markmodels import CORNER, DOT, accumulate, fit_corners
 from edged.vision.geometry.rigid import apply, rotation_matrix
 
 SMALL = make_rig(focal_px=1590.0, size=(640, 480))
@@ -200,17 +200,6 @@ def test_corner_kernel_equals_its_plain_twin() -> None:
     accumulate(CORNER, image, p, window, normal, gradient, True)
     weighted = (jacobian * residuals[:, None] ** 2).T @ jacobian
     assert np.allclose(normal[lower], weighted[lower], rtol=1e-5, atol=1e-2)
-
-
-def test_cholesky_solves_and_refuses() -> None:
-    """solve_spd is numpy's solve for a positive definite matrix, and False for another."""
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(9, 9))
-    matrix, right = root @ root.T + np.eye(9), rng.normal(size=9)
-    solution = right.copy()
-    assert solve_spd(matrix.copy(), solution, 9)
-    assert np.allclose(solution, np.linalg.solve(matrix, right))
-    assert not solve_spd(-matrix, right.copy(), 9)
 
 
 def test_a_corner_outside_the_image_is_refused() -> None:

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from edged.commands.teach import PairSource, teach
 from edged.files.rig import save_rig
+from edged.vision.geometry.rigid import wrapped
 from edged.vision.shape.inspection import NOISE, Inspection, inspect_model
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
@@ -54,7 +55,7 @@ def test_the_expected_precision_is_reached() -> None:
         clean = drawings.draw(drawings.BRACKET, pose, (320, 280), noise=0.0).astype(np.float64)
         noisy = np.clip(np.rint(clean + rng.normal(0, NOISE, clean.shape)), 0, 255).astype(np.uint8)
         (match,) = find_shapes(noisy, model, RIGID)
-        turn = (match.angle_rad - pose[2] + np.pi) % (2 * np.pi) - np.pi
+        turn = wrapped(match.angle_rad - pose[2])
         errors.append([match.x_px - pose[0], match.y_px - pose[1], turn, match.scale_x - 1])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     expected = [

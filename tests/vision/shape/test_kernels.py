@@ -248,17 +248,6 @@ def test_edge_directions_are_sobel_cosines() -> None:
     np.testing.assert_allclose(edges[:, 1], expected, atol=1e-9)
 
 
-def test_cholesky_solves_what_numpy_solves() -> None:
-    """The in-place solver equals numpy's; a singular matrix is refused."""
-    root = RNG.normal(size=(8, 8))
-    matrix, right = root @ root.T + np.eye(8), RNG.normal(size=8)
-    expected = np.linalg.solve(matrix[:5, :5], right[:5])
-    solution = right.copy()
-    assert refine.solve_spd(matrix.copy(), solution, 5)
-    np.testing.assert_allclose(solution[:5], expected, rtol=1e-9)
-    assert not refine.solve_spd(np.zeros((8, 8)), right.copy(), 3)
-
-
 def test_median_of_magnitudes() -> None:
     """Only the used values count; none gives NaN."""
     values, used = np.array([-5.0, 1, 2, -100]), np.array([True, True, True, False])

@@ -16,6 +16,7 @@ from naive import shape as naive
 from edged.domain import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges.hysteresis import EdgeThresholds
+from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape.learning import create_model, repetition
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.modelparams import ModelParams
@@ -53,9 +54,8 @@ def found_at(model: ShapeModel, image: Image, truth: tuple[float, float, float])
     matches = find_shapes(image, model, RIGID)
     if not matches:
         return False
-    turn = (matches[0].angle_rad - truth[2] + math.pi) % (2 * math.pi) - math.pi
     off = math.hypot(matches[0].x_px - truth[0], matches[0].y_px - truth[1])
-    return off < 0.3 and abs(turn) < math.radians(0.5)
+    return off < 0.3 and angle_between(matches[0].angle_rad, truth[2]) < math.radians(0.5)
 
 
 @pytest.mark.parametrize("strength", [3.0, 10.0, 18.0])
