@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from itertools import pairwise
 
 import numpy as np
+from markupsafe import Markup
 
 from edged.domain import FloatArray
 
@@ -35,7 +35,7 @@ class Chart:
     height: float = 270.0
     equal: bool = False
     names: Sequence[str] = ()
-    _marks: list[str] = field(default_factory=list)
+    _marks: list[Markup] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if self.equal:
@@ -53,10 +53,9 @@ class Chart:
 
     def points(self, xy: FloatArray, colour: str = ACCENT, radius: float = 2.0, hollow: bool = False) -> None:
         """Small circles at (N, 2)."""
-        look = f'fill="none" stroke="{colour}"' if hollow else f'fill="{colour}" fill-opacity=".75"'
-        self._marks += [
-            f'<circle cx="{self.to_x(u):.1f}" cy="{self.to_y(v):.1f}" r="{radius}" {look}/>' for u, v in xy
-        ]
+        fill, stroke, opacity = ("none", colour, 1.0) if hollow else (colour, "none", 0.75)
+        mark = Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{}" fill="{}" stroke="{}" fill-opacity="{}"/>')
+        self._marks += [mark.format(self.to_x(u), self.to_y(v), radius, fill, stroke, opacity) for u, v in xy]
 
     def strokes(self, starts: FloatArray, ends: FloatArray, colour: str = ACCENT, width: float = 0.8) -> None:
         """Short lines from (N, 2) to (N, 2), as one path."""
@@ -64,66 +63,66 @@ class Chart:
             f"M{self.to_x(a):.1f} {self.to_y(b):.1f}L{self.to_x(c):.1f} {self.to_y(d):.1f}"
             for (a, b), (c, d) in zip(starts, ends, strict=True)
         )
-        self._marks.append(f'<path d="{path}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
+        mark = Markup('<path d="{}" stroke="{}" stroke-width="{}" fill="none"/>')
+        self._marks.append(mark.format(path, colour, width))
 
     def line(self, xy: FloatArray, colour: str = INK, dashed: bool = False) -> None:
         """A polyline through (N, 2)."""
         path = " ".join(f"{self.to_x(u):.1f},{self.to_y(v):.1f}" for u, v in xy)
-        dash = ' stroke-dasharray="5 4"' if dashed else ""
-        self._marks.append(
-            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.2"{dash}/>'
+        mark = Markup(
+            '<polyline points="{}" fill="none" stroke="{}" stroke-width="1.2" stroke-dasharray="{}"/>'
         )
+        self._marks.append(mark.format(path, colour, "5 4" if dashed else "none"))
 
     def rectangle(self, x: tuple[float, float], y: tuple[float, float], colour: str) -> None:
         """A filled box."""
         (u, w), (v, z) = sorted(map(self.to_x, x)), sorted(map(self.to_y, y))
-        self._marks.append(
-            f'<rect x="{u:.1f}" y="{v:.1f}" width="{w - u:.1f}" height="{z - v:.1f}" fill="{colour}"/>'
-        )
+        mark = Markup('<rect x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}" fill="{}"/>')
+        self._marks.append(mark.format(u, v, w - u, z - v, colour))
 
     def text(self, x: float, y: float, words: str, colour: str = INK) -> None:
         """Words centred at a place of the data."""
-        self._marks.append(
-            f'<text x="{self.to_x(x):.1f}" y="{self.to_y(y) + 3.5:.1f}" text-anchor="middle" fill="{colour}">'
-            f"{escape(words)}</text>"
-        )
+        self._marks.append(_words(self.to_x(x), self.to_y(y) + 3.5, words, colour=colour))
 
-    def figure(self, caption: str) -> str:
+    def figure(self, caption: str) -> Markup:
         """The chart with axes, as HTML."""
-        size = f'width="{self.width:.0f}" height="{self.height:.0f}"'
-        kind = "half" if self.width <= _HALF else "whole"
-        view = f'viewBox="0 0 {self.width:.0f} {self.height:.0f}"'
-        return (
-            f'<figure class="{kind}"><svg xmlns="http://www.w3.org/2000/svg" {view} {size} role="img">'
-            f"{self._axes()}{''.join(self._marks)}</svg><figcaption>{escape(caption)}</figcaption></figure>"
+        page = Markup(
+            '<figure class="{kind}"><svg xmlns="http://www.w3.org/2000/svg" '
+            'viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img">'
+            "{marks}</svg>"
+            "<figcaption>{caption}</figcaption></figure>"
         )
+        marks = Markup().join([*self._axes(), *self._marks])
+        kind = "half" if self.width <= _HALF else "whole"
+        return page.format(kind=kind, width=self.width, height=self.height, marks=marks, caption=caption)
 
-    def _axes(self) -> str:
+    def _axes(self) -> list[Markup]:
         left, right, bottom = _LEFT, self.width - _RIGHT, self.height - _BOTTOM
         middle_x, middle_y = 0.5 * (left + right), 0.5 * (_TOP + bottom)
+        frame = Markup('<rect x="{}" y="{}" width="{:.1f}" height="{:.1f}" fill="#fff" stroke="#8c959f"/>')
+        upright = Markup('<g transform="translate(13 {:.1f}) rotate(-90)">{}</g>')
+        tick = Markup('<path d="M{:.1f} {:.1f}{}" stroke="#8c959f"/>')
         parts = [
-            f'<rect x="{left}" y="{_TOP}" width="{right - left:.1f}" height="{bottom - _TOP:.1f}" '
-            'fill="#fff" stroke="#8c959f"/>',
+            frame.format(left, _TOP, right - left, bottom - _TOP),
             _words(middle_x, self.height - 6, self.x_label),
-            f'<g transform="translate(13 {middle_y:.1f}) rotate(-90)">{_words(0, 0, self.y_label)}</g>',
+            upright.format(middle_y, _words(0, 0, self.y_label)),
         ]
         for value in () if self.names else ticks(*self.x):
             u = self.to_x(value)
-            parts.append(f'<path d="M{u:.1f} {bottom:.1f}v4" stroke="#8c959f"/>')
-            parts.append(_words(u, bottom + 16, label(value)))
+            parts += [tick.format(u, bottom, "v4"), _words(u, bottom + 16, label(value))]
         every = max(1, -(-len(self.names) // _MAX_NAMES))
         for i, name in list(enumerate(self.names))[::every]:
             short = name if len(name) <= _MAX_LETTERS else f"…{name[1 - _MAX_LETTERS :]}"
             parts.append(_words(self.to_x(i + 0.5), bottom + 16, short))
         for value in ticks(*self.y):
             v = self.to_y(value)
-            parts.append(f'<path d="M{left} {v:.1f}h-4" stroke="#8c959f"/>')
-            parts.append(_words(left - 7, v + 4, label(value), "end"))
-        return "".join(parts)
+            parts += [tick.format(left, v, "h-4"), _words(left - 7, v + 4, label(value), "end")]
+        return parts
 
 
-def _words(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{GREY}">{escape(text)}</text>'
+def _words(x: float, y: float, text: str, anchor: str = "middle", colour: str = GREY) -> Markup:
+    mark = Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}" fill="{}">{}</text>')
+    return mark.format(x, y, anchor, colour, text)
 
 
 def ticks(start: float, end: float, about: int = 5) -> list[float]:

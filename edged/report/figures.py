@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from markupsafe import Markup
 
 from edged.domain import SIDES, FloatArray, Side
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
@@ -22,7 +23,7 @@ _RADIAL_BINS = 10
 _VECTOR_SHARE = 0.015  # of the image's width: a residual of the rms' length
 
 
-def lengths(held: Sequence[HeldOutView]) -> str:
+def lengths(held: Sequence[HeldOutView]) -> Markup:
     """Measured - true over the true length, every single distance."""
     values = np.concatenate([view.lengths_mm for view in held])
     errors_um = 1000 * (values[:, 1] - values[:, 0])
@@ -39,7 +40,7 @@ def lengths(held: Sequence[HeldOutView]) -> str:
     return chart.figure(caption)
 
 
-def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> str:
+def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Markup:
     """Where the marks lay in an image, each with its residual."""
     pixels, residuals = _marks(calibration, side)
     rms = calibration.rms_left_px if side == "left" else calibration.rms_right_px
@@ -64,7 +65,7 @@ def _marks(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray
     return pixels, np.concatenate(residuals)
 
 
-def radial(calibration: Calibration) -> str:
+def radial(calibration: Calibration) -> Markup:
     """Mean radial residual over the distance from the principal point: what the lens model leaves."""
     pictures = []
     for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True):
@@ -96,17 +97,17 @@ def radial(calibration: Calibration) -> str:
         )
         chart.points(np.column_stack([x, mean]), radius=3)
         pictures.append(chart.figure(f"{side}: mean radial residual in rings of equal count, ± 2 sigma"))
-    return "".join(pictures)
+    return Markup().join(pictures)
 
 
-def sigma_maps(calibration: Calibration) -> str:
+def sigma_maps(calibration: Calibration) -> Markup:
     """Expected sigma of a point over the left image: Z at three depths, X and Y at the middle one."""
     near, middle, far = (float(depth) for depth in depths_mm(calibration))
     pictures = [_sigma_map(calibration, depth, "σZ") for depth in (near, middle, far)]
-    return "".join([*pictures, _sigma_map(calibration, middle, "σXY")])
+    return Markup().join([*pictures, _sigma_map(calibration, middle, "σXY")])
 
 
-def _sigma_map(calibration: Calibration, depth_mm: float, what: str) -> str:
+def _sigma_map(calibration: Calibration, depth_mm: float, what: str) -> Markup:
     rig = calibration.rig
     x_edges = np.linspace(0, rig.left.width - 1, _MAP_COLUMNS + 1)
     y_edges = np.linspace(0, rig.left.height - 1, _MAP_ROWS + 1)
@@ -134,7 +135,7 @@ def _sigma_map(calibration: Calibration, depth_mm: float, what: str) -> str:
     return chart.figure(f"{name} in µm for {_NOISE_PX} px, at Z = {depth_mm:.0f} mm ({width_mm:.0f} mm wide)")
 
 
-def view_bars(calibration: Calibration, held: Sequence[HeldOutView]) -> str:
+def view_bars(calibration: Calibration, held: Sequence[HeldOutView]) -> Markup:
     """The rms of each view, and what it was with the calibration of the others."""
     names = [fit.name for fit in calibration.views]
     without = {view.name: view.reprojection_rms_px for view in held}

@@ -3,57 +3,51 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from html import escape
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from edged import __version__
 from edged.domain import Image
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
+from edged.report.page import Table, render
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import NOISE, Inspection
 
-_STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#1b1f24}
-h1{font-size:1.6em}h2{font-size:1.2em;margin-top:2em;border-bottom:1px solid #d0d7de}
-table{border-collapse:collapse;margin:.6em 0}
-td,th{padding:.2em .9em .2em 0;text-align:right;font-variant-numeric:tabular-nums;vertical-align:top}
-td:first-child,th:first-child{text-align:left}
-figure{display:inline-block;margin:.4em 1em .4em 0}figcaption{font-size:.9em;color:#424a53}
-img{width:440px;max-width:100%;image-rendering:pixelated;
-border:1px solid #d0d7de}.note{color:#8a4a00;max-width:46em}
-@media print{body{margin:0;max-width:none}figure,table{break-inside:avoid}}
-"""
 _PICTURE_PX = 440
 _MARGIN_PX = 12
 
 
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """png : of one level with the model's points, base64."""
+
+    png: str
+    caption: str
+
+
 def teaching_report(job: Job, rectified_left: Image, inspection: Inspection) -> str:
     """The page. rectified_left (h, w) uint8 : the picture that was learnt, real or painted from a drawing."""
-    title = f"Job {job.number}: {escape(job.name)}"
-    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    sections = [
-        "".join(f'<p class="note">{escape(text)}</p>' for text in inspection.warnings)
-        or "<p>Nothing to warn of.</p>",
-        "<h2>Model</h2>",
-        "".join(_level(job, rectified_left, index) for index in range(len(job.shape.levels))),
-        "<h2>Inspection</h2>",
-        _facts(job, inspection),
-        "<h2>Rotation</h2>",
-        _rotation(inspection),
-        "<h2>Features</h2>",
-        _drawing(job),
-        _features(job),
-        f"<p>edged {__version__}, {when}</p>",
-    ]
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{title}</h1>{''.join(sections)}</body></html>\n"
+    title = f"Job {job.number}: {job.name}"
+    return render(
+        "teaching.html",
+        title=title,
+        heading=title,
+        warnings=inspection.warnings,
+        levels=[_level(job, rectified_left, index) for index in range(len(job.shape.levels))],
+        facts=_facts(job, inspection),
+        noise=f"{NOISE:g}",
+        round=inspection.round,
+        rivals=_rivals(inspection),
+        drawing=_drawing(job),
+        reference=job.reference,
+        features=_features(job),
+        made=f"edged {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
     )
 
 
@@ -87,13 +81,7 @@ def inspection_to_json(job: Job, inspection: Inspection) -> Json:
     }
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    cells = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{cells}</tr>{body}</table>"
-
-
-def _level(job: Job, picture: Image, index: int) -> str:
+def _level(job: Job, picture: Image, index: int) -> _Level:
     """The model's points of one level on the picture of that level."""
     level, shape = job.shape.levels[index], job.shape
     for _ in range(index):
@@ -115,13 +103,11 @@ def _level(job: Job, picture: Image, index: int) -> str:
         cv2.line(canvas, start, end, (80, 190, 255), 1, cv2.LINE_AA, 4)
         cv2.circle(canvas, start, 24, (60, 220, 60), -1, cv2.LINE_AA, 4)
     _, png = cv2.imencode(".png", canvas)
-    data = base64.b64encode(png.tobytes()).decode()
-    text = f"level {index}: {len(level.points)} points on 1/{2**index} of the resolution"
-    image = f'<img alt="{text}" src="data:image/png;base64,{data}">'
-    return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
+    caption = f"level {index}: {len(level.points)} points on 1/{2**index} of the resolution"
+    return _Level(base64.b64encode(png.tobytes()).decode(), caption)
 
 
-def _facts(job: Job, inspection: Inspection) -> str:
+def _facts(job: Job, inspection: Inspection) -> Table:
     angle = (
         "–"
         if not np.isfinite(inspection.sigma_angle_rad)
@@ -136,26 +122,22 @@ def _facts(job: Job, inspection: Inspection) -> str:
         ("sizes looked for", f"{job.search.scale_min:.3f} to {job.search.scale_max:.3f} of the taught one"),
         ("contrast", job.search.polarity),
     ]
-    note = f"<p>Expected: the bound for one image with noise of {NOISE:g} grey values, nothing hidden.</p>"
-    return _table(("", ""), rows) + note
+    return Table(rows)
 
 
-def _rotation(inspection: Inspection) -> str:
-    if inspection.round:
-        return "<p>Round: looks the same at every angle.</p>"
-    if not len(inspection.rivals):
-        return "<p>Distinct: at no other angle the shape is much like itself.</p>"
+def _rivals(inspection: Inspection) -> Table:
+    """Turns at which the shape is much like itself."""
     rows = [
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals
     ]
-    return _table(("turned by", "like itself"), rows)
+    return Table(rows, ("turned by", "like itself"))
 
 
-def _drawing(job: Job) -> str:
+def _drawing(job: Job) -> Markup:
     """The features with their names, to scale, as they lay at teaching; the reference blue."""
     outlines = {name: points[:, :2] for name, points in taught_outlines(job).items()}
     if not outlines:
-        return ""
+        return Markup()
     every = np.concatenate(list(outlines.values()))
     margin = 0.08 * float(np.ptp(every, axis=0).max())
     low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
@@ -178,7 +160,7 @@ def _drawing(job: Job) -> str:
     return chart.figure("features in the part frame; the reference is blue")
 
 
-def _features(job: Job) -> str:
+def _features(job: Job) -> Table:
     rows = []
     for circle in job.circles:
         x, y, _ = circle.centre_mm
@@ -193,5 +175,4 @@ def _features(job: Job) -> str:
     for corner in job.corners:
         x, y, _ = job.place_of(corner.name)
         rows.append((corner.name, "corner", f"{x:.3f}, {y:.3f}", " and ".join(corner.edges)))
-    reference = f"<p>Reference point: {escape(job.reference)}. Places in the part frame, mm.</p>"
-    return reference + _table(("name", "kind", "place mm", "size mm"), rows)
+    return Table(rows, ("name", "kind", "place mm", "size mm"))

@@ -27,6 +27,7 @@ from edged.adapters.web.page import Page, Sources, picture
 from edged.domain import Event, Side
 from edged.errors import ListenError
 from edged.payload import Json
+from edged.report.page import render
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +84,7 @@ class WebPublisher:
         self._viewers: set[asyncio.Event] = set()
         self._pictures: OrderedDict[tuple[int, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
+        self._html = {name: render(f"{name}.html", __package__) for name in ("index", "login", "nomanual")}
         self._runner: web.AppRunner | None = None
         self._closing = False
 
@@ -182,7 +184,7 @@ class WebPublisher:
     # --- pages -------------------------------------------------------------------------------
 
     async def _index(self, _request: web.Request) -> web.Response:
-        return _file("index.html", "text/html")
+        return _text(self._html["index"], "text/html")
 
     async def _static(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
@@ -198,7 +200,7 @@ class WebPublisher:
         if self._manual is None:
             self._manual = await asyncio.to_thread(read_manual, self._manual_folder)
         if self._manual is None:
-            response = _file("nomanual.html", "text/html")
+            response = _text(self._html["nomanual"], "text/html")
             response.set_status(404)
             return response
         path = request.match_info["path"] or "index.html"
@@ -208,7 +210,7 @@ class WebPublisher:
         return web.FileResponse(file, headers=self._manual.headers(path))
 
     async def _login_form(self, _request: web.Request) -> web.Response:
-        return _file("login.html", "text/html")
+        return _text(self._html["login"], "text/html")
 
     async def _log_in(self, request: web.Request) -> web.Response:
         form = await request.post()
@@ -314,7 +316,10 @@ def _event(name: str, data: Json) -> bytes:
 
 
 def _file(name: str, content_type: str) -> web.Response:
-    text = (files("edged.adapters.web") / "static" / name).read_text("utf-8")
+    return _text((files(__package__) / "static" / name).read_text("utf-8"), content_type)
+
+
+def _text(text: str, content_type: str) -> web.Response:
     return web.Response(text=text, content_type=content_type, charset="utf-8")
 
 

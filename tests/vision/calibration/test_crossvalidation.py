@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from boards import board_poses, synthetic_views
+from htmlpages import HtmlPage
 from rigs import make_rig
 
 from edged.commands.calibrate import quality_figures
@@ -84,28 +84,6 @@ def test_three_views_still_make_a_report() -> None:
     assert "nan" not in page
 
 
-class _Page(HTMLParser):
-    """Checks that every element is closed where it must be, and collects the text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.text = ""
-        self.outside: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "path", "rect"):
-            self.open.append(tag)
-        self.outside += [value or "" for name, value in attrs if name in ("src", "href")]
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag not in ("path", "rect"):
-            assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
 def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     """Well formed, without references to the outside, user text escaped, every view and figure in it."""
     spoiled = replace(VIEWS[3], name="<b>3", left=Missed("too dark & blurred"))
@@ -115,8 +93,7 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     quality = quality_figures(calibration, held, [BOARD])
     plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
     page = calibration_report(calibration, held, views, quality, {"place": "cell 7"}, plain)
-    parsed = _Page()
-    parsed.feed(page)
+    parsed = HtmlPage(page)
     assert parsed.open == []
     assert parsed.outside == []
     assert "<b>3" not in page

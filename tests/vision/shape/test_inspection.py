@@ -10,6 +10,7 @@ import cv2
 import drawings
 import numpy as np
 import pytest
+from htmlpages import HtmlPage
 from rich.console import Console
 
 from edged.commands.teach import PairSource, teach
@@ -93,6 +94,7 @@ def test_teach_writes_the_page_and_the_facts(tmp_path: Path, capsys: pytest.Capt
     )  # fmt: skip
     page, facts = (tmp_path / "flange.html").read_text(), json.loads(capsys.readouterr().out)
 
+    assert [] == HtmlPage(page).open
     assert page.count("data:image/png;base64,") == len(facts["levels"])
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")  # a name, not an address
     drawing = page[page.index("<svg") : page.index("</svg>")]

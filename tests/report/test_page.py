@@ -1,0 +1,86 @@
+"""The frame of all pages: values are escaped, nothing is forgotten, the templates are installed with us."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import jinja2
+import pytest
+from htmlpages import HtmlPage
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edged.report.charts import Chart
+from edged.report.page import Table, render
+
+ROOT = Path(__file__).parents[2]
+MODEL = {
+    "title": "Job 1",
+    "heading": "Job 1",
+    "warnings": (),
+    "levels": (),
+    "facts": Table([("size", "radius 9 px")]),
+    "noise": "3",
+    "round": True,
+    "rivals": Table([]),
+    "drawing": "",
+    "reference": "c0",
+    "features": Table([("c0", "hole")], ("name", "kind")),
+    "made": "edged",
+}
+
+
+@given(st.text(st.characters(codec="utf-8", exclude_categories=("Cc",)), min_size=1))
+def test_a_text_comes_out_as_it_is(text: str) -> None:
+    """In titles, notes, cells and charts: markup in a name is a name, never markup."""
+    chart = Chart((0.0, 1.0), (0.0, 1.0), text, "y").figure(text)
+    rows = Table([(text, text)])
+    page = HtmlPage(
+        render("teaching.html", **{**MODEL, "warnings": (text,), "facts": rows, "drawing": chart})
+    )
+
+    assert [] == page.open
+    assert page.text.count(text) >= 5
+
+
+def test_markup_in_a_name_is_not_run() -> None:
+    """Neither as an element nor out of an attribute."""
+    hostile = "\"><script>alert(1)</script>'"
+    page = render("teaching.html", **{**MODEL, "title": hostile, "reference": hostile})
+    assert "<script" not in page
+
+
+def test_a_value_that_is_missing_is_an_error() -> None:
+    """A page with holes must not be archived and signed."""
+    with pytest.raises(jinja2.UndefinedError, match="reference"):
+        render("teaching.html", **{name: value for name, value in MODEL.items() if name != "reference"})
+
+
+@pytest.mark.parametrize("name", ["index.html", "login.html", "nomanual.html"])
+def test_the_status_page_has_the_same_frame(name: str) -> None:
+    """Well formed, its own style and script, and nothing inline, which its security policy forbids."""
+    text = render(name, "edged.adapters.web")
+    page = HtmlPage(text)
+    assert text.startswith('<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n')
+    assert [] == page.open
+    assert {"/static/icon.svg"} <= set(page.outside)
+    assert "<style" not in text
+
+
+def test_what_is_no_python_is_installed_with_us() -> None:
+    """Every template, style and script below edged is package data."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    installed = {
+        path
+        for package, patterns in declared.items()
+        for pattern in patterns
+        for path in (ROOT / package.replace(".", "/")).glob(pattern)
+        if path.is_file()
+    }
+    others = {
+        path
+        for path in (ROOT / "edged").rglob("*")
+        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
+    }
+    assert others == installed
