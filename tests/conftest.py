@@ -5,6 +5,7 @@ pytest makes the helpers beside this file (naive, snapshots, ...) importable fro
 
 import os
 
+import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 # as `edged` itself does: BLAS threads on small matrices only spin; set before anything imports numpy
@@ -26,3 +27,17 @@ class ByRoom(LoadScopeScheduling):
 def pytest_xdist_make_scheduler(config, log):
     """How `-n` shares out the tests."""
     return ByRoom(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_report_to_serializable():
+    """Processes speak UTF-8 to each other; what was logged of a damaged file may be none."""
+    return _as_utf8((yield))
+
+
+def _as_utf8(value):
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {key: _as_utf8(part) for key, part in value.items()}
+    return type(value)(map(_as_utf8, value)) if isinstance(value, list | tuple) else value

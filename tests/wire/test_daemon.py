@@ -26,6 +26,7 @@ from edged.plc.registers import ADDRESS, BLOCKS, decode
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 EDGED = (sys.executable, "-m", "edged")
+pytestmark = pytest.mark.slow
 INVALID = -(2**31)
 VALID_BIT, CAM_FAULT_BIT, SIMULATED_BIT = 1 << 5, 1 << 12, 1 << 15
 ADDRESSES = ("127.0.0.1", "127.0.0.2")

@@ -57,6 +57,7 @@ def used(expression: str) -> dict[str, set[str]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expression", EXPRESSIONS)
 def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: dict[str, set[str]]) -> None:
     """A metric that was renamed would leave an empty panel, or an alarm that never comes."""
@@ -69,6 +70,7 @@ def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: d
         assert labels | grouped <= served[name] | {"instance", "job"}, name
 
 
+@pytest.mark.slow
 def test_the_dashboard_misses_nothing_that_an_operator_needs(served: dict[str, set[str]]) -> None:
     """Every metric of edged's own has its panel, except counts that stand beside one that is shown."""
     shown = {name for expression in EXPRESSIONS for name in used(expression)}

@@ -23,6 +23,7 @@ def may_mount() -> bool:
     return not subprocess.run(mount, capture_output=True, check=False).returncode
 
 
+@pytest.mark.slow
 def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     """Recordings are whole, torn ones go at the next start, the PLC never sees a result twice.
 
@@ -40,6 +41,7 @@ def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     assert witness.report.sights
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FAKETIME.exists(), reason="libfaketime is not installed")
 @pytest.mark.skipif(not may_mount(), reason="this kernel lets us mount no disk")
 def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path) -> None:

@@ -103,6 +103,7 @@ def test_a_threshold_in_px_is_kept() -> None:
     assert 0.4 < fit.weights[20] < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["line", "circle", "ellipse"])
 def test_the_covariance_is_honest(shape: str) -> None:
     """Over 200 draws of noise, the squared error in units of the covariance is 1 per parameter."""
