@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from plcwitness import Witness
-from servicefaults import FAKETIME, FakeClock, comes_true, full, read_only, tmpfs
+from servicefaults import FakeClock, comes_true, full, read_only, tmpfs
 from smallcell import DaemonProcess, SmallCell
 
 from edged.files import recording
@@ -34,8 +34,8 @@ def main(folder: Path) -> None:
     """Live through all three."""
     with tmpfs(folder / "disk", mib=4) as disk:
         cell = SmallCell(folder / "cell", recordings=disk / "recordings")
-        clock = FakeClock(folder / "clock") if FAKETIME.exists() else None
-        daemon = DaemonProcess(cell.config, clock.environment if clock else None)
+        clock = FakeClock(folder / "clock")
+        daemon = DaemonProcess(cell.config, clock.environment)
         try:
             with Witness(cell.modbus_port) as witness:
                 daemon.wait_ready()
@@ -45,14 +45,10 @@ def main(folder: Path) -> None:
                         comes_true(lambda: says(daemon, "no recordings", "recording again"), 60)
                         time.sleep(1.0)
                     comes_true(lambda: says(daemon, "recording again", "no recordings"), 60)
-                was_set = False
-                if clock:
-                    with clock.jumped(3600):
-                        was_set = comes_true(
-                            lambda: newest(disk) > datetime.now(UTC) + timedelta(minutes=30), 60
-                        )
-                        time.sleep(1.0)
+                with clock.jumped(3600):
+                    was_set = comes_true(lambda: newest(disk) > datetime.now(UTC) + timedelta(minutes=30), 60)
                     time.sleep(1.0)
+                time.sleep(1.0)
                 end_s = time.monotonic()
         finally:
             daemon.stop()

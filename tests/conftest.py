@@ -1,6 +1,43 @@
-"""This file makes the helpers beside it (naive, snapshots, ...) importable from every test below."""
+"""What every test below runs under: one BLAS thread, which tests never run at once, and which may be skipped.
+
+pytest makes the helpers beside this file (naive, snapshots, ...) importable from every test.
+"""
 
 import os
 
+import pytest
+from xdist.scheduler import LoadScopeScheduling
+
 # as `edged` itself does: BLAS threads on small matrices only spin; set before anything imports numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+pytest_plugins = ["skips"]
+
+ALONE = ("tests/system/", "tests/wire/")
+"""Cameras at fixed addresses (GVCP knows one port), broadcasts that all of them hear, throwaway machines."""
+
+
+class ByRoom(LoadScopeScheduling):
+    """Each file of tests is for one process; all that share the wire are for the same one."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "wire" if nodeid.startswith(ALONE) else nodeid.partition("::")[0]
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """How `-n` shares out the tests."""
+    return ByRoom(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_report_to_serializable():
+    """Processes speak UTF-8 to each other; what was logged of a damaged file may be none."""
+    return _as_utf8((yield))
+
+
+def _as_utf8(value):
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {key: _as_utf8(part) for key, part in value.items()}
+    return type(value)(map(_as_utf8, value)) if isinstance(value, list | tuple) else value

@@ -27,7 +27,7 @@ from edged.errors import FileFormatError
 from edged.files import recording
 from edged.plc.registers import StatusBit
 
-FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1")
+FAKETIME = Path(f"/usr/lib/{os.uname().machine}-linux-gnu/faketime/libfaketime.so.1")
 
 
 # --- kill -9 --------------------------------------------------------------------------------------

@@ -55,6 +55,7 @@ def parts(
     return [seen(float(radius)) for radius in radii]
 
 
+@pytest.mark.slow
 def test_parts_that_differ_raise_no_alarm() -> None:
     """Ten thousand parts with twice the warning limit's spread: not one wrong warning."""
     assert set(watch(parts(np.random.default_rng(1), 10_000))) == {Calibrated.HOLDS}
@@ -145,6 +146,7 @@ def test_what_is_not_finite_says_nothing() -> None:
     assert monitor.state().verdict is Calibrated.HOLDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.001, 0.999, 1.01])
 def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float) -> None:
     """Why both are watched: 0.1 % of baseline leaves every point on its row, and the radius 0.1 % wrong."""

@@ -114,6 +114,7 @@ def test_pose_in_the_robots_frame_is_the_chain_of_transforms():
     assert target.rig_from_part[:3, 3].tolist() == document["position_mm"]
 
 
+@pytest.mark.slow
 def test_covariance_in_the_robots_frame_is_that_of_the_moved_poses():
     """Poses drawn with a covariance in the rig frame, moved to the robot's, have the rotated one.
 

@@ -65,6 +65,7 @@ def test_short_floats_of_other_writers_are_read(data, value):
     assert value == decode_cbor(bytes.fromhex(data))
 
 
+@pytest.mark.slow
 @given(JSON)
 def test_round_trip(value):
     """Whatever JSON can say comes back equal and of the same type."""

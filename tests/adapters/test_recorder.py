@@ -352,6 +352,7 @@ def test_an_export_replays_elsewhere(
     assert json.loads((tmp_path / "report" / "report.json").read_text())["same"] == 1
 
 
+@pytest.mark.slow
 def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A limit that was edited since makes another result; the path of the value is said."""
     run_replay(recorded, capsys, export=tmp_path)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import cast
 
 import cv2
+import pytest
 
 from edged.app.daemon import Daemon
 from edged.app.process import serve
@@ -52,6 +53,7 @@ def _modules_after(program: str) -> list[str]:
     ).stdout.split()
 
 
+@pytest.mark.slow
 def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
     """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
     loaded = _modules_after("edged.commands.run")
@@ -95,6 +97,7 @@ print(outcome.status, len(recorder.buffer))
 """
 
 
+@pytest.mark.slow
 def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> None:
     """READY means that every kernel is there, also those that an empty picture does not need."""
     cell = VirtualCell(demo_rig(), demo_part())

@@ -54,6 +54,7 @@ def run(
     return said.getvalue()
 
 
+@pytest.mark.slow
 def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
@@ -81,6 +82,7 @@ def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     assert json.loads(again.read_text()) == json.loads(output.read_text())
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
     """The old file stays beside the new one under its own calibration id."""
     output = tmp_path / "rig.json"
@@ -93,6 +95,7 @@ def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
     assert output.read_bytes() != old
 
 
+@pytest.mark.slow
 def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
     """Pictures may be of any format OpenCV reads without loss of meaning."""
     for number, suffix in ((0, ".jpg"), (1, ".bmp"), (2, ".TIF")):
@@ -105,6 +108,7 @@ def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
 
 
+@pytest.mark.slow
 def test_a_view_without_a_board_is_named(folder: Path, tmp_path: Path) -> None:
     """A picture of nothing is left out by name; the rest calibrates."""
     cv2.imwrite(str(folder / "v3_right.png"), np.full((480, 640), 90, np.uint8))
@@ -130,6 +134,7 @@ def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, r"v2_left.png: v2_right is missing(.|\n)*v4_right.png: v4_left is missing")
 
 
+@pytest.mark.slow
 def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
     """A picture of another size is named with its size and the usual one."""
     image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_GRAYSCALE)
@@ -137,17 +142,20 @@ def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, r"640 x 480(.|\n)*v1_left.png: 640 x 400")
 
 
+@pytest.mark.slow
 def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
     """A file that is no picture is named."""
     (folder / "v5_left.png").write_bytes(b"not a picture")
     refused(folder, tmp_path, "v5_left.png: not an image")
 
 
+@pytest.mark.slow
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
     """A board specification that fits no picture is refused, with the reason of every view."""
     refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: no 9x7 inner corners", board="chessboard:9x7:6")
 
 
+@pytest.mark.slow
 def test_swapped_pictures_are_refused(folder: Path, tmp_path: Path) -> None:
     """Left named right and right named left is found out."""
     for left in list(folder.glob("*_left.png")):
@@ -158,6 +166,7 @@ def test_swapped_pictures_are_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, "swapped")
 
 
+@pytest.mark.slow
 def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
     """Left and right from the same file: every pair is named, nothing is calibrated."""
     for left in folder.glob("*_left.png"):
@@ -165,6 +174,7 @@ def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: the left and the right picture are the same")
 
 
+@pytest.mark.slow
 def test_both_images_of_one_camera_are_refused(folder: Path, tmp_path: Path) -> None:
     """Two exposures of the same camera have no baseline: said as such."""
     rng = np.random.default_rng(0)
@@ -175,6 +185,7 @@ def test_both_images_of_one_camera_are_refused(folder: Path, tmp_path: Path) -> 
     refused(folder, tmp_path, "both cameras are in one place")
 
 
+@pytest.mark.slow
 def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
     """A pair that is there twice would make the sigmas too small: the copy is left out by name."""
     for side in ("left", "right"):
@@ -184,6 +195,7 @@ def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
 
 
+@pytest.mark.slow
 def test_copies_of_one_pair_are_refused(folder: Path, tmp_path: Path) -> None:
     """One view, however often, is one view."""
     for path in folder.glob("v[1-5]_*"):
@@ -198,6 +210,7 @@ def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, "1 of 1 pairs show the board in both images, expected at least 3")
 
 
+@pytest.mark.slow
 def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
     """A view out of focus is used at its own precision, or left out; either way it is named."""
     image = cv2.imread(str(folder / "v4_left.png"), cv2.IMREAD_GRAYSCALE)
@@ -207,6 +220,7 @@ def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
     assert "blurred" in said
 
 
+@pytest.mark.slow
 def test_the_board_is_stated_as_taken_on_trust(pictures: Path, tmp_path: Path) -> None:
     """A wrong square size cannot be seen in pictures: it scales the baseline, and the output says so."""
     said = run(pictures, tmp_path / "rig.json", board="chessboard:8x6:6.06")
@@ -214,6 +228,7 @@ def test_the_board_is_stated_as_taken_on_trust(pictures: Path, tmp_path: Path) -
     assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_registration_that_no_longer_holds_is_said(pictures: Path, tmp_path: Path) -> None:
     """Replacing a rig that knows the robot warns; the new one does not know it; the old one is kept."""
     output = tmp_path / "rig.json"

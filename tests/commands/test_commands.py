@@ -169,6 +169,7 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
     assert (code, json.loads(out)["status"], json.loads(out)["targets"]) == (1, "NO_TARGET", [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -241,6 +242,7 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
     assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -275,6 +277,7 @@ def test_a_teaching_that_fails_changes_nothing(
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.slow
 def test_teach_does_not_write_over_something_else(edged: Edged, folder: Path) -> None:
     """A folder of pictures given as output stays what it is; so does a file."""
     (folder / "photos").mkdir()

@@ -240,6 +240,7 @@ def check_of(
     return check_board(rig, *placed).size
 
 
+@pytest.mark.slow
 def test_the_stated_sigma_of_the_size_is_its_scatter() -> None:
     """Over 120 draws of noise the normalised error of the size is 1."""
     board = Chessboard(8, 6, 4.0)

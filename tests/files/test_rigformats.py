@@ -461,6 +461,7 @@ def test_any_bytes_are_a_file_error(
             read_rig(path, stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

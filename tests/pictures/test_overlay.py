@@ -107,6 +107,7 @@ def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
     assert headline(job, (), ()) == "flange: nothing in the left image scores 0.60 or more"
 
 
+@pytest.mark.slow
 def test_many_parts_are_counted_not_written_about_without_end() -> None:
     """Seven parts make a picture no taller than three rows of numbers."""
     _, job = taught()

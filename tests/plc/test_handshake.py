@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -327,7 +328,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
                 assert (self.written_at & 0xFFFF, effect.answer) == (state.done_sequence, state.answer)
 
 
-TestAnyClientAnyCell = AnyClientAnyCell.TestCase
+TestAnyClientAnyCell = pytest.mark.slow(AnyClientAnyCell.TestCase)
 TestAnyClientAnyCell.settings = settings(
     max_examples=150, stateful_step_count=40, deadline=None, derandomize=True
 )

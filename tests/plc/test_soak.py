@@ -16,6 +16,7 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("CRITICAL")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
     """Dead cameras, a clock that is set, restarts, lost PLCs, a second client: every rule holds."""
@@ -31,6 +32,7 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
         assert book.counts[event], event
 
 
+@pytest.mark.slow
 def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """The observer is not blind: a handshake whose results never grow old is found out."""
     real = hs.is_fresh
@@ -44,6 +46,7 @@ def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) 
     assert any("VALID after" in violation for violation in Soak(1).run(600.0).violations)
 
 
+@pytest.mark.slow
 def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor to a command that does not take the result of the one before down."""
     real = hs.step

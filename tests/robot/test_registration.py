@@ -87,6 +87,7 @@ def test_touched_points_give_the_transform() -> None:
     assert found.left_out_mm.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_doubt_of_touched_points_is_honest() -> None:
     """Over many draws the error, squared and in units of the stated covariance, is 1 per coordinate."""
     rng, ratios, scales = np.random.default_rng(2), [], []
@@ -145,6 +146,7 @@ def test_hand_eye_finds_rig_and_board(mount: Mount) -> None:
     assert found.rms_mm < 1e-6
 
 
+@pytest.mark.slow
 def test_the_doubt_of_hand_eye_is_honest() -> None:
     """The scatter of the result over many draws is what each draw states."""
     rng, errors, stated, held = np.random.default_rng(6), [], [], []
@@ -242,6 +244,7 @@ def test_brands_agree_with_an_independent_library() -> None:
     assert transform_of(Brand.UR, (0.1, 0, 0, *v))[0, 3] == pytest.approx(100.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("brand", "mount"),
     [
@@ -296,6 +299,7 @@ def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Pictures in, robot_from_rig out, to hundredths of a millimetre at the board."""
     output = pictured / "registered.json"
@@ -312,6 +316,7 @@ def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFix
     assert np.linalg.norm(apply(saved, at) - apply(ROBOT_FROM_RIG, at)) < 0.05
 
 
+@pytest.mark.slow
 def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A UR that carries the rig would take the same pictures: flange_from_rig, when and how are saved."""
     output = pictured / "carried.json"
@@ -333,6 +338,7 @@ def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.Captu
     assert datetime.fromisoformat(note["when"]).tzinfo is not None
 
 
+@pytest.mark.slow
 def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """KUKA's angles taken for FANUC's: nothing is saved, and the self-test says how they read."""
     arguments = pictured / "rig.json", pictured, pictured / "poses.csv", "chessboard:9x6:4.0"

@@ -136,6 +136,7 @@ def supersampled(view: View, scene: Scene, n: int = 8) -> FloatArray:
     return image
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", EVERY_SHAPE, ids=lambda shape: type(shape).__name__)
 def test_every_shape_covers_what_it_should(shape: object) -> None:
     """A rendered shape equals dense sampling of its definition, pixel by pixel."""
@@ -150,6 +151,7 @@ def test_every_shape_covers_what_it_should(shape: object) -> None:
     assert abs(error.mean()) < 1e-3
 
 
+@pytest.mark.slow
 def test_layers_marks_and_holes_are_painted_in_order() -> None:
     """Later parts hide earlier ones, marks lie on the face, holes show a darkened background."""
     lower = Part(
@@ -429,6 +431,7 @@ def test_a_smaller_image_is_a_window(cell: VirtualCell) -> None:
         cell.exposure("left")(request(2, S, 1281, 960))
 
 
+@pytest.mark.slow
 def test_a_part_too_large_is_refused() -> None:
     """A part that fits nowhere is an error at once, not an endless search."""
     with pytest.raises(ValueError, match="fits nowhere"):

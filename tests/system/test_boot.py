@@ -88,6 +88,7 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
     return dict(json.loads((out / "verdicts.json").read_text()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
 def test_the_service_under_systemd(step: str, verdicts: dict[str, dict[str, Any]]) -> None:
     """Each step of the scenario; its docstring states what must be true."""

@@ -40,6 +40,7 @@ def real() -> bench_boards.Folder:
     return replace(found, pairs=pairs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["08", "14"])
 def test_a_real_board_is_as_large_and_flat_as_the_calibration_allows(name: str) -> None:
     """Held out, both ways to see a corner: size within 3 sigma, no less flat than its covariance predicts.
@@ -70,6 +71,7 @@ def drawn(folder: Path, count: int) -> None:
             cv2.imwrite(str(folder / f"{number:02}_{side}.png"), image)
 
 
+@pytest.mark.slow
 def test_pictures_that_are_right_have_the_stated_sigma(tmp_path: Path) -> None:
     """Drawn pairs: normalised residuals and flatness are those predicted, sizes within their sigma."""
     drawn(tmp_path, 8)
@@ -85,6 +87,7 @@ def test_pictures_that_are_right_have_the_stated_sigma(tmp_path: Path) -> None:
         assert max(row.rows_px for row in chosen) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pairs", "board", "expected"),
     [

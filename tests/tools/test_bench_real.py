@@ -9,11 +9,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from drawings import BRACKET, draw
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "bench_real.py"
 
 
+@pytest.mark.slow
 def test_sets_that_are_there_are_measured(tmp_path: Path) -> None:
     """Three parts in a picture are three found, drawn in green; each set that is missing is named."""
     pictures = tmp_path / "fpm"

@@ -94,6 +94,7 @@ def test_errors_of_other_domains_and_unknown_codes_are_faults_too() -> None:
         assert CameraUnreachable is type(translate("left", "sending", error))
 
 
+@pytest.mark.slow
 def test_without_aravis_the_message_says_what_to_install() -> None:
     """On a machine without PyGObject the package imports, and a camera fails with the apt command."""
     program = """
@@ -225,6 +226,7 @@ def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any
 # --- against Aravis' own camera -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
 def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
     """An independent device: at 10 ms its picture is x + y + frame, modulo 255, right in every pixel."""
@@ -255,6 +257,7 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
 # --- images -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
 @pytest.mark.parametrize("packet_size", [None, 1500], ids=["negotiated", "1500"])
 def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
@@ -275,6 +278,7 @@ def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size:
     assert (np.diff([frame.frame_id for frame in frames]) == 1).all()
 
 
+@pytest.mark.slow
 def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
     """Discovery names both cameras, and each is reached by serial number."""
 
@@ -323,6 +327,7 @@ def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
     assert (HEIGHT, 160) == frame.image.shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings, reason",
     [
@@ -355,6 +360,7 @@ def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
 # --- faults -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
     """Neither an address nor a serial number without a camera is waited for longer than 8 s."""
 
@@ -367,6 +373,7 @@ def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
     run(script, left_camera(NOBODY), left_camera("NO-SUCH-SERIAL"))
 
 
+@pytest.mark.slow
 def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> None:
     """`CameraBusy` for who comes second; when the first has closed, the second succeeds."""
 
@@ -426,6 +433,7 @@ def process() -> Iterator[Process]:
     process.kill()
 
 
+@pytest.mark.slow
 def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
     """kill -9: only `CaptureError`s while it is gone, good images again after its return."""
     head = StereoHead(
@@ -458,6 +466,7 @@ def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Pro
         run(script, head)
 
 
+@pytest.mark.slow
 def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(process: Process) -> None:
     """Looking after an idle camera finds the new one that does not know us, and takes it again."""
 
@@ -479,6 +488,7 @@ def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(proce
         )
 
 
+@pytest.mark.slow
 def test_thirty_connections_leave_nothing_behind(cell: Cell) -> None:
     """After each of them threads and open files fall back to what they were after the first."""
 

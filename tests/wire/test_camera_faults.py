@@ -112,6 +112,7 @@ def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T
     return cell.left
 
 
+@pytest.mark.slow
 def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Cell) -> None:
     """A tenth of the packets gone and none sent again: incomplete (105), with the frame; then good again."""
 
@@ -140,6 +141,7 @@ def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
     assert [] == play(script, cell, packet_size=1500).faults
 
 
+@pytest.mark.slow
 def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
     """Triggers are taken, nothing comes: 104 after the time-out, 112 with the third; opened again."""
 
@@ -166,6 +168,7 @@ def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
     assert {"right"} == {fault.camera for fault in line.faults}
 
 
+@pytest.mark.slow
 def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -> None:
     """101 within the 1.2 s of a command that is not answered; good again when the cable is back."""
 
@@ -190,6 +193,7 @@ def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> Non
     assert CameraBusy not in {type(fault) for fault in line.faults}
 
 
+@pytest.mark.slow
 def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
     """102 as soon as a command is refused, and while it lasts; good again by itself."""
 
@@ -205,6 +209,7 @@ def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Ce
     play(script, cell)
 
 
+@pytest.mark.slow
 def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
     """The picture is new, its number is not: 109 where it is delivered, 104 where the driver drops it."""
 
@@ -231,6 +236,7 @@ def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) ->
     assert [] == play(script, cell, packet_size=1500).faults
 
 
+@pytest.mark.slow
 def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
     """DHCP gave it another one: 101, then good again from there."""
 
@@ -242,6 +248,7 @@ def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell
     play(script, cell, device="EDGED-T1")
 
 
+@pytest.mark.slow
 def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -> None:
     """Another serial number at the left camera's address: 108, and never a picture of the wrong one."""
 

@@ -166,6 +166,7 @@ def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
     assert 0 == sum(pair.missed for pair in pairs)
 
 
+@pytest.mark.slow
 def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
     """A loose contact: no result for that pulse, and no pair of two different ones afterwards."""
 
@@ -203,6 +204,7 @@ def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell) -> None:
     """The first exposed, the other did not."""
 
@@ -230,6 +232,7 @@ def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
     assert 0xCAFE == cell.left.registers.word(g.ACTION_DEVICE_KEY)
 
 
+@pytest.mark.slow
 def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
     """Some time ahead, which a busy machine needs: both stamps are the same up to the clocks' own error."""
     trigger = {**KEYS, "lead_ms": 400}
@@ -282,6 +285,7 @@ def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
     assert 3 * MS == down_ns - up_ns
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", g.PIXEL_FORMATS)
 def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
     """Packed, transferred, unpacked: the same grey values; a mosaic as bright as the picture."""

@@ -72,6 +72,7 @@ def test_the_expected_camera_opens(cell: Cell) -> None:
     run(lambda camera: camera.open(), left_camera(serial="EDGED-T1"))
 
 
+@pytest.mark.slow
 def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     cell: Cell, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -235,6 +236,7 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
         cell.right_sensor.saw(pair.right.image)
 
 
+@pytest.mark.slow
 def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell: Cell) -> None:
     """With an exposure every 10 ms, none that began in the last millisecond before the request is taken."""
 

@@ -188,6 +188,7 @@ class Plc:
         self.scan()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_runs_the_handshake(order: Any) -> None:
     """blark parses it, a strictly typed interpreter runs it: locate, acknowledge, again, job change."""
@@ -216,6 +217,7 @@ def test_structured_text_runs_the_handshake(order: Any) -> None:
         assert 2 == plc.values["awStatus"][6]
 
 
+@pytest.mark.slow
 def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
     """Unknown job: the reason; a dead camera: 6; slow vision: 100 here or 4 from the cell; no link: 101."""
     with LiveCell() as cell, Plc(cell.port) as plc:

@@ -26,6 +26,7 @@ from edged.plc.registers import ADDRESS, BLOCKS, decode
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 EDGED = (sys.executable, "-m", "edged")
+pytestmark = pytest.mark.slow
 INVALID = -(2**31)
 VALID_BIT, CAM_FAULT_BIT, SIMULATED_BIT = 1 << 5, 1 << 12, 1 << 15
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
@@ -120,11 +121,14 @@ class Cell:
 def in_process_cell(tmp_path: Path) -> Iterator[Cell]:
     """A daemon on in-process cameras."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"')
-    cell.start()
-    yield cell
-    cell.stop()
+    try:
+        cell.start()
+        yield cell
+    finally:
+        cell.stop()
 
 
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
 def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> None:
     """The same cycle reads the same over pymodbus and Zenoh; mbpoll, the outside witness, reads the block."""
     watch = subprocess.run(
@@ -154,17 +158,16 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
     assert in_process_cell.read("status")["STATUS_BITS"] & SIMULATED_BIT
     rig_z_mm = result["DEPTH"] / 1000
     assert 190 < rig_z_mm < 220
-    if shutil.which("mbpoll"):
-        command = ["mbpoll", "-m", "tcp", "-p", str(in_process_cell.modbus_port), "-a", "1", "-t", "3"]
-        polled = subprocess.run(
-            [*command, "-r", "301", "-c", "48", "-1", "-q", "127.0.0.1"],
-            capture_output=True,
-            text=True,
-            timeout=20,
-            check=False,
-        )
-        assert polled.returncode == 0, polled.stdout + polled.stderr
-        assert polled.stdout.count("[3") == 48
+    command = ["mbpoll", "-m", "tcp", "-p", str(in_process_cell.modbus_port), "-a", "1", "-t", "3"]
+    polled = subprocess.run(
+        [*command, "-r", "301", "-c", "48", "-1", "-q", "127.0.0.1"],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
+    assert polled.returncode == 0, polled.stdout + polled.stderr
+    assert polled.stdout.count("[3") == 48
 
 
 def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process_cell: Cell) -> None:

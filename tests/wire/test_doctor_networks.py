@@ -27,15 +27,15 @@ def cannot() -> str:
     if missing:
         return f"missing: {', '.join(missing)}"
     if os.geteuid() != 0:
-        return "needs root, for network namespaces"
+        return "not root, for network namespaces"
     wires = "ip link add cam0 type veth peer name eth0 && ip link add link eth0 name spy type macvlan"
     command = ["unshare", "--net", "--mount", "sh", "-c", f"{wires} && nft list ruleset"]
     done = subprocess.run(command, capture_output=True, check=False)
-    return "" if done.returncode == 0 else f"the kernel does not: {done.stderr.decode()}"
+    return "" if done.returncode == 0 else f"this kernel does not: {done.stderr.decode()}"
 
 
 REASON = aravis_missing() or cannot()
-pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from edged.plc.registers import CRC_START, crc16
 FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_modbus.py"
 
 
+@pytest.mark.slow
 def test_thousands_of_hostile_frames_leave_no_trace_on_tcp_and_serial_line() -> None:
     """No crash, nothing stuck, no growth; a good client gets every answer, the serial line works on."""
     run = subprocess.run(

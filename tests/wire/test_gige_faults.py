@@ -104,6 +104,7 @@ def test_chunk_data_lie_behind_the_image(camera: GigeCamera) -> None:
     assert image.data == moving_ramp_bytes(1) + behind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_command", [False, True])
 def test_after_a_reboot_everything_is_as_it_was_made(camera: GigeCamera, by_command: bool) -> None:
     """Silent, then: no control, registers and clock from the start, and it can be taken again."""

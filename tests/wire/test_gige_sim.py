@@ -195,6 +195,7 @@ def test_aravis_finds_two_cameras_of_one_process() -> None:
     assert {"EDGED-D1": ADDRESS, "EDGED-D2": OTHER}.items() <= found.items()
 
 
+@pytest.mark.slow
 @needs_aravis
 @pytest.mark.parametrize("user_socket", [False, True])
 def test_lost_packets_are_sent_again_and_every_image_is_whole(user_socket: bool) -> None:

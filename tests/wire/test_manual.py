@@ -15,7 +15,7 @@ import pytest
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
-from edged.adapters.web.access import hash_password
+from edged.passwords import hash_password
 
 SCRIPT = "let theme = 1 < 2"
 FILES = {

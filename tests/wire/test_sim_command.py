@@ -80,6 +80,7 @@ def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
     assert sim.line().startswith(f"right: EDGED-VIRTUAL-R at {RIGHT}, free"), "it stayed where it was"
 
 
+@pytest.mark.slow
 def test_quit_ends_it() -> None:
     """Exit code 0, also with a sensor that pulses the lines."""
     other = Sim("--pattern", "64x48", "--left", "127.0.55.3", "--right", "127.0.55.4", "--pulse", "50")
@@ -127,6 +128,7 @@ def test_aravis_tool_reads_the_whole_description(sim: Sim) -> None:
         assert f"'{name}'" in listed
 
 
+@pytest.mark.slow
 @tool("arv-camera-test-0.8", "aravis-tools")
 @pytest.mark.parametrize("lost", ["", "3,5,20"])
 def test_aravis_camera_test_streams_every_frame(sim: Sim, lost: str) -> None:

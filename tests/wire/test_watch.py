@@ -129,6 +129,7 @@ def test_only_the_cell_that_was_named():
     assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
 
 
+@pytest.mark.slow
 def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
     """Junk, deep nesting, wrong types and escape codes under edged/** are left out or shown harmlessly."""
     junk = [

@@ -367,6 +367,7 @@ def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_guessing_is_slowed_down() -> None:
     """After five wrong passwords the right one has to wait too; others are not locked out with it."""
 

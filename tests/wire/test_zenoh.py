@@ -311,6 +311,7 @@ def test_what_zenohs_own_file_says_wins(tmp_path):
     assert reply["ok"]
 
 
+@pytest.mark.slow
 def test_results_come_back_when_the_router_does():
     """A fleet's router that dies and returns is found again by cell and subscriber, without a restart."""
     port = free_port()

@@ -131,6 +131,7 @@ async def who_may_what(cell: Cell, certificates: Path, port: int) -> None:
     assert [] == await ask_as(certificates, "stranger", port, "edged/cell1/last")
 
 
+@pytest.mark.slow
 def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
     """Readers read, controllers trigger, a certificate of somebody else does not even connect."""
 
@@ -143,6 +144,7 @@ def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificates, tmp
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
     """The same through the router; and a cell cannot speak under another cell's name."""
     port = free_port()

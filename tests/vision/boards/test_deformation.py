@@ -42,6 +42,7 @@ def normalised_error(calibration: Calibration) -> FloatArray:
     return parameter_error(calibration.rig, RIG)[sigma > 0] / sigma[sigma > 0]
 
 
+@pytest.mark.slow
 def test_a_bent_board_is_found_bent() -> None:
     """Taken as flat it spoils the rig beyond its sigma; with its shape free rig and shape are right."""
     true = bent(BOARD)
@@ -59,6 +60,7 @@ def test_a_bent_board_is_found_bent() -> None:
     assert any("from lowest to highest mark" in note for note in free.notes)
 
 
+@pytest.mark.slow
 def test_the_sigma_of_the_rig_knows_of_the_shape() -> None:
     """Over 8 draws of noise the normalised squared error per parameter is 1."""
     true = bent(BOARD)
@@ -69,6 +71,7 @@ def test_the_sigma_of_the_rig_knows_of_the_shape() -> None:
     assert 0.7 < np.mean(squares) < 1.4
 
 
+@pytest.mark.slow
 def test_a_flat_board_stays_flat() -> None:
     """Nothing is invented: the shape of a true board is noise, and the rig does not suffer."""
     views = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 10, 1), 0.02, 0)
@@ -81,6 +84,7 @@ def test_a_flat_board_stays_flat() -> None:
     assert np.abs(normalised_error(free)).max() < 3.5
 
 
+@pytest.mark.slow
 def test_two_boards_have_two_shapes() -> None:
     """Each board of a calibration gets its own shape."""
     truths = bent(BOARD), ShapedBoard(OTHER, OTHER.points_mm)

@@ -77,6 +77,7 @@ def found_in(image: np.ndarray, board: Chessboard) -> Detection:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", ["chessboard:11x8:2.4", "chessboard:9x7:2.6", "chessboard:7x7:3"])
 def test_corners_are_found_to_a_hundredth_of_a_pixel(spec: str) -> None:
     """With pixel noise of 2 grey values the corners are right to 0.02 px rms, without bias."""
@@ -95,6 +96,7 @@ def test_corners_are_found_to_a_hundredth_of_a_pixel(spec: str) -> None:
     assert np.abs(error.mean(axis=0)).max() < 0.004
 
 
+@pytest.mark.slow
 def test_the_stated_sigma_is_the_scatter() -> None:
     """Over many noise draws the normalised error of a corner is 1, and more noise means a larger sigma."""
     board = Chessboard(6, 5, 4.0)
@@ -114,6 +116,7 @@ def test_the_stated_sigma_is_the_scatter() -> None:
     assert np.median(sigmas) > 3 * np.median(clean.sigma_px)
 
 
+@pytest.mark.slow
 def test_both_cameras_number_the_corners_alike() -> None:
     """An asymmetric board turned by any angle starts at its black corner square in both images."""
     board = Chessboard(8, 5, 3.0)
@@ -224,6 +227,7 @@ def dots_in(image: np.ndarray, board: DotGrid) -> Detection:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [PLATE, DotGrid(9, 6, 6.0, 2.5)])
 @pytest.mark.parametrize("inverted", [False, True])
 def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotGrid, inverted: bool) -> None:
@@ -317,6 +321,7 @@ def test_plates_of_any_size_are_found(board: DotGrid) -> None:
     assert np.abs(found.pixels - true[found.ids]).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "board", [CircleGrid(4, 11, 4.0, 2.0), CircleGrid(4, 11, 4.0, 4.5), CircleGrid(3, 7, 6.0, 3.0)]
 )

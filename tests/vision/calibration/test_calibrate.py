@@ -33,6 +33,7 @@ def views_of(
     return synthetic_views(rig, board, board_poses(rig, board, n, seed), sigma_px, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["brown", "division"])
 @pytest.mark.parametrize("vergence_deg", [0.0, 24.0])
 def test_exact_marks_give_the_exact_rig(model: str, vergence_deg: float) -> None:
@@ -50,6 +51,7 @@ def test_exact_marks_give_the_exact_rig(model: str, vergence_deg: float) -> None
     assert found.outliers == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["brown", "division"])
 def test_the_stated_covariance_is_the_error(model: str) -> None:
     """Over repeated noise the normalised squared error per parameter is 1, and none is beyond 4.5 sigma."""
@@ -73,6 +75,7 @@ def test_the_stated_covariance_is_the_error(model: str) -> None:
     assert worst < 4.5
 
 
+@pytest.mark.slow
 def test_precise_marks_count_more_than_rough_ones() -> None:
     """Ten times rougher marks that say so hardly spoil the result."""
     rig = make_rig()
@@ -105,6 +108,7 @@ def test_precise_marks_count_more_than_rough_ones() -> None:
     assert np.linalg.norm(knowing[-3:]) < 0.5 * np.linalg.norm(ignorant[-3:])
 
 
+@pytest.mark.slow
 def test_wrong_marks_are_dropped() -> None:
     """Marks that are off by pixels are found and counted, and do not move the result."""
     rig = make_rig()
@@ -118,6 +122,7 @@ def test_wrong_marks_are_dropped() -> None:
     assert np.abs(found.rig.right_from_left - clean.rig.right_from_left)[:3, 3].max() < 0.002
 
 
+@pytest.mark.slow
 def test_one_bad_view_is_left_out_and_named() -> None:
     """A view in which the board slipped between both exposures is named; the rest is used."""
     rig = make_rig()
@@ -155,6 +160,7 @@ def test_marks_seen_by_one_camera_only_still_count() -> None:
     assert abs(found.rig.baseline_mm - rig.baseline_mm) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_a_symmetric_board_numbered_from_either_end(upside_down: bool) -> None:
     """Which end of a symmetric board is the first is settled by the other views, for any roll."""
@@ -184,6 +190,7 @@ def test_two_boards_in_one_calibration() -> None:
     assert abs(found.rig.baseline_mm - rig.baseline_mm) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aspect", [1.0, 1.002])
 def test_fx_leaves_fy_only_where_the_data_demand_it(aspect: float) -> None:
     """Square pixels stay exactly square; pixels that are oblong by 0.2 % are measured as such."""
@@ -201,6 +208,7 @@ def test_fx_leaves_fy_only_where_the_data_demand_it(aspect: float) -> None:
             assert camera.fy / camera.fx == pytest.approx(aspect, abs=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k3", [0.0, -30.0])
 def test_k3_is_released_only_where_the_data_demand_it(k3: float) -> None:
     """A lens without sixth-order distortion keeps k3 = 0; one with it does not."""
@@ -213,6 +221,7 @@ def test_k3_is_released_only_where_the_data_demand_it(k3: float) -> None:
     assert found.rms_px == pytest.approx(0.01 * np.sqrt(2), rel=0.08)
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_name() -> None:
     """The calibration id follows from the values, nothing else."""
     rig = make_rig()
@@ -263,6 +272,7 @@ def test_swapped_images_are_refused() -> None:
         calibrate(views, rig)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0.02, 1.0])
 def test_a_camera_bumped_half_way_is_refused(angle_deg: float) -> None:
     """A camera turned by a fiftieth of a degree between two views is noticed, and the place named."""

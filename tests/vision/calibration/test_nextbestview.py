@@ -58,6 +58,7 @@ def test_points_follow_the_parameters(model: LensModel) -> None:
         np.testing.assert_allclose(analytic[:, :, column] / scale, numeric / scale, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_the_covariance_of_points_is_their_scatter_over_calibrations() -> None:
     """Over 24 noisy calibrations the normalised squared error of a point is 3, its number of coordinates."""
     point = np.array([[5.0, -3.0, RIG.baseline_mm / 0.42]])

@@ -61,6 +61,7 @@ def test_a_blank_picture_shows_no_circle() -> None:
     assert measure_circle(plain(rig), (blank, blank), (outline, outline)) is None
 
 
+@pytest.mark.slow
 def test_it_calibrates_from_pairs(tmp_path: Path) -> None:
     """Ten drawn pairs: the baseline to 0.05 mm. Two are refused: fewer than three are no calibration."""
     rig, board = small_rig(), Chessboard(9, 6, 3.5)

@@ -49,6 +49,7 @@ def test_points_go_to_the_rectified_image_and_back(rig: StereoRig, seed: int) ->
         assert np.abs(again - raw).max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["brown", "division"])
 def test_images_and_points_are_rectified_alike(model: str) -> None:
     """A blob drawn in the raw image turns up in the rectified image where rectify_points says."""
@@ -219,6 +220,7 @@ LENSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("vergence_deg", [0.0, 12.0, 24.0, 35.0])
 @pytest.mark.parametrize("factor", [1, 2])

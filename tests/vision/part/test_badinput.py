@@ -40,6 +40,7 @@ def whole() -> Target:
     return only(seen(here.job, *here.see(pose())))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shift_mm", "vaguer"), [(25.0, 0.8), (30.0, 1.3)])
 def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
     """What the picture still holds gives the truth, with a larger sigma when it is little; asked for more, it
@@ -54,6 +55,7 @@ def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
     assert only(seen(patient(here.job, 0.95), *images)).reject & Reject.FEW_EDGES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", ["left", "right"])
 def test_half_hidden_in_one_camera(hidden: str) -> None:
     """The other camera's whole circle does not make up for it: larger sigma, or too few edges."""
@@ -70,6 +72,7 @@ def test_half_hidden_in_one_camera(hidden: str) -> None:
     assert only(seen(patient(here.job, 0.9), *images)).reject & Reject.FEW_EDGES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chamfer_mm", [0.2, 0.3, 0.4, 0.7])
 @pytest.mark.parametrize("albedo", [0.45, 0.55])
 def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:

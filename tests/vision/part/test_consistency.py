@@ -81,6 +81,7 @@ def test_a_camera_knocked_along_the_rows(along_px: float) -> None:
     assert bool(target.reject & Reject.TOLERANCE) == (abs(along_px) > 0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "moved_mm"), [("disc", 0.3), ("disc", 1.0), ("plate", 0.3), ("round", 1.0)])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_right_image_too_late_along_the_baseline(name: str, moved_mm: float, sign: int) -> None:

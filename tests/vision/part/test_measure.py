@@ -242,6 +242,7 @@ def test_an_ambiguous_rotation_is_refused() -> None:
         assert result.target.reject == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [12.0, 40.0])
 @pytest.mark.parametrize("across_mm", [0.2, 0.5])
 def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: float) -> None:

@@ -46,6 +46,7 @@ def test_symmetries_are_said_in_words() -> None:
     assert not any("turn" in warning for warning in bracket.warnings)
 
 
+@pytest.mark.slow
 def test_the_expected_precision_is_reached() -> None:
     """Scatter of the search at the stated noise, against the stated bound: near it, and never far below."""
     model, inspection = learnt(drawings.BRACKET)

@@ -74,6 +74,7 @@ def test_a_textured_table_stays_out_of_the_model(strength: float) -> None:
         assert found_at(model, other, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "noise"), [(8, 1.0), (14, 4.0), (40, 15.0), (130, 1.0), (130, 15.0)])
 @pytest.mark.parametrize("size", [0.45, 1.0, 3.0])
 def test_thresholds_follow_the_picture(step: float, noise: float, size: float) -> None:

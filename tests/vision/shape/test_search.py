@@ -261,6 +261,7 @@ def test_equal_input_equal_output(bracket: ShapeModel) -> None:
     np.testing.assert_array_equal(first[0].linear, second[0].linear)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mode", "freedom"), [("rigid", 3), ("similarity", 4), ("stretch", 5)])
 def test_covariance_is_the_scatter(bracket: ShapeModel, mode: str, freedom: int) -> None:
     """Over many noises the squared error over the stated variance is about one, singly and together."""
@@ -478,6 +479,7 @@ def test_interlocked_parts_are_two_parts() -> None:
     assert not any(match.ambiguous for match in both)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(12), 284])
 def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
     """One hole missing, a bar across the flange: the right rotation or "ambiguous", never 60° off."""

@@ -76,6 +76,7 @@ POINTS = np.array([[x, y] for y in (35.3, 60.0, 85.6) for x in (90.2, 110.7, 130
 # --- precision ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "disparity",
     [(7.3, 0.0, 0.0), (7.3, 0.15, 0.0), (-5.6, 0.1, 0.15), (3.1, -0.25, -0.1), (0.5, 0.0, 0.2)],
@@ -101,6 +102,7 @@ def test_disparity_reaches_its_bound(disparity: tuple[float, float, float]) -> N
     np.testing.assert_allclose(slopes.mean(axis=(0, 1)), plane[1:], atol=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "half"), [(6.0, 10), (2.0, 5), (1.0, 16)])
 def test_sigma_follows_noise_and_window(noise: float, half: int) -> None:
     """More noise or a smaller window widens sigma as it widens the scatter."""
@@ -140,6 +142,7 @@ def test_sigma_is_honest_where_gradients_are_half_noise() -> None:
     assert 0.8 < np.nanmean(error**2 / sigma**2) < 1.25
 
 
+@pytest.mark.slow
 def test_all_fractions_of_a_pixel_are_alike() -> None:
     """No pull towards whole or half pixels: without noise the error is below 0.005 px at every fraction."""
     texture = random_texture(2)
@@ -276,6 +279,7 @@ def test_the_way_back_must_agree() -> None:
     assert matches.disparity_px[1] == pytest.approx(20.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("point", "search"),
     [

@@ -118,6 +118,7 @@ def test_a_region_without_a_part_is_refused(
         teach(flat.left, flat.right, rectification, region, "x")
 
 
+@pytest.mark.slow
 def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectification: Rectification) -> None:
     """Blank, the same image twice, left and right swapped: no job, and the message asks why."""
     blank = np.full_like(flat.left, 60)

@@ -1,0 +1,56 @@
+"""The suite itself: what is skipped without a good reason does not pass unseen."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+
+LIST = "not on the list of tests/skips.py"
+DOCTOR = "tests/wire/test_doctor_networks.py"
+
+
+def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str]:
+    """A run of pytest, with a process for the tests, on a file with one that runs and one that is skipped."""
+    file = folder / DOCTOR
+    file.parent.mkdir(parents=True)
+    file.write_text(
+        "import pytest\n\n"
+        "def test_that_runs(): pass\n\n"
+        f"@pytest.mark.skipif(True, reason={reason!r})\n"
+        "def test_that_wants_more(): pass\n"
+    )
+    options = ["-n", "1", "-p", "skips", "-p", "no:cacheprovider", "--import-mode=importlib"]
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", *options, "-c", os.devnull, "--rootdir", str(folder), str(file)],
+        env=os.environ | {"CI": ci, "PYTHONPATH": str(TESTS)},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
+def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str, code: int) -> None:
+    """A developer reads which test was skipped and why; continuous integration is red."""
+    run = suite(tmp_path, "missing: nft", ci)
+
+    assert code == run.returncode, run.stdout + run.stderr
+    assert LIST in run.stdout
+    assert f"{DOCTOR}::test_that_wants_more: missing: nft" in run.stdout
+    assert "test_that_runs" not in run.stdout
+
+
+def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
+    """Nobody can be root everywhere."""
+    run = suite(tmp_path, "not root, for network namespaces", "true")
+
+    assert 0 == run.returncode, run.stdout + run.stderr
+    assert LIST not in run.stdout
