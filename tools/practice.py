@@ -20,8 +20,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import Image
-from edged.sim.cell import CAMERAS, VirtualCell, calibration_views, demo_part, demo_rig
+from edged.domain import SIDES, Image
+from edged.sim.cell import VirtualCell, calibration_views, demo_part, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import chessboard_plate
 from edged.vision.geometry.rigid import apply
@@ -54,7 +54,7 @@ def touch(folder: Path) -> None:
     for number, name in enumerate(TOUCHED, 1):
         at_ns = number * 1_000_000_000
         request = ExposureRequest(number, at_ns, at_ns, 2000.0, 0.0, rig.left.width, rig.left.height)
-        save(folder, name, {side: cell.exposure(side)(request) for side in CAMERAS})
+        save(folder, name, {side: cell.exposure(side)(request) for side in SIDES})
         truth = cell.truth_of_frame("left", number)
         if truth is None or rig.robot_from_rig is None:
             raise RuntimeError("the demo's cell knows neither its part nor its robot")
