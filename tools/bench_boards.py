@@ -265,8 +265,8 @@ def row_of(calibration: Calibration, view: StereoView, corners: Corners) -> Row:
     points, known = triangulate_raw(rig, left, right), board.points_mm[ids]
     covariance = point_covariance(calibration, view, points)
     start = fit_rigid(known, points, with_scale=True)
-    arms = start.scale * known @ start.to_from_from[:3, :3].T
-    residual = (points - arms - start.to_from_from[:3, 3]).ravel()
+    arms = start.scale * known @ start.to_from_source[:3, :3].T
+    residual = (points - arms - start.to_from_source[:3, 3]).ravel()
     arms = arms - arms.mean(axis=0)  # about the middle: turns and size move nothing as a whole
     design = np.concatenate(
         [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3)), arms[:, :, None]], axis=2
@@ -276,7 +276,7 @@ def row_of(calibration: Calibration, view: StereoView, corners: Corners) -> Row:
     solution = np.linalg.lstsq(white_design, white, rcond=None)[0]
     left_over = white - white_design @ solution
     size_variance = np.linalg.inv(white_design.T @ white_design)[6, 6]
-    flat, predicted = flatness(points, known, start.to_from_from[:3, :3], covariance)
+    flat, predicted = flatness(points, known, start.to_from_source[:3, :3], covariance)
     rows_px = row_disagreement(calibration, view)
     beside = triangulate_raw(rig, left, right + np.array([1.0, 0.0]))
     per_px = fit_rigid(known, beside, with_scale=True).scale - start.scale

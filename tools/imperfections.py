@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain import SIDES, FloatArray, Image
 from edged.files.images import load_image
 
 KNOCK_ALONG_PX, KNOCK_ACROSS_PX = 1.2, 0.1
@@ -135,7 +135,7 @@ def degraded(dataset: Path, kind: str, folder: Path) -> Path:
         (target / name).mkdir(parents=True)
         for path in sorted((dataset / name).glob("*")):
             side = path.stem.rpartition("_")[2]
-            if changes and path.suffix == ".png" and side in ("left", "right"):
+            if changes and path.suffix == ".png" and side in SIDES:
                 cv2.imwrite(str(target / name / path.name), one.change(load_image(path), side, rng))
             else:
                 shutil.copy(path, target / name)

@@ -39,15 +39,15 @@ def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> Floa
     return np.asarray(adjoint @ registration @ adjoint.T)
 
 
-def rotate_covariance(covariance: FloatArray, to_from_from: FloatArray) -> FloatArray:
+def rotate_covariance(covariance: FloatArray, to_from_source: FloatArray) -> FloatArray:
     """The (6, 6) covariance of a pose, seen in another frame.
 
     covariance : of (translation, rotation vector applied on the left), axes of the old frame.
-    to_from_from : (4, 4) rigid transform. With new = T old, a small rotation w of the old axes is
+    to_from_source : (4, 4) rigid transform. With new = T old, a small rotation w of the old axes is
     R w in the new ones, and so is a small shift: J = diag(R, R), J C J^T. The translation of T does
     not enter, because the rotation turns the part about its own origin.
     """
     jacobian = np.zeros((6, 6))
-    jacobian[:3, :3] = jacobian[3:, 3:] = to_from_from[:3, :3]
+    jacobian[:3, :3] = jacobian[3:, 3:] = to_from_source[:3, :3]
     with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN, and becomes null
         return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)

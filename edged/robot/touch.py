@@ -73,16 +73,16 @@ def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistrati
         for k in range(len(rig)):
             others = np.arange(len(rig)) != k
             try:
-                without = fit_rigid(rig[others], robot[others]).to_from_from
+                without = fit_rigid(rig[others], robot[others]).to_from_source
             except CalibrationError:  # the others lie on one line
                 continue
             left_out[k] = float(np.linalg.norm(robot[k] - apply(without, rig[k])))
     extent = float(np.sqrt(np.sum((rig - rig.mean(axis=0)) ** 2)))
     # a fit states the shift of the rig's origin; as a motion of the whole frame it is that of the robot's
     frame = np.eye(6)
-    frame[:3, 3:] = skew(fit.to_from_from[:3, 3])
+    frame[:3, 3:] = skew(fit.to_from_source[:3, 3])
     return PointRegistration(
-        fit.to_from_from,
+        fit.to_from_source,
         frame @ fit.covariance @ frame.T,
         np.linalg.norm(fit.residuals_mm, axis=1),
         left_out,

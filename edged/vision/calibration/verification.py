@@ -81,7 +81,7 @@ def pose_of_board(rig: StereoRig, view: StereoView) -> tuple[StereoView, FloatAr
     known = np.isfinite(points).all(axis=1)
     if known.sum() < _MIN_MARKS:
         return Missed(f"{int(known.sum())} marks seen by both cameras, at least {_MIN_MARKS} are needed")
-    return view, fit_rigid(view.board.points_mm[ids[known]], points[known]).to_from_from
+    return view, fit_rigid(view.board.points_mm[ids[known]], points[known]).to_from_source
 
 
 def check_board(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -> BoardCheck:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.curves.systematic import DOUBT_PX, learn_sizes
-from edged.vision.kernels.cholesky import invert_spd
+from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
 
@@ -215,7 +215,7 @@ def _inverse_of_own(moments: F64, wide: int, sigma: F64, inverse: F64) -> bool:
         for k in range(many):
             inner[m, k] = moments[wide + m, wide + k]
         inner[m, m] += 1.0 / (sigma[m] * sigma[m])
-    return bool(invert_spd(inner, inverse))
+    return bool(invert(inner, inverse))
 
 
 @kernel("void(f8[:, ::1], f8[::1], i8[::1], i8, f8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", any_order=True)
@@ -386,7 +386,7 @@ def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: Soluti
 def _step(memory: _Memory, priors: int, solution: Solution) -> float:
     """Solve the normal equations; the largest change of an unknown in its own sigma, -1 for none."""
     size = len(solution.delta)
-    if not invert_spd(memory.matrix, solution.covariance):
+    if not invert(memory.matrix, solution.covariance):
         return -1.0
     moved = 0.0
     for i in range(size):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
-from edged.vision.kernels.cholesky import invert_spd
+from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import (
@@ -145,7 +145,7 @@ def variance_of_mean(values: F64, base: F64, waves: F64, rounds: int, shares: F6
         for n in range(count):
             weights[n] = base[n] * shares[n]
         weighted_moments(waves, values, weights, matrix, right_side)
-        if not invert_spd(matrix, inverse):
+        if not invert(matrix, inverse):
             return np.inf, 0.0
         for n in range(count):
             residuals[n] = values[n]

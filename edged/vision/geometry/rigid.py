@@ -1,7 +1,7 @@
 """Rotations, angles and rigid transforms.
 
 A rotation vector is axis times angle (rad). A transform is a (4, 4) matrix named
-`to_from_from`. Small rotations are applied on the left: `R' = rotation_matrix(w) @ R`; every
+`to_from_source`. Small rotations are applied on the left: `R' = rotation_matrix(w) @ R`; every
 covariance of a pose in edged is meant that way.
 """
 
@@ -117,45 +117,45 @@ def transform(rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
     return result
 
 
-def invert(to_from_from: FloatArray) -> FloatArray:
+def invert(to_from_source: FloatArray) -> FloatArray:
     """The inverse of a rigid (4, 4) transform; `invert(a_from_b)` is b_from_a."""
-    rotation = to_from_from[:3, :3]
-    return transform(rotation.T, -rotation.T @ to_from_from[:3, 3])
+    rotation = to_from_source[:3, :3]
+    return transform(rotation.T, -rotation.T @ to_from_source[:3, 3])
 
 
-def apply(to_from_from: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Points (..., 3) of the frame `from` in the frame `to`."""
+def apply(to_from_source: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Points (..., 3) of the frame `source` in the frame `to`."""
     points = np.asarray(points_mm, dtype=np.float64)
-    return np.asarray(points @ to_from_from[:3, :3].T + to_from_from[:3, 3])
+    return np.asarray(points @ to_from_source[:3, :3].T + to_from_source[:3, 3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidFit:
     """A rigid transform fitted to corresponding points.
 
-    to_from_from (4, 4); scale : 1 for a rigid fit, the best scale for a similarity.
+    to_from_source (4, 4); scale : 1 for a rigid fit, the best scale for a similarity.
     residuals_mm (N, 3) : to - fitted, in the frame `to`.
     sigma_mm : residual per coordinate over the degrees of freedom; NaN where none are left.
     covariance (6, 6) : of (translation in mm, rotation vector in rad applied on the left),
     from sigma_mm; the scale is taken as known.
     """
 
-    to_from_from: FloatArray
+    to_from_source: FloatArray
     scale: float
     residuals_mm: FloatArray
     sigma_mm: float
     covariance: FloatArray
 
 
-def fit_rigid(from_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = False) -> RigidFit:
-    """Fit `to = scale R from + t` in the least squares sense.
+def fit_rigid(source_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = False) -> RigidFit:
+    """Fit `to = scale R source + t` in the least squares sense.
 
-    from_mm, to_mm (N, 3), N >= 3 and not on one line.
+    source_mm, to_mm (N, 3), N >= 3 and not on one line.
     Raises `CalibrationError` for too few points or points on one line.
     Source: S. Umeyama, "Least-squares estimation of transformation parameters between two
     point patterns", PAMI 1991, doi:10.1109/34.88573.
     """
-    source, target = np.asarray(from_mm, dtype=np.float64), np.asarray(to_mm, dtype=np.float64)
+    source, target = np.asarray(source_mm, dtype=np.float64), np.asarray(to_mm, dtype=np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise CalibrationError(
             f"a rigid fit needs at least three point pairs (N, 3), got {source.shape} and {target.shape}"

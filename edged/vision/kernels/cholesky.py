@@ -57,7 +57,7 @@ def substitute(factor: F64, vector: F64, size: int) -> None:
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1])", any_order=True)
-def invert_spd(matrix: F64, inverse: F64) -> bool:
+def invert(matrix: F64, inverse: F64) -> bool:
     """Invert a symmetric positive matrix, scaled to a unit diagonal; False if it is singular.
 
     By the inverse of the factor, row by row, then its square: every inner loop runs along a row.

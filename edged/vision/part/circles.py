@@ -17,8 +17,9 @@ from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_circ
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import about_z, apply, cross, rotation_matrix, transform, unit
+from edged.vision.geometry.rigid import about_z, angle_between, apply, cross, rotation_matrix, transform, unit
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.consistency import distance_share, growth_of
 from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
@@ -26,14 +27,13 @@ from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.prediction import match_in_raw, predicted
+from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
 DEPTH_MARGIN = 0.05
 """The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
 OUTLINE_POINTS = 240
 OUTLINE_REACH_PX = 4.0
-EACH_EDGE_ITSELF = ("local", "ignore")
-"""Polarity modes of the search in which an edge may have either sign."""
 PLACE_TOLERANCE = 0.02
 """A feature farther from its place than this share of the part's size is another edge."""
 PLACE_MARGIN_MM = 0.1
@@ -273,7 +273,7 @@ def _rival_turns(job: Job) -> list[float]:
         if min(lengths[i], lengths[j]) < 2 * tolerance or abs(lengths[i] - lengths[j]) > tolerance:
             continue
         turn = float(np.arctan2(arms[j, 1], arms[j, 0]) - np.arctan2(arms[i, 1], arms[i, 0])) % (2 * np.pi)
-        if all(abs((turn - other + np.pi) % (2 * np.pi) - np.pi) * lengths[i] > tolerance for other in turns):
+        if all(angle_between(turn, other) * lengths[i] > tolerance for other in turns):
             turns.append(turn)
     return sorted(turns)[:MAX_RIVALS]
 
@@ -393,7 +393,7 @@ def _rotation(
         return start, 0.05 * job.reference_circle.radius_mm / job.shape.radius_px, concentric
     values, weights = np.array(angles), 1 / np.maximum(np.array(variances), 1e-10)
     middle = median(angles)
-    spread = max(1.4826 * median(abs(angle - middle) for angle in angles), 2e-4)
+    spread = max(mad_sigma(values - middle), 2e-4)
     good = np.abs(values - middle) < 4 * spread
     turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
     chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)

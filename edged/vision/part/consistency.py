@@ -25,6 +25,7 @@ import numpy as np
 
 from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
 from edged.vision.geometry.rectification import Rectification
+from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.job import Job
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
@@ -66,7 +67,7 @@ def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
     order = np.argsort(shares)
     half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
     growth = float(shares[order][half])
-    scatter = 1.4826 * float(np.median(np.abs(shares - growth) / errors))
+    scatter = mad_sigma((shares - growth) / errors)
     alike = float(np.sum(weights * errors) / weights.sum())
     return growth, math.hypot(scatter * math.sqrt(math.pi / 2 / weights.sum()), alike)
 

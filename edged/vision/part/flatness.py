@@ -14,6 +14,7 @@ import numpy as np
 
 from edged.domain import FloatArray, Measurement
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import face_points, heights_mm
@@ -23,7 +24,6 @@ REACH_MM = 1.0
 """Points farther from the measured plane are another surface: a recess, the table seen through a hole."""
 GRID_PX = 12
 MIN_POINTS = 20
-TUKEY = 4.685
 ROUNDS = 8
 
 
@@ -60,8 +60,8 @@ def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
         normal = (design * weights[:, None]).T @ design
         coefficients = np.linalg.lstsq(normal, (design * weights[:, None]).T @ points[:, 2], rcond=None)[0]
         pull = (points[:, 2] - design @ coefficients) * np.sqrt(base)
-        scale = max(1.4826 * float(np.median(np.abs(pull))), 1e-9)
-        weights = base * np.clip(1 - (pull / (TUKEY * scale)) ** 2, 0, None) ** 2
+        scale = max(mad_sigma(pull), 1e-9)
+        weights = base * tukey_weights(pull, scale)
     kept = weights > 0
     # what bends, over the plane that fits it best
     flat = design[kept][:, :3]

@@ -45,7 +45,7 @@ def start_pose(
     if plane is None:
         return None
     try:
-        return fit_rigid(part[:, 0], plane.meet(images.rays("left", points))).to_from_from
+        return fit_rigid(part[:, 0], plane.meet(images.rays("left", points))).to_from_source
     except CalibrationError:  # all on one line, or behind the camera
         return None
 

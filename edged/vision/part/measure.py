@@ -19,7 +19,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.acceptance import judged
-from edged.vision.part.circles import EACH_EDGE_ITSELF, measure
+from edged.vision.part.circles import measure
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import lifted, with_features
@@ -29,6 +29,7 @@ from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.sizes import measure_sizes, place
+from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
 NEAR_PARAMS = FitParams(reach_px=(3.0, 2.0))

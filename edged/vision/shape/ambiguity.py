@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
 from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
+from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
@@ -226,8 +227,7 @@ def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags
 
 def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
     """The pose after a motion dx, dy, angle in the model's own plane; the tilt turns along."""
-    cosine, sine = math.cos(motion[2]), math.sin(motion[2])
-    turn = np.array([[cosine, -sine], [sine, cosine]])
+    turn = rotation_2d(motion[2])
     linear = pose[2:6].reshape(2, 2)
     moved = pose.copy()
     moved[:2] = pose[:2] + linear @ motion[:2]
@@ -245,8 +245,8 @@ def turns(model: ShapeModel) -> Turns:
     """
     level = model.levels[0]
     grid = np.arange(1, TURNS) * (2 * math.pi / TURNS)
-    about = [_about(model.centre_px, float(angle)) for angle in grid]
-    starts = [*(np.array(row[:3]) for row in model.symmetries), *about]
+    starts = [np.array(row[:3]) for row in model.symmetries]
+    starts += [about(model.centre_px, float(angle)) for angle in grid]
     at_rest = np.column_stack([level.points, level.normals])
     order = np.argsort(level.points[:, 0], kind="stable")
     outline = np.ascontiguousarray(at_rest[order])
@@ -255,8 +255,8 @@ def turns(model: ShapeModel) -> Turns:
     flags: list[tuple[Flags, Flags]] = []
     for start in starts:
         motion = _settled(model, start, outline, gap)
-        angle = _wrapped(float(motion[2]))
-        if abs(angle) < MIN_TURN_RAD or any(abs(_wrapped(angle - m[2])) < SAME_TURN_RAD for m in motions):
+        angle = wrapped(float(motion[2]))
+        if abs(angle) < MIN_TURN_RAD or any(angle_between(angle, m[2]) < SAME_TURN_RAD for m in motions):
             continue
         placed = np.empty((len(level.points), 4))
         refine.place(level.points, level.normals, turned(_IDENTITY, motion), placed)
@@ -273,15 +273,9 @@ def turns(model: ShapeModel) -> Turns:
 _IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)
 
 
-def _wrapped(angle: float) -> float:
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-def _about(centre: FloatArray, angle: float) -> FloatArray:
+def about(centre: FloatArray, angle_rad: float) -> FloatArray:
     """The motion dx, dy, angle of a turn about a point."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    shift = centre - np.array([[cosine, -sine], [sine, cosine]]) @ centre
-    return np.array([shift[0], shift[1], angle])
+    return np.array([*(centre - rotation_2d(angle_rad) @ centre), angle_rad])
 
 
 def _settled(model: ShapeModel, motion: FloatArray, outline: FloatArray, gap: float) -> FloatArray:

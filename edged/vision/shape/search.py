@@ -15,7 +15,7 @@ import numpy as np
 from edged.domain import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
-from edged.vision.geometry.rigid import angle_between, rotation_2d
+from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
@@ -350,7 +350,7 @@ class _Search:
         """Whether two poses at one place are two rotations of the shape that can be told apart at all."""
         turn = one.angle - other.angle
         same = self.model.round or any(angle_between(turn, float(row[2])) < 0.1 for row in self._equal())
-        return abs(angle_between(turn, 0.0)) > 0.1 and not same
+        return angle_between(one.angle, other.angle) > 0.1 and not same
 
     def _equal(self) -> list[FloatArray]:
         """The motions after which the shape looks the same."""
@@ -420,9 +420,8 @@ class _Search:
     def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
         """Of all angles at which the shape looks the same, the one nearest to the taught."""
         if self.model.round:
-            centre = self.model.centre_px
-            shift = centre - rotation_2d(-hypothesis.angle) @ centre
-            return hypothesis.at(rivals.turned(hypothesis.pose, np.array([*shift, -hypothesis.angle])))
+            back = rivals.about(self.model.centre_px, -hypothesis.angle)
+            return hypothesis.at(rivals.turned(hypothesis.pose, back))
         best = hypothesis
         for motion in self._equal():
             other = hypothesis.at(rivals.turned(hypothesis.pose, motion))

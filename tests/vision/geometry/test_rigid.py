@@ -138,17 +138,17 @@ def test_fit_rigid_finds_the_transform(pose: FloatArray, n: int, seed: int, scal
     """From exact points the transform is found exactly, with the scale too where it is asked for."""
     source = np.random.default_rng(seed).uniform(-50, 50, (n, 3))
     rigid = fit_rigid(source, apply(pose, source))
-    assert np.allclose(rigid.to_from_from, pose, atol=1e-8)
+    assert np.allclose(rigid.to_from_source, pose, atol=1e-8)
     similar = fit_rigid(source, apply(pose, scale * source), with_scale=True)
     assert similar.scale == pytest.approx(scale)
-    assert np.allclose(similar.to_from_from, pose, atol=1e-7)
+    assert np.allclose(similar.to_from_source, pose, atol=1e-7)
 
 
 def test_fit_rigid_of_planar_points_is_a_rotation_not_a_mirror() -> None:
     """Points in one plane leave the mirror image as good: the fit must choose the rotation."""
     source = np.array([[0, 0, 0], [10, 0, 0], [0, 7, 0], [4, 4, 0.0]])
     pose = transform(rotation_matrix(np.array([2.0, -1.0, 0.5])), np.array([5, 6, 7.0]))
-    assert np.allclose(fit_rigid(source, apply(pose, source)).to_from_from, pose, atol=1e-12)
+    assert np.allclose(fit_rigid(source, apply(pose, source)).to_from_source, pose, atol=1e-12)
 
 
 def test_fit_rigid_covariance_matches_the_scatter() -> None:
@@ -159,8 +159,8 @@ def test_fit_rigid_covariance_matches_the_scatter() -> None:
     squares, runs, freedom = 0.0, 400, 3 * 9 - 6
     for _ in range(runs):
         fit = fit_rigid(source, apply(pose, source) + rng.normal(0, 0.05, source.shape))
-        turn = rotation_vector(pose[:3, :3] @ fit.to_from_from[:3, :3].T)
-        error = np.concatenate([pose[:3, 3] - fit.to_from_from[:3, 3], turn])
+        turn = rotation_vector(pose[:3, :3] @ fit.to_from_source[:3, :3].T)
+        error = np.concatenate([pose[:3, 3] - fit.to_from_source[:3, 3], turn])
         squares += error @ np.linalg.solve(fit.covariance, error) / 6
     # sigma is estimated from the residuals: Hotelling's T² has the mean freedom / (freedom - 2)
     assert squares / runs == pytest.approx(freedom / (freedom - 2), rel=0.1)
