@@ -268,7 +268,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Dismissed:
+class NotMeasured:
     """What the left image showed and could not be measured, and why."""
 
     match: Match
@@ -281,7 +281,7 @@ class Outcome:
 
     status: Status
     targets: tuple[Target, ...] = ()
-    dismissed: tuple[Dismissed, ...] = ()
+    dismissed: tuple[NotMeasured, ...] = ()
 
 
 class CommandKind(enum.IntEnum):

@@ -20,11 +20,11 @@ from edged.domain import (
     Circle3D,
     Command,
     Corner3D,
-    Dismissed,
     Edge3D,
     FloatArray,
     Match,
     Measurement,
+    NotMeasured,
     Outcome,
     Reject,
     Slot3D,
@@ -254,7 +254,7 @@ def _measurement(one: Measurement) -> Json:
     }
 
 
-def _dismissed(one: Dismissed) -> Json:
+def _dismissed(one: NotMeasured) -> Json:
     return {
         "match": _match(one.match),
         "score": _number(one.match.score),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from edged.domain import Dismissed, FramePair, Outcome, Reject, Status
+from edged.domain import FramePair, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.stereoimages import StereoImages
@@ -53,7 +53,7 @@ class Inspection:
     """All that was seen: every part that was measured, and what was found and could not be."""
 
     measured: tuple[Measured, ...]
-    dismissed: tuple[Dismissed, ...]
+    dismissed: tuple[NotMeasured, ...]
 
 
 def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
@@ -71,7 +71,7 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
         if isinstance(result, Measured):
             measured.append(result)
         else:
-            dismissed.append(Dismissed(match_in_raw(rig.rectification, match), result))
+            dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
     return Inspection(tuple(measured), tuple(dismissed))
 

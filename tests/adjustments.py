@@ -11,7 +11,7 @@ from edged.vision.curves.adjustment import Samples
 
 
 def ring(count: int) -> FloatArray:
-    """(N, 5) slow waves around a circle."""
+    """(N, 5) Fourier waves around a circle."""
     angle = np.arange(count) * (2 * np.pi / count)
     rest = [math.sqrt(2) * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]
     return np.column_stack([np.ones(count), *rest])
@@ -33,7 +33,7 @@ def problem(
 ) -> tuple[Samples, FloatArray]:
     """Four curves, unknowns of which curves 0, 2 and curves 1, 3 share their own, and the true step.
 
-    Unknowns: 3 common ones, one for each pair, and 5 shared slow displacements of the curves 1 and 3.
+    Unknowns: 3 common ones, one for each pair, and 5 shared systematic shifts of the curves 1 and 3.
     """
     rng = np.random.default_rng(seed)
     counts = [count for curve in COUNTS for count in curve]

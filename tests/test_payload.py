@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from schema_check import load_schema, violations
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import CellPhase, CellState, Command, CommandKind, Dismissed, Match, Outcome, Reject, Status
+from edged.domain import (
+    CellPhase,
+    CellState,
+    Command,
+    CommandKind,
+    Match,
+    NotMeasured,
+    Outcome,
+    Reject,
+    Status,
+)
 from edged.payload import (
     encode,
     message,
@@ -59,7 +69,7 @@ def test_locate_fits_the_published_schema():
     outcome = Outcome(
         Status.LOW_QUALITY,
         (make_target(Reject.SIGMA_LIMIT),),
-        (Dismissed(match, Reject.LEFT_RIGHT_MISMATCH),),
+        (NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),),
     )
     document = outcome_to_json(outcome, calibration="cal", timing_ms={"find": 1.0})
     assert [] == violations(json.loads(encode(document)), SCHEMA["$defs"]["locate"], SCHEMA)

@@ -45,7 +45,7 @@ from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
-from edged.vision.boards.board import Chessboard, Detection, Missed, StereoView, parse_board
+from edged.vision.boards.board import Chessboard, Detection, NotDetected, StereoView, parse_board
 from edged.vision.boards.chessboard import remeasure_chessboard
 from edged.vision.boards.deformation import nominal
 from edged.vision.calibration.calibrate import (
@@ -153,7 +153,7 @@ def held_out(folder: Folder, name: str, *, plate_shape: bool = False) -> list[Ro
     calibration = calibrate_stereo(rest, *folder.sizes, folder.model, plate_shape=plate_shape)
     rig, board = calibration.rig, nominal(view.board)
     placed = pose_of_board(rig, view)
-    if isinstance(placed, Missed) or not isinstance(board, Chessboard):
+    if isinstance(placed, NotDetected) or not isinstance(board, Chessboard):
         return []
     view, pose = placed
     files = folder.pairs[name]
@@ -169,14 +169,14 @@ def held_out(folder: Folder, name: str, *, plate_shape: bool = False) -> list[Ro
             else crossing_edges(image, board, camera, camera_from_board)
             for image, camera, camera_from_board, found in sides
         )
-        if not isinstance(left, Missed) and not isinstance(right, Missed):
+        if not isinstance(left, NotDetected) and not isinstance(right, NotDetected):
             rows.append(row_of(calibration, replace(view, left=left, right=right), corners))
     return rows
 
 
 def crossing_edges(
     image: Image, board: Chessboard, camera: CameraModel, camera_from_board: FloatArray
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Corners as the places where two measured edges cross, from about where the board is.
 
     The expected sides of the squares are projected through the lens; what is measured is how far the edges
@@ -201,7 +201,7 @@ def crossing_edges(
     shifts, variances = (np.stack([line[k] for line in lines], axis=1) for k in (1, 2))
     known = np.isfinite(shifts).all(axis=1)
     if known.sum() < MIN_SAMPLES:
-        return Missed(f"{int(known.sum())} corners whose edges can be measured")
+        return NotDetected(f"{int(known.sum())} corners whose edges can be measured")
     inverse = np.linalg.inv(normals[known])
     moved = np.einsum("nij,nj->ni", inverse, shifts[known])
     spread = np.einsum("nij,nj->ni", inverse**2, variances[known])

@@ -26,7 +26,7 @@ from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.report.calibration import calibration_report
-from edged.vision.boards.board import Detection, Missed, NominalBoard, StereoView, parse_boards
+from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView, parse_boards
 from edged.vision.boards.deformation import nominal
 from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
@@ -120,10 +120,10 @@ def detect_views(
     for pair, (left, right) in zip(pairs, found, strict=True):
         twin = first_with.setdefault(left.digest, pair.name)
         if left.digest == right.digest:
-            missed = Missed("the left and the right picture are the same file twice")
+            missed = NotDetected("the left and the right picture are the same file twice")
             views.append(StereoView(pair.name, boards[0], missed, missed))
         elif twin != pair.name:
-            missed = Missed(f"the same picture as in {twin}: it would count twice")
+            missed = NotDetected(f"the same picture as in {twin}: it would count twice")
             views.append(StereoView(pair.name, boards[0], missed, missed))
         else:
             views.append(_view(pair.name, boards, left.results, right.results))
@@ -133,12 +133,14 @@ def detect_views(
 def _view(
     name: str,
     boards: Sequence[NominalBoard],
-    left: Sequence[Detection | Missed],
-    right: Sequence[Detection | Missed],
+    left: Sequence[Detection | NotDetected],
+    right: Sequence[Detection | NotDetected],
 ) -> StereoView:
     """The view of the board that both pictures show, or of the first board with what was missed."""
     choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
-    return min(choices, key=lambda view: isinstance(view.left, Missed) + isinstance(view.right, Missed))
+    return min(
+        choices, key=lambda view: isinstance(view.left, NotDetected) + isinstance(view.right, NotDetected)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,16 +149,16 @@ class _Looked:
 
     size: tuple[int, int]
     digest: bytes
-    results: Sequence[Detection | Missed]
+    results: Sequence[Detection | NotDetected]
 
 
 def _detect(path: Path, boards: Sequence[NominalBoard]) -> _Looked:
     """Look for every board; after one is found the others are not tried."""
     image = load_image(path)
-    results: list[Detection | Missed] = []
+    results: list[Detection | NotDetected] = []
     for board in boards:
         seen_another = any(isinstance(result, Detection) for result in results)
-        results.append(Missed("shows another board") if seen_another else detect_board(image, board))
+        results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
     return _Looked((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest(), results)
 
 
@@ -191,7 +193,7 @@ def remeasure_views(
 
 def _remeasure(
     path: Path, fit: ViewFit, side: Side, camera: CameraModel, camera_from_board: FloatArray
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     board = nominal(fit.view.board)
     return remeasure_board(load_image(path), board, fit.view.found(side), camera, camera_from_board)
 

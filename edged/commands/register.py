@@ -22,7 +22,7 @@ from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
 from edged.robot.readings import rank_readings
 from edged.robot.touch import PointRegistration, register_points
-from edged.vision.boards.board import Missed, NominalBoard, StereoView, parse_board
+from edged.vision.boards.board import NominalBoard, NotDetected, StereoView, parse_board
 from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board
 from edged.vision.geometry.camera import StereoRig
@@ -278,7 +278,7 @@ def _views(
                 raise UserError(f"{path}: not of the size the rig was calibrated for")
             sides.append(detect_board(image, board))
         pose = pose_of_board(rig, StereoView(name, board, sides[0], sides[1]))
-        if isinstance(pose, Missed):
+        if isinstance(pose, NotDetected):
             console.print(f"left out {name}: {pose.reason}", markup=False)
             continue
         found[name] = pose[1]

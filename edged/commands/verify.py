@@ -20,7 +20,7 @@ from edged.files.images import load_image
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig
 from edged.pipeline import locate, prepare
-from edged.vision.boards.board import Missed, StereoView, parse_boards
+from edged.vision.boards.board import NotDetected, StereoView, parse_boards
 from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration.verification import (
     COVERAGE,
@@ -107,14 +107,14 @@ def _by_board(rig: StereoRig, images: tuple[Image, Image], spec: str, limits: Li
     for board in parse_boards(spec):
         view = StereoView("verify", board, *(detect_board(image, board) for image in images))
         placed = pose_of_board(rig, view)
-        if not isinstance(placed, Missed):
+        if not isinstance(placed, NotDetected):
             # measured again with lens and pose known, as for the calibration
             view, pose = placed
             left = remeasure_board(images[0], board, view.found("left"), rig.left, pose)
             right_pose = rig.right_from_left @ pose
             right = remeasure_board(images[1], board, view.found("right"), rig.right, right_pose)
             placed = pose_of_board(rig, StereoView("verify", board, left, right))
-        if isinstance(placed, Missed):
+        if isinstance(placed, NotDetected):
             reason = reason or placed.reason
             continue
         check = check_board(rig, *placed)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import Dismissed, FloatArray, Measurement, Reject, Target
+from edged.domain import FloatArray, Measurement, NotMeasured, Reject, Target
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 
@@ -44,7 +44,7 @@ def reasons(reject: Reject) -> list[str]:
     return [words for bit, words in REASONS.items() if reject & bit]
 
 
-def headline(job: Job, measured: Sequence[Measured], dismissed: Sequence[Dismissed]) -> str:
+def headline(job: Job, measured: Sequence[Measured], dismissed: Sequence[NotMeasured]) -> str:
     """One line about the whole picture: the part, how many, score and place, or why there is none."""
     targets = [one.target for one in measured]
     good = [target for target in targets if not target.reject]

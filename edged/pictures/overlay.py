@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, Dismissed, FloatArray, Image, Status, Target
+from edged.domain import SIDES, FloatArray, Image, NotMeasured, Status, Target
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -60,7 +60,7 @@ def draw_pair(
     rig: StereoRig,
     job: Job,
     measured: Sequence[Measured],
-    dismissed: Sequence[Dismissed] = (),
+    dismissed: Sequence[NotMeasured] = (),
     status: Status = Status.OK,
 ) -> Canvas:
     """(H, 2 * WIDTH_PX, 3) BGR: a title, both images with the evidence, and the numbers of every part.
@@ -99,7 +99,7 @@ def _views(
     images: tuple[Image, Image],
     rig: StereoRig,
     outlines_mm: Sequence[FloatArray],
-    dismissed: Sequence[Dismissed],
+    dismissed: Sequence[NotMeasured],
 ) -> tuple[View, View]:
     """Both pictures, cut to what there is to see where that is small.
 
@@ -310,7 +310,7 @@ def _row(*entries: tuple[str, int, Colour], width: int = WIDTH_PX) -> Canvas:
     return canvas
 
 
-def _missed_block(number: int, one: Dismissed) -> Canvas:
+def _missed_block(number: int, one: NotMeasured) -> Canvas:
     """What was found and could not be measured."""
     canvas = _paper(2 * LINE_PX + 16, WIDTH_PX)
     x = MARGIN_PX + _put(canvas, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16

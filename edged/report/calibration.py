@@ -9,7 +9,7 @@ import numpy as np
 
 from edged.report.figures import coverage, lengths, radial, sigma_maps, view_bars
 from edged.report.page import Table, render
-from edged.vision.boards.board import Missed, StereoView
+from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
@@ -234,7 +234,9 @@ def _views(calibration: Calibration, held: Sequence[HeldOutView], views: Sequenc
     for view in views:
         cells = [view.name, str(view.board)]
         for found in (view.left, view.right):
-            cells += ["", ""] if isinstance(found, Missed) else [str(len(found.ids)), f"{found.blur_px:.2f}"]
+            cells += (
+                ["", ""] if isinstance(found, NotDetected) else [str(len(found.ids)), f"{found.blur_px:.2f}"]
+            )
         if view.name in fits:
             measured = without.get(view.name)
             cells.append(f"{fits[view.name].rms_px:.4f}")

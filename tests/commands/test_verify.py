@@ -20,7 +20,7 @@ from edged.domain import FloatArray
 from edged.errors import ImageError, UserError
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
-from edged.vision.boards.board import Chessboard, Missed, parse_board
+from edged.vision.boards.board import Chessboard, NotDetected, parse_board
 from edged.vision.calibration.verification import Length, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
@@ -236,7 +236,7 @@ def check_of(
     """The size that `rig` measures of a board that RIG saw with noise."""
     view = synthetic_views(RIG, board, [pose], sigma_px, seed)[0]
     placed = pose_of_board(rig, view)
-    assert not isinstance(placed, Missed)
+    assert not isinstance(placed, NotDetected)
     return check_board(rig, *placed).size
 
 
@@ -268,7 +268,7 @@ def test_a_symmetric_board_may_be_numbered_from_either_end() -> None:
     other_end = replace(view, right=replace(right, ids=len(board.points_mm) - 1 - right.ids))
     for each in (view, other_end):
         placed = pose_of_board(RIG, each)
-        assert not isinstance(placed, Missed)
+        assert not isinstance(placed, NotDetected)
         assert check_board(RIG, *placed).epipolar_rms_px < 0.05
 
 

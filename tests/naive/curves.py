@@ -36,7 +36,7 @@ def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
 def solve(
     samples: Samples, unknowns: int, priors: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(delta, covariance, weights, bias): every slow displacement is an unknown of its own with a prior."""
+    """(delta, covariance, weights, bias): every systematic shift is an unknown of its own with a prior."""
     curves, many, starts = len(samples.kinds), samples.waves.shape[1], samples.starts
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
     shared = samples._replace(design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
@@ -44,7 +44,7 @@ def solve(
     prior = np.zeros(size)
     prior[unknowns - priors :] = 1.0
     bias = np.maximum(samples.expected, 0.03)
-    dense = _with_displacements(shared, bias, unknowns)
+    dense = _with_shifts(shared, bias, unknowns)
     weights, scale, spread = samples.base.copy(), np.ones(len(parts)), np.ones(len(parts))
     delta, covariance = np.zeros(size), np.eye(size)
     for round_ in range(20):
@@ -63,7 +63,7 @@ def solve(
             spread[:] = [correlation_length(residuals[rows], weights[rows]) for rows in parts]
         if 3 <= round_ <= 6 and many:
             bias = _learned_bias(shared, bias, delta, covariance, unknowns)
-            dense = _with_displacements(shared, bias, unknowns)
+            dense = _with_shifts(shared, bias, unknowns)
         if round_ > 6 and np.abs(delta - previous)[: unknowns - priors].max() < 1e-5:
             break
     return delta[:unknowns], covariance[:unknowns, :unknowns], weights, bias
@@ -94,8 +94,8 @@ def _weighed(residuals: FloatArray, base: FloatArray, round_: int) -> tuple[floa
     return scale, weights
 
 
-def _with_displacements(samples: Samples, bias: FloatArray, unknowns: int) -> FloatArray:
-    """The design with the displacements of each curve as unknowns, in units of their sigma."""
+def _with_shifts(samples: Samples, bias: FloatArray, unknowns: int) -> FloatArray:
+    """The design with the shifts of each curve as unknowns, in units of their sigma."""
     curves, many = len(samples.kinds), samples.waves.shape[1]
     dense = np.zeros((len(samples.design), unknowns + curves * many))
     for k in range(curves):
@@ -112,7 +112,7 @@ def _with_displacements(samples: Samples, bias: FloatArray, unknowns: int) -> Fl
 def _learned_bias(
     samples: Samples, bias: FloatArray, delta: FloatArray, covariance: FloatArray, unknowns: int
 ) -> FloatArray:
-    """The sigmas of the displacements from what came out for each, all of them being unknowns here."""
+    """The sigmas of the shifts from what came out for each, all of them being unknowns here."""
     variance, many = np.diag(covariance), samples.waves.shape[1]
     learned = np.zeros_like(bias)
     for kind, family in itertools.product(np.unique(samples.kinds), np.unique(samples.families)):
@@ -222,7 +222,7 @@ def outline_samples(
     return np.array(rows)
 
 
-def bends(pixels: FloatArray, normals: FloatArray) -> FloatArray:
+def curvatures(pixels: FloatArray, normals: FloatArray) -> FloatArray:
     """(N,) turn of the normal from each sample's predecessor to its successor, per way, around one curve."""
     angles = np.arctan2(normals[:, 1], normals[:, 0])
     turn = np.abs(np.angle(np.exp(1j * (np.roll(angles, -1) - np.roll(angles, 1)))))

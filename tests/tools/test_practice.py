@@ -17,7 +17,7 @@ from edged.files.images import load_image
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.touch import register_points
 from edged.sim.cell import demo_rig
-from edged.vision.boards.board import Missed, parse_board
+from edged.vision.boards.board import NotDetected, parse_board
 from edged.vision.boards.detection import detect_board
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
@@ -40,7 +40,7 @@ def test_every_picture_shows_the_whole_board(folder: Path) -> None:
     found = [detect_board(load_image(file), board) for pair in pairs for file in (pair.left, pair.right)]
 
     assert 20 == len(pairs)
-    assert {88} == {0 if isinstance(one, Missed) else len(one.ids) for one in found}
+    assert {88} == {0 if isinstance(one, NotDetected) else len(one.ids) for one in found}
 
 
 def test_the_touched_points_are_where_the_part_is(folder: Path) -> None:

@@ -186,7 +186,7 @@ class Detection:
 
 
 @dataclass(frozen=True, slots=True)
-class Missed:
+class NotDetected:
     """No usable board in an image, and why."""
 
     reason: str
@@ -198,13 +198,13 @@ class StereoView:
 
     name: str
     board: Board
-    left: Detection | Missed
-    right: Detection | Missed
+    left: Detection | NotDetected
+    right: Detection | NotDetected
 
     def found(self, side: Side) -> Detection:
         """The detection in one image; for views known to have it."""
         detection = self.left if side == "left" else self.right
-        if isinstance(detection, Missed):
+        if isinstance(detection, NotDetected):
             raise TypeError(f"{self.name}: no board in the {side} image: {detection.reason}")
         return detection
 

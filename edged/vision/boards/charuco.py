@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards.board import Charuco, Detection, Missed
+from edged.vision.boards.board import Charuco, Detection, NotDetected
 from edged.vision.boards.chessboard import judge_corners, refine_corners
 from edged.vision.geometry.camera import CameraModel
 
 _MIN_CORNERS = 6  # a homography and half as much again; fewer say nothing of the lens
 
 
-def detect_charuco(image: Image, board: Charuco) -> Detection | Missed:
+def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
     """Find the inner corners of a ChArUco board that are in view, and measure them.
 
     image (H, W) uint8.
@@ -29,13 +29,13 @@ def detect_charuco(image: Image, board: Charuco) -> Detection | Missed:
             grid[:] = np.nan
             grid.reshape(-1, 2)[ids] = corners
     if seen < _MIN_CORNERS:
-        return Missed(f"{seen} corners of the ChArUco board found, at least {_MIN_CORNERS} are needed")
+        return NotDetected(f"{seen} corners of the ChArUco board found, at least {_MIN_CORNERS} are needed")
     return _measure(image, board, grid, None)
 
 
 def remeasure_charuco(
     image: Image, board: Charuco, found: Detection, camera: CameraModel
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Measure a detected board again, now that the lens is known."""
     grid = np.full((board.rows - 1, board.columns - 1, 2), np.nan)
     grid.reshape(-1, 2)[found.ids] = found.pixels
@@ -44,7 +44,7 @@ def remeasure_charuco(
 
 def _measure(
     image: Image, board: Charuco, grid: FloatArray, camera: CameraModel | None
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     # The window must end before the marker in the white square: its corner is nearest, on the diagonal.
     share = 0.85 * math.sqrt(2) * (board.pitch_mm - board.marker_mm) / 2 / board.pitch_mm
     fits = refine_corners(image, grid, camera, radius_share=share)

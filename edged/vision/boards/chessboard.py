@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards.board import Chessboard, Detection, IntArray, Missed
+from edged.vision.boards.board import Chessboard, Detection, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_corners
 from edged.vision.geometry.camera import CameraModel
 
@@ -30,7 +30,7 @@ _ROUGH = 8.0  # times the usual sigma: no corner, but a thumb or a highlight; sh
 _MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
 
 
-def detect_chessboard(image: Image, board: Chessboard) -> Detection | Missed:
+def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetected:
     """Find all inner corners of a chessboard.
 
     image (H, W) uint8.  The order is right-handed, and starts at the black corner square where
@@ -38,17 +38,17 @@ def detect_chessboard(image: Image, board: Chessboard) -> Detection | Missed:
     """
     found = _find(image, board)
     if found is None:
-        return Missed(f"no {board.columns}x{board.rows} inner corners found")
+        return NotDetected(f"no {board.columns}x{board.rows} inner corners found")
     grid = _in_canonical_order(image, found)
     if grid is None or grid.shape[:2] != (board.rows, board.columns):
-        return Missed("the corners found do not form the board's grid")
+        return NotDetected("the corners found do not form the board's grid")
     fits = refine_corners(image, grid)
     return judge_corners(fits, np.arange(board.rows * board.columns))
 
 
 def remeasure_chessboard(
     image: Image, board: Chessboard, found: Detection, camera: CameraModel
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Measure a detected board again, now that the lens is known."""
     grid = np.full((board.rows * board.columns, 2), np.nan)
     grid[found.ids] = found.pixels
@@ -56,7 +56,7 @@ def remeasure_chessboard(
     return judge_corners(fits[found.ids], found.ids)
 
 
-def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | Missed:
+def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | NotDetected:
     """Keep the corners whose fit succeeded; too few, or a picture too flat, is a miss.
 
     fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, one for each of ids (N,).
@@ -66,9 +66,11 @@ def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | Missed:
     if ok.any():
         ok &= fits[:, 2] <= _ROUGH * np.median(fits[ok, 2])
     if contrast < _MIN_CONTRAST:
-        return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
+        return NotDetected(
+            f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})"
+        )
     if ok.sum() < max(6, 0.5 * len(ids)):
-        return Missed(
+        return NotDetected(
             f"only {ok.sum()} of {len(ids)} corners can be measured (blurred, saturated or covered)"
         )
     good = fits[ok]

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, Missed
+from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply, rotation_2d
@@ -48,7 +48,7 @@ _CIRCLE_POINTS = 64
 Plate = DotGrid | CircleGrid
 
 
-def detect_dots(image: Image, board: Plate) -> Detection | Missed:
+def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
     """Find all marks of a plate; dark on light, or light on dark.
 
     image (H, W) uint8.  Mark 0 is the one next to the filled corner, or at the end of an asymmetric grid
@@ -59,20 +59,20 @@ def detect_dots(image: Image, board: Plate) -> Detection | Missed:
         for share in _BLOCK_SHARES:
             blobs = _ellipses(picture, min(image.shape) // share)
             grid = _grow_grid(blobs, board)
-            if isinstance(grid, Missed):
+            if isinstance(grid, NotDetected):
                 reasons.append(grid.reason)
                 continue
             ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotGrid) else grid
-            if isinstance(ordered, Missed):
+            if isinstance(ordered, NotDetected):
                 reasons.insert(0, ordered.reason)  # so near: this is what the user wants to know
                 continue
             return _measure_first(image, board, blobs[ordered])
-    return Missed(reasons[0])
+    return NotDetected(reasons[0])
 
 
 def remeasure_dots(
     image: Image, board: Plate, found: Detection, camera: CameraModel, camera_from_board: FloatArray
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Measure a detected plate again, with the lens and the plate's pose now known."""
 
     def to_pixels(plane_mm: FloatArray) -> FloatArray:
@@ -82,16 +82,16 @@ def remeasure_dots(
     return _measure(image, board, found.ids, to_pixels, to_pixels(board.points_mm[found.ids, :2]))
 
 
-def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detection | Missed:
+def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detection | NotDetected:
     """Fit the dots, learn the homography from the ellipses' middles, and once more from the result."""
     ids = np.arange(len(ellipses))
     centres = ellipses[:, :2]
-    found: Detection | Missed = Missed("no dots measured")
+    found: Detection | NotDetected = NotDetected("no dots measured")
     for _ in range(2):
         plane = board.points_mm[ids, :2]
         homography = _homography(plane, centres)
         if homography is None:
-            return Missed("the dots found do not lie in one plane")
+            return NotDetected("the dots found do not lie in one plane")
         # The homography knows the shapes; the places are the dots' own, lens and all.
         shift = centres - _map_plane(homography, plane)
 
@@ -101,7 +101,7 @@ def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detectio
             return np.asarray(_map_plane(homography, circles) + shift[:, None])
 
         found = _measure(image, board, ids, to_pixels, centres)
-        if isinstance(found, Missed):
+        if isinstance(found, NotDetected):
             return found
         ids, centres = found.ids, found.pixels
     return found
@@ -113,7 +113,7 @@ def _measure(
     ids: IntArray,
     to_pixels: Callable[[FloatArray], FloatArray],
     centres: FloatArray,
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Fit the dots whose centres are expected at centres (N, 2).
 
     to_pixels : image of points (N, K, 2) of the plate, one row for each dot.
@@ -133,9 +133,13 @@ def _measure(
     contrast = float(np.median(fits[:, 4]))
     ok &= fits[:, 4] > 0.25 * contrast
     if not contrast >= _MIN_CONTRAST:
-        return Missed(f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})")
+        return NotDetected(
+            f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})"
+        )
     if ok.sum() < max(6, 0.5 * len(ids)):
-        return Missed(f"only {ok.sum()} of {len(ids)} dots can be measured (blurred, saturated or covered)")
+        return NotDetected(
+            f"only {ok.sum()} of {len(ids)} dots can be measured (blurred, saturated or covered)"
+        )
     eccentricity = expected[:, :2] - centres
     good = fits[ok]
     return Detection(
@@ -254,14 +258,14 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
     return np.array([x, y, matrix[0, 0], matrix[0, 1], matrix[1, 1]])
 
 
-def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | Missed:
+def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | NotDetected:
     """Indices into blobs of a complete, right-handed grid.
 
     For a square grid (rows, columns), its turn still open; for an asymmetric one (N,) in the board's order.
     """
     wanted = board.columns * board.rows
     if len(blobs) < wanted:
-        return Missed(f"{len(blobs)} dots found, the plate has {wanted}")
+        return NotDetected(f"{len(blobs)} dots found, the plate has {wanted}")
     centres = blobs[:, :2]
     middle = np.median(centres, axis=0)
     sizes = 1 / np.sqrt(_inverse_areas(blobs))
@@ -276,8 +280,8 @@ def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | Missed:
         if grid is not None:
             return grid
     if best == wanted:
-        return Missed(f"the {best} dots found are arranged in another way than the plate's")
-    return Missed(f"the dots form a grid of {best} marks, the plate has {wanted}")
+        return NotDetected(f"the {best} dots found are arranged in another way than the plate's")
+    return NotDetected(f"the dots form a grid of {best} marks, the plate has {wanted}")
 
 
 def _rectangle(places: dict[tuple[int, int], int], board: DotGrid) -> IntArray | None:
@@ -364,7 +368,7 @@ def _cross(a: FloatArray, b: FloatArray) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -> IntArray | Missed:
+def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -> IntArray | NotDetected:
     """Indices (N,) of the marks in the board's order: mark 0 by the filled corner."""
     turns = range(4) if board.columns == board.rows else (0, 2)
     marked = []
@@ -373,7 +377,9 @@ def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -
         if _first_corner_is_filled(image, centres[turned], board):
             marked.append(turned)
     if len(marked) != 1:
-        return Missed(f"the orientation mark (one filled corner of the frame) shows at {len(marked)} corners")
+        return NotDetected(
+            f"the orientation mark (one filled corner of the frame) shows at {len(marked)} corners"
+        )
     return np.asarray(marked[0], dtype=np.int64)
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards.board import Charuco, Chessboard, Detection, Missed, NominalBoard
+from edged.vision.boards.board import Charuco, Chessboard, Detection, NominalBoard, NotDetected
 from edged.vision.boards.charuco import detect_charuco, remeasure_charuco
 from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
 from edged.vision.geometry.camera import CameraModel
 
 
-def detect_board(image: Image, board: NominalBoard) -> Detection | Missed:
+def detect_board(image: Image, board: NominalBoard) -> Detection | NotDetected:
     """Find a board in an image (H, W) uint8 and measure its marks."""
     if isinstance(board, Chessboard):
         return detect_chessboard(image, board)
@@ -21,7 +21,7 @@ def detect_board(image: Image, board: NominalBoard) -> Detection | Missed:
 
 def remeasure_board(
     image: Image, board: NominalBoard, found: Detection, camera: CameraModel, camera_from_board: FloatArray
-) -> Detection | Missed:
+) -> Detection | NotDetected:
     """Measure the marks again now that lens and pose are known roughly.
 
     That takes the small errors away that come from edges bent by the lens and from

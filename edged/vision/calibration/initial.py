@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
-from edged.vision.boards.board import Board, Detection, Missed, StereoView
+from edged.vision.boards.board import Board, Detection, NotDetected, StereoView
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector, transform
 
@@ -31,7 +31,7 @@ def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tu
             (
                 f"{side}: {found.reason}"
                 for side, found in (("left", view.left), ("right", view.right))
-                if isinstance(found, Missed)
+                if isinstance(found, NotDetected)
             ),
             None,
         )

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from edged.domain import SIDES, FloatArray
-from edged.vision.boards.board import Detection, Missed, StereoView
+from edged.vision.boards.board import Detection, NotDetected, StereoView
 from edged.vision.calibration.calibrate import marks_in_both
 from edged.vision.calibration.initial import renumbered
 from edged.vision.geometry.camera import StereoRig
@@ -70,17 +70,17 @@ class BoardCheck:
     size: Length
 
 
-def pose_of_board(rig: StereoRig, view: StereoView) -> tuple[StereoView, FloatArray] | Missed:
+def pose_of_board(rig: StereoRig, view: StereoView) -> tuple[StereoView, FloatArray] | NotDetected:
     """The view with both images numbered alike, and left_from_board (4, 4) from triangulated marks."""
     for side, seen in (("left", view.left), ("right", view.right)):
-        if isinstance(seen, Missed):
-            return Missed(f"{side}: {seen.reason}")
+        if isinstance(seen, NotDetected):
+            return NotDetected(f"{side}: {seen.reason}")
     view = _numbered_alike(rig, view)
     ids, left, right = marks_in_both(view)
     points = triangulate_raw(rig, left, right)
     known = np.isfinite(points).all(axis=1)
     if known.sum() < _MIN_MARKS:
-        return Missed(f"{int(known.sum())} marks seen by both cameras, at least {_MIN_MARKS} are needed")
+        return NotDetected(f"{int(known.sum())} marks seen by both cameras, at least {_MIN_MARKS} are needed")
     return view, fit_rigid(view.board.points_mm[ids[known]], points[known]).to_from_source
 
 

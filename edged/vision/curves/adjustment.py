@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray
-from edged.vision.curves.systematic import DOUBT_PX, learn_sizes
+from edged.vision.curves.systematic import DOUBT_PX, estimate_variance_components
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
@@ -229,7 +229,7 @@ def _add_curve(
     matrix: F64,
     right_side: F64,
 ) -> None:
-    """Add one curve to the normal equations, its own slow displacement (inverse, see above) eliminated.
+    """Add one curve to the normal equations, its own systematic shift (inverse, see above) eliminated.
 
     shared : first unknown of the displacement it shares with others, -1 for none.
     """
@@ -270,7 +270,7 @@ def _step_of(
     delta: F64,
     step: F64,
 ) -> None:
-    """Fill step (T,): a curve's unknowns, then its most likely slow displacement, own and shared."""
+    """Fill step (T,): a curve's unknowns, then its most likely systematic shift, own and shared."""
     wide, many = len(columns), len(sigma)
     left = np.empty(many)
     for i in range(wide):
@@ -441,7 +441,7 @@ def _solve(samples: Samples, priors: int, settled: float, solution: Solution) ->
             return 0
         _reweigh(samples, memory, round_, solution)
         if many > 0 and MEDIAN_ROUNDS <= round_ <= SPREAD_ROUNDS[1]:
-            learn_sizes(
+            estimate_variance_components(
                 samples.columns,
                 samples.shared,
                 samples.kinds,

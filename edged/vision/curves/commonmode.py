@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.curves.adjustment import Samples
-from edged.vision.curves.systematic import FAMILIES, evened
+from edged.vision.curves.systematic import FAMILIES, shrunk
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
 
@@ -27,7 +27,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 _APART = 8
-"""Samples: what is farther apart along an edge is independent but for slow displacements."""
+"""Samples: what is farther apart along an edge is independent but for systematic shifts."""
 _CLIP = 2.5
 _MIN_SHARE = 0.1  # of either camera in the mean
 _MIN_RATIO = 0.2  # of the prior weights: a saturated edge would spoil the good one of the other camera
@@ -135,12 +135,12 @@ def samples_of(
     displaced: tuple[FloatArray, FloatArray] | None,
     unknowns: int,
 ) -> tuple[Samples, int]:
-    """The samples of K curves as the solver takes them, and how many unknowns of shared displacements follow.
+    """The samples of K curves as the solver takes them, and how many unknowns of shared shifts follow.
 
     design : (N, C) for each camera; columns (K, C), all -1 for a curve not seen.  offset_px (2, N), NaN
-    where there is no edge.  bias_px (2, K) : sigma to expect of slow displacements.  displaced : their shapes
+    where there is no edge.  bias_px (2, K) : sigma to expect of systematic shifts.  displaced : their shapes
     (N, A) for each camera, None for curves not yet in their place.
-    Half of a slow displacement is the curve's own, half that of its kind, the polarity: what one kind of edge
+    Half of a systematic shift is the curve's own, half that of its kind, the polarity: what one kind of edge
     has in common, it has in both images, for light and walls are the same.
     """
     seen = columns[:, 0] >= 0
@@ -152,7 +152,7 @@ def samples_of(
         common = np.unique(kinds[seen])
         priors = len(families) * len(common)
         shared = np.where(seen, unknowns + len(families) * np.searchsorted(common, kinds), -1)
-    expected = evened(np.sqrt(np.mean(bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
+    expected = shrunk(np.sqrt(np.mean(bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
     samples = Samples(
         pairs.rows_of(*design),
         columns,

@@ -34,7 +34,7 @@ CLIPPED_WEIGHT = 0.02
 to 0.02: such points only help where there are no others."""
 BIAS_SHARE = 1.3
 """Texture beside an edge, shading and second edges displace it along whole arcs, more at a wide operator
-than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; displacements of
+than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; shifts of
 0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
 1.2 and 0.6, for each kind of edge."""
 MIN_BIAS_PX = 0.0003
@@ -54,7 +54,7 @@ class ChosenEdges:
     """The edges of K curves at the width that suits each.
 
     offset_px (N,) : NaN where there is no edge; base (N,) : prior weights.
-    bias_px (K,) : one sigma of each of the slow displacements; blur2_px2 (K,) : variance of the image's
+    bias_px (K,) : one sigma of each of the systematic shifts; blur2_px2 (K,) : variance of the image's
     own blur across the edge.
     """
 
@@ -69,7 +69,7 @@ def choose_widths(
 ) -> ChosenEdges:
     """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
 
-    starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : slow displacements.
+    starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.
     min_slope : grey values per px below which there is no edge.
     """
     samples = np.empty((_OUTPUTS, len(waves)))

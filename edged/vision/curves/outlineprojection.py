@@ -177,7 +177,7 @@ def _project_outline(view: _View, outline: Outline, seen: ProjectedOutline) -> N
 
 
 @kernel("f8[::1](f8[:, ::1], f8[:, ::1], i8[::1])")
-def bends(pixels: F64, normals: F64, starts: npt.NDArray[np.int64]) -> F64:
+def curvatures(pixels: F64, normals: F64, starts: npt.NDArray[np.int64]) -> F64:
     """Curvature (N,), 1 / px, of closed curves in the image from their samples and unit normals (N, 2).
 
     starts (K + 1,) : where the samples of each curve begin.

@@ -30,13 +30,13 @@ from edged.vision.curves.commonmode import pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlineprojection import (
     ProjectedOutline,
-    bends,
     camera_pose,
     circle_axes,
+    curvatures,
     project_outline,
 )
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
-from edged.vision.curves.systematic import displacements, slants, slow_waves
+from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
@@ -397,7 +397,7 @@ class _State:
             edges.offset_px,
             edges.bias_px,
             np.array([curve.polarity for curve in self.curves]),
-            self._displacements(outline, sides, gain) if final else None,
+            self._shift_basis(outline, sides, gain) if final else None,
             len(used),
         )
         samples.columns[samples.columns[:, 0] >= 0, -1] = len(used) + priors
@@ -492,14 +492,14 @@ class _State:
         )
         return left, right
 
-    def _displacements(
+    def _shift_basis(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(N, A) each: the shapes of systematic shifts in both images."""
         points, across = self.face.to_rig(outline.points), outline.normals @ self.face.axes[:2]
         poses = (camera_pose(self.rig, side)[1] for side in SIDES)
         slant = np.stack([slants(points, across, self.face.normal, pose) for pose in poses])
-        return displacements(sides[0].normals, gain, slant)
+        return shift_basis(sides[0].normals, gain, slant)
 
     def _motion(
         self,
@@ -515,7 +515,7 @@ class _State:
 
     def _waves(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N, 5): what tells a systematic shift from scatter; an edge, of one direction, has half waves."""
-        waves = slow_waves(seen.normals)
+        waves = fourier_basis(seen.normals)
         for k, curve in enumerate(self.curves):
             if not curve.closed:
                 waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
@@ -524,7 +524,7 @@ class _State:
     def _curvature(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
         """(N,) of the projected curves, 1 / px."""
         closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
-        return np.where(closed, bends(seen.pixels, seen.normals, starts), 0.0)
+        return np.where(closed, curvatures(seen.pixels, seen.normals, starts), 0.0)
 
     def moved(self, step: _Step) -> _State | None:
         """The state after a step; None when it has run away."""

@@ -1,4 +1,4 @@
-"""Slow displacements of edges along a curve: their shapes, and how large they are in this picture.
+"""Systematic edge shifts along a curve: their shapes, and how large they are in this picture.
 
 What lies beside an edge displaces it over whole arcs, on all curves of one kind alike: texture, tool marks
 and round rims in space, so that both cameras see the same; gloss and shading for each camera in its own way;
@@ -7,8 +7,8 @@ narrower than the blur cannot be told from the edge, whatever the operator; it m
 the contrast times its width (0.03 to 0.2 px), and only along the arc where it is seen at a glancing angle.
 Where that is follows from the pose.
 
-How large the displacements are is in the samples: two cameras see one circle under different angles, and
-several circles share one plane, so that most displacements contradict each other. Their variance is what
+How large the shifts are is in the samples: two cameras see one circle under different angles, and
+several circles share one plane, so that most shifts contradict each other. Their variance is what
 they show, in proportion to how much of each the samples tell, with one wave's worth of what was expected
 beforehand; what no sample tells (both cameras see a hole too small) is then taken to be as large as what
 they do tell.
@@ -45,7 +45,7 @@ ALIKE = 0.5
 """No curve is displaced by less than this share of what its kind is: one curve's expectation is vague."""
 
 
-def slow_waves(normals: FloatArray) -> FloatArray:
+def fourier_basis(normals: FloatArray) -> FloatArray:
     """(N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
 
     What a wrong circle looks like, and a displacement: light and view have one direction in the image. Each
@@ -61,7 +61,7 @@ def slow_waves(normals: FloatArray) -> FloatArray:
     return waves
 
 
-def displacements(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
+def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, 12) for the left and for the right image: shapes of what displaces a curve, each with a sigma of 1.
 
     First waves that displace the curve in space and hence in both images alike, then such as displace it
@@ -71,7 +71,7 @@ def displacements(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> t
     slant (2, N) : tangent of the angle between the plane's normal and the ray from each camera, positive
     where the ray runs outwards: a hole's wall is seen there, and a disc's where it is negative.
     """
-    waves = slow_waves(normals) * WAVE_SIGMAS
+    waves = fourier_basis(normals) * WAVE_SIGMAS
     relative = gain / np.maximum(np.abs(gain.mean(axis=0)), 1e-9)
     sides = []
     for half, scale, tangent in zip((0.5, -0.5), relative, slant, strict=True):
@@ -82,17 +82,17 @@ def displacements(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> t
 
 
 FAMILIES = np.repeat([0, 1], [2 * len(WAVE_SIGMAS), 2])
-"""Of the columns of `displacements`: waves, and walls; each is as large as it shows in the picture."""
+"""Of the columns of `shift_basis`: waves, and walls; each is as large as it shows in the picture."""
 
 
-def evened(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
+def shrunk(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
     """(G,) expected sigmas, of which none is far below the rms of its kind (G,)."""
     square = np.bincount(kinds, expected_px**2) / np.maximum(np.bincount(kinds), 1)
     return np.sqrt(expected_px**2 + ALIKE**2 * square[kinds])
 
 
 def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose: FloatArray) -> FloatArray:
-    """(N,) as `displacements` wants them.
+    """(N,) as `shift_basis` wants them.
 
     points_mm, outwards (N, 3) : samples of curves and their normals in the plane with this normal (3,), rig
     frame.  pose (4, 4) : camera_from_rig.
@@ -106,7 +106,7 @@ def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose
     "void(i8[::1], i8, i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
     any_order=True,
 )
-def displacement_of(
+def shift_of(
     columns: I64,
     shared: int,
     families: I64,
@@ -167,7 +167,7 @@ def displacement_of(
     "void(i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1],"
     " f8[::1], f8[:, ::1], f8[:, ::1])"
 )
-def learn_sizes(
+def estimate_variance_components(
     columns: I64,
     shared: I64,
     kinds: I64,
@@ -180,7 +180,7 @@ def learn_sizes(
     covariance: F64,
     bias: F64,
 ) -> None:
-    """Set the sigmas of each curve's displacements, bias (K, F), to what all of its kind show beyond noise.
+    """Set the sigmas of each curve's shifts, bias (K, F), to what all of its kind show beyond noise.
 
     expected (K, F) : the sigmas expected beforehand; within a kind the proportions stay.
     """
@@ -189,7 +189,7 @@ def learn_sizes(
     for k in range(curves):
         own[:] = 0.0
         first = shared[k]
-        displacement_of(
+        shift_of(
             columns[k], first, families, bias[k], inverse[k], moments[k], own_right[k], delta, covariance, own
         )
         for other in range(k):

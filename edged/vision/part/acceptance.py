@@ -24,7 +24,7 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
     reject = target.reject | _reasons(limits, target, evidence)
     reject |= _out_of_tolerance(job, target, evidence) | size_reasons(target.measurements)
     by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px, evidence.row_sigma_px)
-    by_sizes = doubt_by_sizes(evidence.growth, evidence.sigma_growth)
+    by_sizes = doubt_by_sizes(evidence.scale, evidence.sigma_scale)
     for share, reason in (
         (by_rows, Reject.LEFT_RIGHT_MISMATCH),
         (by_sizes, Reject.TOLERANCE),

@@ -20,7 +20,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, angle_between, apply, cross, rotation_matrix, transform, unit
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.robust import mad_sigma
-from edged.vision.part.consistency import distance_share, growth_of
+from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
@@ -98,7 +98,7 @@ def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float
     """By which share the circles exceed the taught ones, and its sigma, that of the distance included."""
     same_rig = job.calibration_id == images.rig.calibration_id
     found = circles_in_rig(fit.by_edges() if same_rig else fit)
-    growth, sigma = growth_of(job, tuple(one.circle for one in found))
+    growth, sigma = scale_deviation(job, tuple(one.circle for one in found))
     main = next(one for one in found if one.circle.name == job.reference)
     known = distance_share(main.circle.centre_mm, main.pose_covariance[:3, :3])
     return growth, math.hypot(sigma, known)

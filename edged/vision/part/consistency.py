@@ -45,7 +45,7 @@ ARM = 0.15
 """Share of the reference radius from which on the place of a circle is a size."""
 
 
-def growth_of(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
+def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
     """By which share all circles are larger, and farther apart, than taught, and its sigma; NaN for too few.
 
     The median by weight: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma comes

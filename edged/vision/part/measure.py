@@ -26,7 +26,7 @@ from edged.vision.part.frames import lifted, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
-from edged.vision.part.pose import Motion, edge_curve, find_growth, find_motion, form_mm, slot_curve
+from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.sizes import measure_sizes, place
 from edged.vision.shape.params import EACH_EDGE_ITSELF
@@ -206,7 +206,7 @@ def _growth(
     """By which share the features lie farther apart than taught, and its sigma, the distance's included."""
     if job.calibration_id == images.rig.calibration_id:
         fit = fit.by_edges()
-    growth, sigma = find_growth(job, fit)
+    growth, sigma = scale_of_features(job, fit)
     target = _target_from(images.rectification, job, match, fit, motion)
     return growth, math.hypot(sigma, distance_share(target.position_mm, target.covariance[:3, :3]))
 

@@ -24,7 +24,7 @@ class Evidence:
 
     support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
     row_shift_px, row_sigma_px : right against left.
-    growth, sigma_growth : by which share all sizes exceed the taught ones, and what edges and the stated
+    scale, sigma_scale : by which share all sizes exceed the taught ones, and what edges and the stated
     distance explain of that.
     form_mm : largest deviation of a straight edge or slot from its taught place.
     """
@@ -33,6 +33,6 @@ class Evidence:
     rms_px: float
     row_shift_px: float = math.nan
     row_sigma_px: float = math.nan
-    growth: float = math.nan
-    sigma_growth: float = math.nan
+    scale: float = math.nan
+    sigma_scale: float = math.nan
     form_mm: float = math.nan

@@ -68,7 +68,7 @@ def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
     return Motion(motion[:2], float(motion[2]), covariance)
 
 
-def find_growth(job: Job, fit: PlaneFit) -> tuple[float, float]:
+def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
     """By which share the features lie farther apart than taught, and its sigma; NaN: they do not tell."""
     observations = _observations(job, fit)
     if sum(len(gap) for gap, _, _ in observations) < 4 + MIN_SPARE:

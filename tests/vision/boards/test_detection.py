@@ -12,7 +12,15 @@ from naive.boards import corner_model, dot_model
 from rigs import make_rig
 
 from edged.errors import CalibrationError
-from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, Detection, DotGrid, Missed, parse_board
+from edged.vision.boards.board import (
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    Detection,
+    DotGrid,
+    NotDetected,
+    parse_board,
+)
 from edged.vision.boards.charuco import detect_charuco
 from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
 from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
@@ -158,7 +166,7 @@ def test_a_bent_edge_is_no_bias_once_the_lens_is_known() -> None:
 def test_a_picture_without_the_board_is_a_miss_with_a_reason(image: np.ndarray, reason: str) -> None:
     """No board is no exception, but says why."""
     found = detect_chessboard(image, Chessboard(8, 5, 3.0))
-    assert isinstance(found, Missed)
+    assert isinstance(found, NotDetected)
     assert reason in found.reason
 
 
@@ -167,7 +175,7 @@ def test_a_picture_with_hardly_any_contrast_is_a_miss() -> None:
     board = Chessboard(8, 5, 3.0)
     image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=7)[0])
     flat = np.rint(100 + image * (5 / 255)).astype(np.uint8)
-    assert isinstance(detect_chessboard(flat, board), Missed)
+    assert isinstance(detect_chessboard(flat, board), NotDetected)
 
 
 def test_a_covered_corner_is_left_out() -> None:
@@ -281,17 +289,17 @@ def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
     pose = board_poses(SMALL, PLATE, 1, seed=5)[0]
     image = draw_board(PLATE, SMALL.left, pose)
     wrong = detect_dots(image, DotGrid(8, 7, 6.0, 3.0))
-    assert isinstance(wrong, Missed)
+    assert isinstance(wrong, NotDetected)
     assert "the plate has 56" in wrong.reason
     corner = SMALL.left.project(apply(pose, np.array([-3.8, -3.8, 0])))
     x, y = np.rint(corner).astype(int)
     cv2.circle(image, (int(x), int(y)), 7, 210, -1)
     bare = detect_dots(image, PLATE)
-    assert isinstance(bare, Missed)
+    assert isinstance(bare, NotDetected)
     assert "orientation mark" in bare.reason
-    assert isinstance(detect_dots(np.full((480, 640), 100, np.uint8), PLATE), Missed)
+    assert isinstance(detect_dots(np.full((480, 640), 100, np.uint8), PLATE), NotDetected)
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
-    assert isinstance(detect_dots(noise, PLATE), Missed)
+    assert isinstance(detect_dots(noise, PLATE), NotDetected)
 
 
 @pytest.mark.parametrize("stated_mm", [6.0, 9.0, 11.0])
@@ -366,7 +374,7 @@ def test_circles_in_another_arrangement_are_a_miss() -> None:
     board = CircleGrid(4, 6, 5.0, 2.5)
     image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=3)[0])
     found = detect_dots(image, CircleGrid(6, 4, 5.0, 2.5))
-    assert isinstance(found, Missed)
+    assert isinstance(found, NotDetected)
     assert "arranged in another way" in found.reason
 
 
@@ -430,5 +438,5 @@ def test_a_part_of_a_charuco_board_suffices() -> None:
     assert np.abs(found.pixels - true[found.ids]).max() < 0.1
     image[:, :] = 120
     nothing = detect_charuco(image, CHARUCO)
-    assert isinstance(nothing, Missed)
+    assert isinstance(nothing, NotDetected)
     assert "0 corners" in nothing.reason

@@ -11,7 +11,7 @@ from rigs import make_rig
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.boards.board import Board, Chessboard, Detection, Missed, StereoView
+from edged.vision.boards.board import Board, Chessboard, Detection, NotDetected, StereoView
 from edged.vision.calibration.bundle import BundleState, LensFreedom, Observations, adjust
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.geometry.camera import StereoRig
@@ -139,7 +139,7 @@ def test_missed_boards_are_named_with_their_reason() -> None:
     """A view without the board in one image is left out, with the detector's reason."""
     rig = make_rig()
     views = views_of(rig)
-    views[2] = replace(views[2], right=Missed("too dark"))
+    views[2] = replace(views[2], right=NotDetected("too dark"))
     assert calibrate(views, rig).excluded == (("view_02", "right: too dark"),)
 
 
@@ -248,8 +248,8 @@ def test_too_few_views_are_refused_with_all_reasons() -> None:
     """Two usable pairs are not enough; every other pair's reason is in the message."""
     rig = make_rig()
     views = views_of(rig, 4)
-    views[0] = replace(views[0], left=Missed("out of focus"))
-    views[1] = replace(views[1], right=Missed("board cut off"))
+    views[0] = replace(views[0], left=NotDetected("out of focus"))
+    views[1] = replace(views[1], right=NotDetected("board cut off"))
     with pytest.raises(CalibrationError, match=r"2 of 4 pairs(.|\n)*out of focus(.|\n)*board cut off"):
         calibrate(views, rig)
     with pytest.raises(CalibrationError, match="0 of 0 pairs"):

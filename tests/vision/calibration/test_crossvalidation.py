@@ -12,7 +12,7 @@ from rigs import make_rig
 
 from edged.commands.calibrate import quality_figures
 from edged.report.calibration import calibration_report
-from edged.vision.boards.board import Chessboard, Missed
+from edged.vision.boards.board import Chessboard, NotDetected
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.crossvalidation import hold_out
 from edged.vision.calibration.plainopencv import plain_opencv
@@ -91,7 +91,7 @@ def test_three_views_still_make_a_report() -> None:
 @pytest.mark.slow
 def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     """Well formed, without references to the outside, user text escaped, every view and figure in it."""
-    spoiled = replace(VIEWS[3], name="<b>3", left=Missed("too dark & blurred"))
+    spoiled = replace(VIEWS[3], name="<b>3", left=NotDetected("too dark & blurred"))
     views = [*VIEWS[:3], spoiled, *VIEWS[4:]]
     calibration = calibrate_stereo(views, SIZE, SIZE, "division")
     held = hold_out(calibration)

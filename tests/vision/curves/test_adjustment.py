@@ -13,7 +13,7 @@ from edged.vision.curves.adjustment import propagate, solve
 @pytest.mark.parametrize("bias", [0.0, 0.05])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_solver_equals_its_twin(bias: float, seed: int) -> None:
-    """Eliminated curve by curve or written out as unknowns, the slow displacements leave the same answer."""
+    """Eliminated curve by curve or written out as unknowns, the systematic shifts leave the same answer."""
     samples, _ = problem(seed, bias, wrong=0.1)
     unknowns, priors = (10, 5) if bias else (5, 0)
     if not bias:
@@ -59,7 +59,7 @@ def test_wrong_samples_are_forgotten() -> None:
 
 
 def test_the_covariance_counts_displacements() -> None:
-    """Over draws of noise and of slow displacements, the squared error in its own units is 1."""
+    """Over draws of noise and of systematic shifts, the squared error in its own units is 1."""
     chi2 = []
     for seed in range(120):
         samples, truth = problem(seed, bias=0.05)

@@ -1,4 +1,4 @@
-"""The width that measures a curve is the one that suits the image, and its displacements are known."""
+"""The width that measures a curve is the one that suits the image, and its shifts are known."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BLUR_PX = 0.7
 
 
 def circle(count: int = 440) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (N, 2) and outward normals of a circle, and slow waves around it."""
+    """Points (N, 2) and outward normals of a circle, and Fourier waves around it."""
     angle = np.arange(count) * (2 * np.pi / count)
     normals = np.column_stack([np.cos(angle), np.sin(angle)])
     rest = [math.sqrt(2) * f(m * angle) for m in (1, 2) for f in (np.cos, np.sin)]

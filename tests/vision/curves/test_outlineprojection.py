@@ -10,9 +10,9 @@ from naive import curves as naive
 from rigs import make_rig
 
 from edged.vision.curves.outlineprojection import (
-    bends,
     camera_pose,
     circle_axes,
+    curvatures,
     project_circle,
     project_outline,
 )
@@ -61,7 +61,7 @@ def test_the_design_is_the_derivative(model: LensModel, side: str, curve: Curve)
         np.testing.assert_allclose(seen.design[:, column], expected, rtol=1e-4, atol=2e-4)
 
 
-def test_bends_equal_their_twin() -> None:
+def test_curvatures_equal_their_twin() -> None:
     """The curvature of two circles seen at a slant; one seen straight on bends by 1 / radius everywhere."""
     rig = make_rig("division")
     phases = [np.arange(count) * (2 * np.pi / count) for count in (60, 48)]
@@ -70,12 +70,12 @@ def test_bends_equal_their_twin() -> None:
         project_circle(rig, "left", np.array(centre), -AWAY, radius, phase)
         for centre, radius, phase in zip(centres, radii, phases, strict=True)
     ]
-    expected = [naive.bends(one.pixels, one.normals) for one in seen]
+    expected = [naive.curvatures(one.pixels, one.normals) for one in seen]
     pixels, normals = (np.concatenate([getattr(one, name) for one in seen]) for name in ("pixels", "normals"))
-    found = bends(pixels, normals, np.array([0, 60, 108]))
+    found = curvatures(pixels, normals, np.array([0, 60, 108]))
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
     ring = np.column_stack([np.cos(phases[0]), np.sin(phases[0])])
-    np.testing.assert_allclose(bends(40.0 * ring, ring, np.array([0, 60])), 1 / 40.0, rtol=0.002)
+    np.testing.assert_allclose(curvatures(40.0 * ring, ring, np.array([0, 60])), 1 / 40.0, rtol=0.002)
 
 
 def test_a_point_that_the_lens_cannot_show_is_nan() -> None:

@@ -1,4 +1,4 @@
-"""Slow displacements: their shapes follow the view, and their size is learned from the samples."""
+"""Systematic edge shifts: their shapes follow the view, and their size is learned from the samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from adjustments import problem
 
 from edged.domain import FloatArray
 from edged.vision.curves.adjustment import solve
-from edged.vision.curves.systematic import FAMILIES, displacements, slants
+from edged.vision.curves.systematic import FAMILIES, shift_basis, slants
 
 
 def ring(count: int) -> FloatArray:
@@ -32,7 +32,7 @@ def test_a_wall_is_seen_where_the_ray_runs_outwards() -> None:
 def test_walls_displace_one_side_only() -> None:
     """Where the ray runs outwards the first of the two walls displaces, else the second; at a glance most."""
     slant = np.array([-0.4, -0.05, -0.01, 0.0, 0.01, 0.05, 0.4])
-    left, right = displacements(np.tile([1.0, 0.0], (7, 1)), np.ones((2, 7)), np.stack([slant, slant[::-1]]))
+    left, right = shift_basis(np.tile([1.0, 0.0], (7, 1)), np.ones((2, 7)), np.stack([slant, slant[::-1]]))
     shapes = left[:, 10:]
     np.testing.assert_allclose(right[:, 10:], shapes[::-1])
     assert (shapes[:4, 0] == 0).all()
@@ -43,7 +43,7 @@ def test_walls_displace_one_side_only() -> None:
 
 @pytest.mark.parametrize(("true_px", "expected_px"), [(0.05, 0.002), (0.05, 0.2), (0.0, 0.05)])
 def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
-    """Whatever is expected, the sigma of the displacements comes out near the one they were drawn with."""
+    """Whatever is expected, the sigma of the shifts comes out near the one they were drawn with."""
     learned = []
     for seed in range(20):
         samples, _ = problem(seed, bias=true_px, noise=0.02)
@@ -58,7 +58,7 @@ def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
 
 
 def test_the_covariance_follows_what_was_learned() -> None:
-    """Told to expect a tenth of the displacements that there are, chi² is near 1 all the same."""
+    """Told to expect a tenth of the shifts that there are, chi² is near 1 all the same."""
     chi2 = []
     for seed in range(60):
         samples, truth = problem(seed, bias=0.05, noise=0.03)
@@ -76,7 +76,7 @@ def test_cameras_see_the_same_or_the_opposite() -> None:
         np.column_stack([np.cos(angle), np.sin(angle)]),
         np.stack([np.full(40, 12.0), np.full(40, 8.0)]),
     )
-    left, right = displacements(normals, gain, np.zeros((2, 40)))
+    left, right = shift_basis(normals, gain, np.zeros((2, 40)))
     np.testing.assert_allclose(left[:, :5] / 12.0, right[:, :5] / 8.0)
     np.testing.assert_allclose(left[:, 5:10] / 12.0, -right[:, 5:10] / 8.0)
     assert left.shape[1] == len(FAMILIES)

@@ -14,7 +14,7 @@ from flatparts import HONEST, cell, chi2, only
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
 from edged.pipeline import locate
-from edged.vision.part.consistency import doubted, growth_of, undoubted
+from edged.vision.part.consistency import doubted, scale_deviation, undoubted
 from edged.vision.part.job import usual_tolerance_mm
 
 PLACE = pose((7.5, 1.0, 204.0), turn_deg=12.0, tilt_deg=3.0)
@@ -119,12 +119,12 @@ def test_growth_is_what_all_sizes_have_in_common() -> None:
         )
         for circle in target.circles
     )
-    growth, sigma = growth_of(job, exact)
+    growth, sigma = scale_deviation(job, exact)
     assert growth == pytest.approx(0.001, abs=1e-9)
     assert 0 < sigma < 3e-4
     elsewhere = replace(exact[2], centre_mm=exact[2].centre_mm + np.array([0.3, 0.0, 0.0]))
-    assert growth_of(job, (*exact[:2], elsewhere))[0] == pytest.approx(0.001, abs=1e-9)
-    assert math.isnan(growth_of(job, exact[:1])[0])
+    assert scale_deviation(job, (*exact[:2], elsewhere))[0] == pytest.approx(0.001, abs=1e-9)
+    assert math.isnan(scale_deviation(job, exact[:1])[0])
 
 
 @pytest.mark.parametrize("name", ["disc", "plate"])
