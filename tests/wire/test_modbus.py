@@ -68,6 +68,7 @@ class Rig:
         self.base = settings.base_address
         self.order = settings.word_order
         self.client: AsyncModbusTcpClient
+        self.is_known = False
 
     async def block(self, block: reg.Block) -> dict[str, reg.Number]:
         """Read one block by name."""
@@ -80,7 +81,10 @@ class Rig:
         return StatusBit(int((await self.block(reg.STATUS))["STATUS_BITS"]))
 
     async def command(self, kind: int, job: int, sequence: int) -> None:
-        """COMMAND, JOB, CMD_SEQ in one write."""
+        """COMMAND, JOB, CMD_SEQ in one write; before the first of the connection a CMD_SEQ of 0."""
+        if not self.is_known:
+            self.is_known = True
+            assert not (await self.client.write_register(self.base + 102, 0)).isError()
         response = await self.client.write_registers(self.base + 100, [kind, job, sequence])
         assert not response.isError(), response
 
@@ -179,6 +183,40 @@ def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
         assert reg.INT32_MIN == (await rig.block(reg.RESULT))["X"]
 
     serve(test, settings)
+
+
+def test_who_connects_for_each_request_says_once() -> None:
+    """The first CMD_SEQ of a connection runs nothing, NACK 8; with ONCE in the same request it runs."""
+
+    async def test(rig: Rig) -> None:
+        write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 5, 0, 0, 0)
+        assert 16 == (await ask(rig, write))[0]
+        assert [] == rig.cell.commands
+        status = await rig.block(reg.STATUS)
+        assert (5, 5, 8) == tuple(status[name] for name in ("CMD_SEQ_ECHO", "DONE_SEQ", "NACK_REASON"))
+        write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 6, 0, 0, reg.Option.ONCE)
+        assert 16 == (await ask(rig, write))[0]
+        assert [6] == [command.sequence for command in rig.cell.commands]
+        assert 0 == (await rig.block(reg.COMMAND))["OPTIONS"]
+
+    serve(test)
+
+
+def test_each_start_of_the_server_has_another_epoch() -> None:
+    """In status and result alike, never 0; and until a client has written CMD_SEQ a warning says so."""
+    epochs = []
+
+    async def test(rig: Rig) -> None:
+        status, result = await rig.block(reg.STATUS), await rig.block(reg.RESULT)
+        assert status["START_EPOCH"] == result["START_EPOCH"] != 0
+        assert reg.Warn.UNSYNCHRONISED == status["WARNING"]
+        await rig.client.write_register(102, 0)
+        assert 0 == (await rig.block(reg.STATUS))["WARNING"]
+        epochs.append(status["START_EPOCH"])
+
+    for _ in range(3):
+        serve(test)
+    assert 3 == len(set(epochs))
 
 
 def test_a_result_grows_old() -> None:
@@ -688,7 +726,7 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
             # whatever was answered to these would come before the answer to the last one
             damaged = bytearray(rtu_frame(1, READ_MAGIC))
             damaged[3] ^= 1
-            broadcast = rtu_frame(0, struct.pack(">BHHB3H", 16, 100, 3, 6, 1, 0, 5))
+            broadcast = rtu_frame(0, struct.pack(">BHHB6H", 16, 100, 6, 12, 1, 0, 5, 0, 0, reg.Option.ONCE))
             for data in (rtu_frame(9, READ_MAGIC), bytes(damaged), broadcast):
                 os.write(line.master, data)
                 await asyncio.sleep(0.06)

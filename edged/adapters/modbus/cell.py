@@ -6,6 +6,7 @@ the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`
 
 from __future__ import annotations
 
+import secrets
 import struct
 from collections.abc import Callable, Sequence
 
@@ -76,6 +77,7 @@ class CellRegisters:
         self._commander = commander
         self._clock_s = clock_s
         self._state: hs.Handshake[reg.Measured] = hs.Handshake(settings.limits)
+        self._epoch = 1 + secrets.randbelow(reg.UINT32_MAX)
         self._cell: CellState | None = None
         self._last: reg.Measured | None = None
         self._command = [0] * reg.COMMAND.words
@@ -124,6 +126,7 @@ class CellRegisters:
         if result is not None:
             free = self._state.command_sequence == 0
             values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
+        values["START_EPOCH"] = self._epoch
         for block in (reg.RESULT, reg.UR, reg.FLOAT):
             self._place(block, values)
         rows = len(result.payload.poses) if result is not None else 0
@@ -154,7 +157,7 @@ class CellRegisters:
             "CMD_SEQ_ECHO": state.command_sequence,
             "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
             "ERROR": error & reg.UINT16_MAX,
-            "WARNING": reg.Warn.CLIENT_LOST if state.client_lost else 0,
+            "WARNING": self._warnings(),
             "ACTIVE_JOB": min(cell.job_number, reg.UINT16_MAX) if cell is not None else 0,
             "RESULT_AGE": age_ms,
             "MISSED_TRIGGERS": min(cell.missed_triggers, reg.UINT16_MAX) if cell is not None else 0,
@@ -163,7 +166,13 @@ class CellRegisters:
             "OPEN_COMMANDS": len(state.open),
             "NACK_REASON": state.reason,
             "WRITE_OWNER": int(state.owner is not None),
+            "START_EPOCH": self._epoch,
         }
+
+    def _warnings(self) -> reg.Warn:
+        lost = reg.Warn.CLIENT_LOST if self._state.client_lost else reg.Warn(0)
+        unknown = reg.Warn.UNSYNCHRONISED if self._state.synchronised is None else reg.Warn(0)
+        return lost | unknown
 
     def _status_bits(self, now_s: float, valid: bool) -> int:
         state, cell = self._state, self._cell
@@ -210,7 +219,7 @@ class CellRegisters:
         written = range(start, start + len(words))
         new = [*self._command[:start], *words, *self._command[start + len(words) :]]
         options = new[_offset("OPTIONS")]
-        if options & ~int(reg.Option.RELEASE):
+        if options & ~int(reg.Option.RELEASE | reg.Option.ONCE):
             raise RequestRefused(ILLEGAL_VALUE)
         new[_offset("OPTIONS")] = 0
         self._command = new
@@ -220,8 +229,8 @@ class CellRegisters:
         if _offset("ACK_SEQ") in written:
             self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
         if _offset("CMD_SEQ") in written:
-            self._trigger(now_s)
-        if options:
+            self._trigger(client, now_s, once=bool(options & reg.Option.ONCE))
+        if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
@@ -235,15 +244,19 @@ class CellRegisters:
 
     def gone(self, client: int) -> None:
         """A connection has ended."""
-        self._step(hs.Released(client), self._clock_s())
+        self._step(hs.Released(client, gone=True), self._clock_s())
 
-    def _trigger(self, now_s: float) -> None:
+    def _trigger(self, client: int, now_s: float, *, once: bool) -> None:
         code = self._command[_offset("COMMAND")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
         flange = self._taken_flange()
         event = hs.SequenceWritten(
-            self._command[_offset("CMD_SEQ")], known, timeout_ms / 1000 if timeout_ms else None
+            self._command[_offset("CMD_SEQ")],
+            known,
+            timeout_ms / 1000 if timeout_ms else None,
+            client,
+            once,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
