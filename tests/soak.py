@@ -110,7 +110,7 @@ class Book:
                 self.open[key] = now_s
                 continue
             self.counts[f"{effect.answer.name} {effect.reason.name}"] += 1
-            refused = effect.reason in (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND)
+            refused = effect.reason in (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE)
             self.expect(key not in self.ended, f"a second answer for {effect}")
             self.expect((key in self.open) != refused, f"an answer without a command: {effect}")
             self.open.pop(key, None)

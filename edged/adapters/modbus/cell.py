@@ -15,6 +15,7 @@ import numpy as np
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
+from edged.ages import ExposureClock
 from edged.domain import (
     Calibrated,
     CellPhase,
@@ -36,6 +37,8 @@ from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"
+NOBODYS = -1
+"""Ticket of a command that has ended, or that other registers than these submitted."""
 STATES = {
     CellPhase.STARTING: 0,
     CellPhase.READY: 1,
@@ -85,7 +88,8 @@ class CellRegisters:
         self._encoded: tuple[int, int, bool] | None = None
         self._held: tuple[object, object] = (None, None)
         self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
-        self._exposed = (0, 0.0)  # the latest cycle whose images are in memory, and since when
+        self._exposures = ExposureClock(clock_s)
+        self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self.clients = 0
 
@@ -280,6 +284,7 @@ class CellRegisters:
         if self._commander is None:
             self._step(hs.Declined(command.sequence), self._clock_s())
             return
+        self._submitted[command.sequence] = command
         try:
             self._commander.submit(command)
         except CommandRefused as refused:
@@ -294,16 +299,16 @@ class CellRegisters:
         match event:
             case Snapshot():
                 self._take_snapshot(event, now_s)
-            case ExposureDone(cycle, command):
-                self._exposed = (cycle, now_s)
-                self._step(hs.Exposed(_ticket(command)), now_s)
+            case ExposureDone(_, command):
+                self._exposures.note(event)
+                self._step(hs.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
-                ticket = _ticket(command)
+                ticket = self._ticket(command)
                 if ticket is not None:
                     self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
             case CommandFailed(command, reason):
-                ticket = _ticket(command)
-                if ticket is not None:
+                ticket = self._ticket(command)
+                if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
             case CellState():
@@ -319,22 +324,26 @@ class CellRegisters:
         result = reg.measured(snapshot, self._settings.convention)
         self._last = result
         verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
-        # both stamps are UTC of one machine. If the clock was set in between, the latency is too long, and
-        # the result stale, or too short: then it counts from when the images were in memory
-        exposed_s = now_s - result.latency_us * 1e-6
-        cycle, in_memory_s = self._exposed
-        if cycle == snapshot.cycle:
-            exposed_s = min(exposed_s, in_memory_s)
-        ticket = _ticket(snapshot.command)
+        exposed_s = self._exposures.exposed_s(snapshot)
+        ticket = self._ticket(snapshot.command)
         self._step(hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result), now_s)
 
     def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
         self._state, effects = hs.step(self._state, event, now_s)
+        for effect in effects:
+            if isinstance(effect, hs.Answered):
+                self._submitted.pop(effect.ticket, None)
         return effects
 
+    def _ticket(self, command: Command | None) -> int | None:
+        """Whose command it was: None when nobody asked over Modbus.
 
-def _ticket(command: Command | None) -> int | None:
-    return command.sequence if command is not None and command.source == SOURCE else None
+        Known by being the same object: tickets begin again when a reload makes these registers anew, and what
+        the ones before submitted may still be measured.
+        """
+        if command is None or command.source != SOURCE:
+            return None
+        return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
 
 
 def _offset(name: str) -> int:
