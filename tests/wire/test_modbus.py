@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import pty
 import random
@@ -10,6 +11,7 @@ import shutil
 import socket
 import ssl
 import struct
+import termios
 import tty
 from collections.abc import Callable, Coroutine
 from ipaddress import ip_address, ip_network
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from certificates import make_certificates
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
@@ -718,8 +721,8 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
     async def run() -> None:
         line = Line(tmp_path / "line")
         cell = Cell()
-        serial = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
-        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), cell)
+        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), cell)
         await server.start()
         try:
             assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
@@ -750,12 +753,48 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
     asyncio.run(run())
 
 
+def test_a_serial_line_comes_back_over_errors_of_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An adapter that re-enumerates can be opened and not be set up: that is tried again, too."""
+
+    async def run() -> None:
+        line = Line(tmp_path / "line")
+        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.01)
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
+        await server.start()
+        try:
+            real, refusals = serial.Serial, []
+
+            def half_there(*arguments: Any, **options: Any) -> Any:
+                if len(refusals) < 2:
+                    refusals.append(1)
+                    raise termios.error(5, "Input/output error")
+                return real(*arguments, **options)
+
+            monkeypatch.setattr(serial, "Serial", half_there)
+            line.unplug()
+            line = Line(tmp_path / "line")
+            async with asyncio.timeout(WAIT_S):
+                while True:
+                    with contextlib.suppress(TimeoutError):
+                        answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
+                        break
+            assert answer.endswith(MAGIC_ANSWER)
+            assert 2 == len(refusals)
+        finally:
+            await server.close()
+            line.unplug()
+
+    asyncio.run(run())
+
+
 def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
     """And the TCP port that was opened before is closed again."""
 
     async def run() -> None:
-        serial = SerialSettings(str(tmp_path / "nothing"))
-        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), Cell())
+        settings = SerialSettings(str(tmp_path / "nothing"))
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
         with pytest.raises(ListenError, match="is it plugged in"):
             await server.start()
         assert 0 == server.port
