@@ -26,7 +26,7 @@ from edged.adapters.zenoh.health import Health
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
-from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
+from edged.adapters.zenoh.session import ZenohSettings, bounded, configured, open_session, plain
 from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
@@ -64,6 +64,7 @@ class ZenohPublisher:
     commander : takes the commands of `trigger`; None makes the cell read-only.
     jobs : (number, name) of every job. config : what `config` answers; no secrets, please.
     Both are called on the event loop. utc_ns : for stamps, clock_s : monotonic, for ages.
+    session : `configured`, so that its files need not be read again; None: they are read at the start.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class ZenohPublisher:
         config: Callable[[], Mapping[str, Any]] = dict,
         utc_ns: Callable[[], int] = time.time_ns,
         clock_s: Callable[[], float] = time.monotonic,
+        session: zenoh.Config | None = None,
     ) -> None:
         self._settings = settings
         self._commander = commander
@@ -83,6 +85,7 @@ class ZenohPublisher:
         self._utc_ns = utc_ns
         self._clock_s = clock_s
         self._exposures = ExposureClock(clock_s)
+        self._session_config = session
         self._encode, self._encoding = ENCODINGS[settings.encoding]
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
@@ -104,8 +107,7 @@ class ZenohPublisher:
 
     async def start(self) -> None:
         """Open the session. Raises `ListenError`, or `ConfigError` for what Zenoh cannot read."""
-        settings = self._settings
-        config = session_config(settings.mode, settings.listen, settings.connect, settings.config_file)
+        config = self._session_config or configured(self._settings)
         self._session = session = await bounded(lambda: open_session(config), OPEN_TIMEOUT_S, "open")
         try:
             self._declare(session)
