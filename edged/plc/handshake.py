@@ -10,9 +10,10 @@ The rules:
 - A command runs when CMD_SEQ changes to something other than 0. Whatever result was on display is
   taken down at that moment, whether the command is accepted or refused.
 - The first CMD_SEQ that a connection writes is a baseline: it is taken note of, and nothing runs (NACK,
-  BASELINE). So it is after the start, and after another client has written CMD_SEQ. PLCs write the same
-  registers for ever: what was a command to the cell before a restart, or before somebody else's turn, is none
-  any more. Who writes a command once, on purpose, says so (`SequenceWritten.once`).
+  BASELINE). So it is after the start, after another client has written CMD_SEQ, and after it was not its
+  turn. PLCs write the same registers for ever: what was a command to the cell before a restart, or before
+  somebody else's turn, is none any more. Who writes a command once, on purpose, says so
+  (`SequenceWritten.once`).
 - Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
   found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
 - The answer of the newest command stays on display until the next one is written.
@@ -227,6 +228,13 @@ class Released:
 
 
 @dataclass(frozen=True, slots=True)
+class Barred:
+    """A client wrote CMD_SEQ while another one held the right to write: it was not taken."""
+
+    client: int
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Only time has passed."""
 
@@ -242,6 +250,7 @@ Event = (
     | Finished[Payload]
     | ClaimedBy
     | Released
+    | Barred
     | Tick
 )
 
@@ -336,6 +345,9 @@ def _take(
             return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
         case Released():
             return _release(state, event), ()
+        case Barred(client):
+            # what it goes on writing when its turn comes may be a command that it has given up meanwhile
+            return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Tick():
             return state, ()
 

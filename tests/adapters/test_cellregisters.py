@@ -62,6 +62,15 @@ def test_what_is_in_flight_over_a_reload_does_not_answer_the_next_command_of_tha
     assert (1, 10_000) == shown(cell)
 
 
+def test_what_others_ask_is_not_shown_to_the_plc() -> None:
+    """A part that was located over Zenoh is no cycle of a free-running cell; one that nobody asked for is."""
+    cell = registers(Queue())
+    cell.take(make_snapshot(1, command=Command(CommandKind.LOCATE, "zenoh", 1)))
+    assert (0, reg.INT32_MIN) == shown(cell)
+    cell.take(make_snapshot(2))
+    assert (2, 10_000) == shown(cell)
+
+
 def test_what_comes_after_the_time_out_is_not_shown_as_a_free_running_cycle_either() -> None:
     """The command has ended, CMD_SEQ is 0 again: its late result belongs to nobody."""
     queue, now_s = Queue(), 1000.0

@@ -103,6 +103,17 @@ def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothi
     assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
 
 
+def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
+    """It may have been given up meanwhile, and a PLC goes on writing it."""
+    run = Run()
+    run.tell(hs.Barred(3))
+    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1)), "another client's turn is nothing to this one"
+    run.good(1)
+    run.tell(hs.Barred(0))
+    (answered,) = run.tell(hs.SequenceWritten(2))
+    assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+
+
 def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() -> None:
     """7 is shown, or still measured, for a client that is gone: a new one that writes 7 sees neither."""
     done, late = Run(), Run()

@@ -38,7 +38,7 @@ from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"
 NOBODYS = -1
-"""Ticket of a command that has ended, or that other registers than these submitted."""
+"""Ticket of a command that has ended, or that somebody else submitted."""
 STATES = {
     CellPhase.STARTING: 0,
     CellPhase.READY: 1,
@@ -218,9 +218,11 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_ADDRESS)
         now_s = self._clock_s()
         self._step(hs.Tick(), now_s)
-        if not hs.may_write(self._state, client, now_s):
-            raise RequestRefused(DEVICE_BUSY)
         written = range(start, start + len(words))
+        if not hs.may_write(self._state, client, now_s):
+            if _offset("CMD_SEQ") in written:
+                self._step(hs.Barred(client), now_s)
+            raise RequestRefused(DEVICE_BUSY)
         new = [*self._command[:start], *words, *self._command[start + len(words) :]]
         options = new[_offset("OPTIONS")]
         if options & ~int(reg.Option.RELEASE | reg.Option.ONCE):
@@ -336,12 +338,13 @@ class CellRegisters:
         return effects
 
     def _ticket(self, command: Command | None) -> int | None:
-        """Whose command it was: None when nobody asked over Modbus.
+        """Whose command it was: None when nobody asked, `NOBODYS` when it was none that is open here.
 
         Known by being the same object: tickets begin again when a reload makes these registers anew, and what
-        the ones before submitted may still be measured.
+        the ones before submitted may still be measured. What others ask over Zenoh is no cycle of a
+        free-running cell: a PLC gets no coordinates of it.
         """
-        if command is None or command.source != SOURCE:
+        if command is None:
             return None
         return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
 
