@@ -32,7 +32,10 @@ MAX_CONFIG_BYTES = 1024 * 1024
 def _beside_the_file(value: object, info: ValidationInfo) -> object:
     """Relative paths mean: beside the configuration file, whatever the working directory is."""
     if isinstance(value, str) and value and info.context is not None:
-        return Path(info.context["directory"]) / Path(value).expanduser()
+        try:
+            return Path(info.context["directory"]) / Path(value).expanduser()
+        except RuntimeError as error:  # "~nobody"
+            raise ValueError(str(error)) from None
     return value
 
 

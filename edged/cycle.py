@@ -51,6 +51,10 @@ QUEUE_LENGTH = 8
 IDLE_CHECK_S = 1.0
 """Waiting for commands, look after the cameras this often: a dead one must show before the PLC asks."""
 
+FAULT_REST_S = 0.1
+"""After a fault that nobody asked for, wait so long before the next try: known faults come at once, and each
+is announced, published and recorded."""
+
 
 class Head(Protocol):
     """What the loop needs of the stereo head."""
@@ -127,6 +131,7 @@ class Cycle:
         self._drift = DriftMonitor(setup.drift)
         self._faults = FaultLog(log)
         self._pending: tuple[Setup, Head | None] | None = None
+        self._rests_until_s = 0.0
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
     # --- used by app -----------------------------------------------------------------------
@@ -140,7 +145,12 @@ class Cycle:
         self._publishers = newcomers
 
     def exchange(self, setup: Setup, head: Head | None = None) -> None:
-        """Take a new setup, and new cameras if given, between this cycle and the next (SIGHUP)."""
+        """Take a new setup, and new cameras if given, between this cycle and the next (SIGHUP).
+
+        A second exchange before that replaces the first's setup; cameras that only the first one gave remain.
+        """
+        if head is None and self._pending is not None:
+            _, head = self._pending
         self._pending = (setup, head)
         self._wake.set()
 
@@ -160,19 +170,25 @@ class Cycle:
         """Queue a command. Raises `CommandRefused` when stopping, full, or the job is unknown."""
         if self.stopping.is_set():
             raise CommandRefused("the daemon is stopping")
-        if command.job and command.job not in self._setup.jobs:
-            known = ", ".join(f"{job.number} ({job.name})" for job in self._setup.jobs.values())
-            raise CommandRefused(f"unknown job {command.job}, there are {known}")
-        if command.kind is CommandKind.CHANGE_JOB and not command.job:
-            raise CommandRefused("a job change needs a job number")
-        carried = self._setup.flange_from_rig is not None and command.kind is CommandKind.LOCATE
-        if carried and command.robot_from_flange is None:
-            raise CommandRefused("the robot carries the cameras: LOCATE needs the pose of the flange")
+        if problem := self._problem(command):
+            raise CommandRefused(problem)
         if len(self._commands) >= QUEUE_LENGTH:
             self._missed += 1
             raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
         self._commands.append(command)
         self._wake.set()
+
+    def _problem(self, command: Command) -> str:
+        """Why the present setup cannot carry a command out; "" when it can."""
+        if command.job and command.job not in self._setup.jobs:
+            known = ", ".join(f"{job.number} ({job.name})" for job in self._setup.jobs.values())
+            return f"unknown job {command.job}, there are {known}"
+        if command.kind is CommandKind.CHANGE_JOB and not command.job:
+            return "a job change needs a job number"
+        carried = self._setup.flange_from_rig is not None and command.kind is CommandKind.LOCATE
+        if carried and command.robot_from_flange is None:
+            return "the robot carries the cameras: LOCATE needs the pose of the flange"
+        return ""
 
     # --- the loop --------------------------------------------------------------------------
 
@@ -208,17 +224,36 @@ class Cycle:
             self._tell_state(CellPhase.READY)
 
     async def _apply(self, setup: Setup, head: Head | None) -> None:
-        """Exchange setup and cameras; a job that is gone falls back to the default."""
+        """Exchange setup and cameras; a job that is gone falls back to the default.
+
+        Commands that wait were accepted for the setup before: what this one cannot carry out fails, and so
+        does what is to measure "the active job", when that is another part now.
+        """
         self._pending = None
         if (setup.calibration_id, setup.drift) != (self._setup.calibration_id, self._setup.drift):
             self._drift = DriftMonitor(setup.drift)
         self._setup = setup
-        number = self._active.number if self._active.number in setup.jobs else setup.active_job
-        self._active = setup.jobs[number]
+        gone = self._active if self._active.number not in setup.jobs else None
+        self._active = setup.jobs[setup.active_job if gone is not None else self._active.number]
+        self._check_waiting(gone)
         if head is not None:
             await self._head.close()
             self._head = head
         await self._check_cameras()
+
+    def _check_waiting(self, gone: LoadedJob | None) -> None:
+        """Fail the waiting commands that this setup cannot carry out. gone : the job that was active."""
+        waiting, self._commands = self._commands, deque()
+        for command in waiting:
+            problem = self._problem(command)
+            if command.kind is CommandKind.CHANGE_JOB and not problem:
+                gone = None  # whoever comes after it means the job that it makes active
+            elif gone is not None and not command.job and command.kind is not CommandKind.GRAB:
+                problem = f"job {gone.number} ({gone.name}), which was active, is no longer there"
+            if problem:
+                self._announce(CommandFailed(command, problem))
+            else:
+                self._commands.append(command)
 
     async def _tick_or_wait(self, due_s: float) -> float:
         """Measure when the tick is due, else wait until something happens; returns the next tick.
@@ -226,7 +261,7 @@ class Cycle:
         A tick that comes late moves all later ones (slip); missed ticks are counted, never made up for.
         """
         period_s, now_s = self._setup.period_s, time.monotonic()
-        if period_s is not None and now_s >= due_s:
+        if period_s is not None and now_s >= max(due_s, self._rests_until_s):
             late = int((now_s - due_s) / period_s) if period_s > 0 else 0
             self._missed += late
             await self._serve(None)
@@ -235,10 +270,11 @@ class Cycle:
         due_s = now_s if period_s is None else min(due_s, now_s + period_s)
         self._wake.clear()
         try:
-            wait_s = IDLE_CHECK_S if period_s is None else min(IDLE_CHECK_S, due_s - now_s)
+            next_s = max(due_s, self._rests_until_s)
+            wait_s = IDLE_CHECK_S if period_s is None else min(IDLE_CHECK_S, next_s - now_s)
             await asyncio.wait_for(self._wake.wait(), wait_s)
         except TimeoutError:
-            if period_s is None or time.monotonic() < due_s:
+            if period_s is None or time.monotonic() < next_s:
                 await self._check_cameras()
                 self._announce(Idle())
         return due_s
@@ -258,9 +294,11 @@ class Cycle:
                 self._announce(Idle())
             return
         await self._serve(None, heard)
-        if isinstance(heard.exception(), CameraUnreachable | CameraBusy | CameraSetupError):
-            with contextlib.suppress(TimeoutError):  # there is nothing to listen to: try again later
-                await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S)
+        if heard.exception() is not None:
+            # without cameras there is nothing to listen to: try again later
+            gone = isinstance(heard.exception(), CameraUnreachable | CameraBusy | CameraSetupError)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S if gone else FAULT_REST_S)
 
     async def _serve(self, command: Command | None, heard: asyncio.Future[FramePair] | None = None) -> None:
         """One command, or one tick. heard : the exposure, when it has been made already."""
@@ -273,6 +311,8 @@ class Cycle:
         snapshot = await self._measure(command, heard)
         self._announce(snapshot)
         if snapshot.status is Status.CAPTURE_FAULT:
+            if command is None:
+                self._rests_until_s = time.monotonic() + FAULT_REST_S
             self._tell_state(CellPhase.FAULT, error=snapshot.error, code=snapshot.error_code)
         else:
             self._tell_state(CellPhase.READY)
@@ -281,11 +321,7 @@ class Cycle:
         await asyncio.sleep(0)
 
     def _change_job(self, command: Command) -> None:
-        job = self._setup.jobs.get(command.job)
-        if job is None:  # it was there when the command was accepted; a reload took it away
-            self._announce(CommandFailed(command, f"job {command.job} is no longer there"))
-            return
-        self._active = job
+        job = self._active = self._setup.jobs[command.job]
         log.info("job %d (%s) is active", job.number, job.name, extra=fields(job=job.name))
         self._announce(JobChanged(job.number, job.name, command))
         if self._state is not None:
@@ -294,9 +330,7 @@ class Cycle:
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """One cycle. A miss or a fault is a status; a bug propagates."""
         setup = self._setup
-        job = (
-            setup.jobs.get(command.job, self._active) if command is not None and command.job else self._active
-        )
+        job = setup.jobs[command.job] if command is not None and command.job else self._active
         stopwatch = _Stopwatch()
         try:
             pair = await (heard if heard is not None else self._head.capture())

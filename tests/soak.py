@@ -3,40 +3,77 @@
 Time does not pass, it jumps: the event loop moves its clock to the next timer as soon as nothing is left to
 do. So a day takes a minute or two, every instant in it can be looked at, and a seed repeats it exactly.
 
+Two PLCs, one of which writes the same registers every 20 ms for ever, a careless third client and triggers as
+they come over Zenoh use the cell at once, while it is stopped, killed, and reloaded section by section.
+
 Checked at every look of an independent observer, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
   those of one exposure that was made after that command was written and is not older than validity_s;
 - whatever is not VALID has no coordinates, in any block;
 - never ACK and NACK at once, never more than 8 open commands.
-Checked for every command: accepted ones end in exactly one ACK or NACK, within their time-out.
+Checked for every command: it runs only if its client means it now; accepted ones end in exactly one ACK or
+NACK, within their time-out. Checked for every part that is picked: its exposure came after the question, by
+the cameras that belong to the calibration, and it was measured as the job that was asked for.
 """
 
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import functools
 import math
 import random
 import selectors
 import struct
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import structured_text
 from snapshots import make_target
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.pdu import respond
+from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import ModbusSettings
+from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle, LoadedJob, Setup
-from edged.domain import CommandKind, Frame, FramePair, Outcome, Reject, Status
-from edged.errors import FrameTimeout
+from edged.domain import (
+    CommandFailed,
+    CommandKind,
+    Event,
+    Frame,
+    FramePair,
+    Outcome,
+    Reject,
+    Snapshot,
+    Status,
+)
+from edged.errors import CommandRefused, FrameTimeout
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
+from edged.plc.clients import structured_text_source
 
 VALIDITY_S = 2.0
+CYCLE_S = 0.02
 IMAGE = np.zeros((2, 2), np.uint8)
+GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
+NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE)
+LUCK = ("camera", "clock", "restart", "reload", "reload", "reloads")
+SECTIONS = (
+    "cell",
+    "cell",
+    "cameras",
+    "rig",
+    "modbus",
+    "modbus",
+    "zenoh",
+    "zenoh",
+    "recorder",
+    "web",
+    "drift",
+)
 
 
 class JumpingSelector(selectors.DefaultSelector):
@@ -81,20 +118,39 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 class WatchedRegisters(CellRegisters):
     """The registers of the product; every effect of the handshake is counted."""
 
-    def __init__(self, *args: Any, book: Book) -> None:
-        self._book = book
+    def __init__(self, *args: Any, world: World) -> None:
+        self._world, self._writer = world, 0
+        self.is_over = False
+        self.written: dict[int, float] = {}
         super().__init__(*args)
+
+    def write(self, client: int, address: int, words: Sequence[int]) -> None:
+        """Note who it is that writes."""
+        self._writer = client
+        super().write(client, address, words)
 
     def _step(self, event: Any, now_s: float) -> tuple[hs.Effect, ...]:
         effects = super()._step(event, now_s)
-        self._book.note(self, effects, now_s)
+        if self.is_over:  # a connection of it ends: nobody is told any more
+            return effects
+        for effect in effects:
+            if isinstance(effect, hs.Submit):
+                sequence = effect.ticket & hs.SEQUENCE_MASK
+                self.written[sequence] = now_s
+                line = self._world.lines.get(self._writer)
+                self._world.book.expect(
+                    line is not None and line.means(sequence), f"{sequence} of {self._writer} ran unasked"
+                )
+        self._world.book.note(self, effects, now_s)
         return effects
 
 
 @dataclass
 class Book:
-    """What happened."""
+    """What happened. until : the violation that is looked for, "" for all of them."""
 
+    until: str = ""
+    is_found: bool = False
     counts: Counter[str] = field(default_factory=Counter)
     open: dict[tuple[int, int], float] = field(default_factory=dict)
     ended: set[tuple[int, int]] = field(default_factory=set)
@@ -110,31 +166,116 @@ class Book:
                 self.open[key] = now_s
                 continue
             self.counts[f"{effect.answer.name} {effect.reason.name}"] += 1
-            refused = effect.reason in (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND)
+            refused = effect.reason in NEVER_OPEN
             self.expect(key not in self.ended, f"a second answer for {effect}")
             self.expect((key in self.open) != refused, f"an answer without a command: {effect}")
             self.open.pop(key, None)
             self.ended.add(key)
 
+    def forget(self, cell: WatchedRegisters) -> int:
+        """A server has ended: its connections are gone, nobody can be answered. How many were open."""
+        cell.is_over = True
+        own = [key for key in self.open if key[0] == id(cell)]
+        for key in own:
+            del self.open[key]
+        return len(own)
+
     def expect(self, truth: bool, otherwise: str) -> None:
         """Note a violation."""
         if not truth:
             self.violations.append(otherwise)
+            self.is_found |= bool(self.until) and self.until in otherwise
+
+
+class Head:
+    """Two cameras; their number is in the book beside each exposure."""
+
+    def __init__(self, world: World, number: int) -> None:
+        self._world, self.number = world, number
+
+    async def open(self) -> None:
+        """Connect."""
+        if self._world.broken:
+            raise FrameTimeout("left", "unplugged")
+
+    async def capture(self) -> FramePair:
+        """An exposure with a number that is in every coordinate of its result."""
+        world = self._world
+        number = len(world.exposures) + 1
+        world.exposures[number] = (world.loop.time(), self.number)
+        exposed_ns = world.utc_ns()
+        slow = world.dice.random() < 0.01
+        await asyncio.sleep(world.dice.uniform(0.005, 0.05) if not slow else 1.5)
+        if world.broken or world.dice.random() < 0.005:
+            raise FrameTimeout("left", "no image")
+        left, right = (Frame(side, number, IMAGE, exposed_ns, exposed_ns) for side in ("left", "right"))
+        return FramePair(left, right)
+
+    async def listen(self) -> FramePair:
+        """Nobody else triggers these."""
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """Disconnect."""
+
+
+class Trigger:
+    """Commands as they come over Zenoh, with the product's own memory of who waits for what."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._triggers: Triggers[tuple[float, int]] = Triggers()
+
+    @property
+    def waiting(self) -> int:
+        """How many wait for their answer."""
+        return len(self._triggers)
+
+    def ask(self, job: int, timeout_s: float) -> None:
+        """A trigger; whether its answer is its own is looked at when it comes."""
+        world = self._world
+        command = self._triggers.add((world.loop.time(), job), CommandKind.LOCATE, job, None)
+        self._triggers.limit(command, world.loop.call_later(timeout_s, self._triggers.take, command))
+        try:
+            world.cycle.submit(command)
+        except CommandRefused:
+            self._triggers.take(command)
+
+    def announce(self, event: Event) -> None:
+        """An answer, perhaps."""
+        if not isinstance(event, Snapshot | CommandFailed):
+            return
+        asked = self._triggers.take(event.command)
+        if asked is None or isinstance(event, CommandFailed) or event.status is not Status.OK:
+            return
+        (asked_s, job), (target,) = asked, event.targets
+        world, place_mm = self._world, target.rig_from_part[:3, 3]
+        world.book.counts["triggers answered"] += 1
+        if place_mm[0] < 1e6:
+            exposed_s, _ = world.exposures[round(place_mm[0] * 1000)]
+            world.book.expect(
+                exposed_s >= asked_s, f"an exposure answers a trigger {asked_s - exposed_s:.3f} s older"
+            )
+        world.book.expect(job in (0, round(place_mm[1])), f"job {place_mm[1]:g} for a trigger of job {job}")
+
+    def close(self) -> None:
+        """As a publisher that is exchanged: who waits is told so."""
+        for command in self._triggers.commands():
+            self._triggers.take(command)
 
 
 class World:
-    """Cameras, clock and cell; restarts and faults."""
+    """Cameras, clock and cell; restarts, reloads and faults."""
 
     def __init__(self, loop: VirtualLoop, dice: random.Random, book: Book) -> None:
         self.loop, self.dice, self.book = loop, dice, book
-        self.broken = False
+        self.broken = self.is_down = False
         self.wall_shift_s = 0.0
-        self.exposures: dict[int, float] = {}
-        self.written: dict[int, float] = {}
-        self._targets = {
-            "good": make_target(),
-            "bad": make_target(reject=Reject.TOLERANCE),
-        }
+        self.exposures: dict[int, tuple[float, int]] = {}
+        self.lines: dict[int, Line] = {}
+        self.kept: list[object] = []  # what is over keeps its id from being used again
+        self.heads = 0
+        self.numbers = (1, 2)
         self.settings = ModbusSettings(port=0, validity_s=VALIDITY_S, heartbeat_s=2.0)
         self.boot()
 
@@ -142,78 +283,142 @@ class World:
         """The wall clock, which somebody may set."""
         return int((1.7e9 + self.loop.time() + self.wall_shift_s) * 1e9)
 
-    # the head of the cycle
+    # --- the cell ------------------------------------------------------------------------------
 
-    async def open(self) -> None:
-        """Connect."""
-        if self.broken:
-            raise FrameTimeout("left", "unplugged")
+    def setup(self) -> Setup:
+        """Jobs as they are now, with the calibration of the cameras that are wanted now."""
+        head = self.head.number
+        jobs = {
+            number: LoadedJob(f"job{number}", number, functools.partial(self._locate, number, head))
+            for number in self.numbers
+        }
+        return Setup(
+            jobs, self.numbers[0], None, f"cal{head}", "f00d", simulated=False, robot_from_rig=np.eye(4)
+        )
 
-    async def capture(self) -> FramePair:
-        """An exposure with a number that is in every coordinate of its result."""
-        number = len(self.exposures) + 1
-        self.exposures[number] = self.loop.time()
-        exposed_ns = self.utc_ns()
-        slow = self.dice.random() < 0.01
-        await asyncio.sleep(self.dice.uniform(0.005, 0.05) if not slow else 1.5)
-        if self.broken or self.dice.random() < 0.005:
-            raise FrameTimeout("left", "no image")
-        left, right = (Frame(side, number, IMAGE, exposed_ns, exposed_ns) for side in ("left", "right"))
-        return FramePair(left, right)
-
-    async def close(self) -> None:
-        """Disconnect."""
-
-    # the cell
-
-    def locate(self, pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
-        """Mostly a good part, whose X says which exposure it is."""
+    def _locate(self, job: int, head: int, pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+        """Mostly a good part, whose X says which exposure it is, and Y which job."""
+        _, of_head = self.exposures[pair.left.frame_id]
+        self.book.expect(of_head == head, f"cameras {of_head} under the calibration of {head}")
         chance = self.dice.random()
         if chance < 0.05:
             return Outcome(Status.NO_TARGET)
-        if chance < 0.08:
-            return Outcome(Status.LOW_QUALITY, (self._targets["bad"],))
         x_mm = pair.left.frame_id * 1e-3 if chance > 0.1 else 1e9  # beyond what a register holds
-        return Outcome(Status.OK, (make_target(x_mm=x_mm),))
+        place = np.array(GOOD.rig_from_part)
+        place[:2, 3] = x_mm, job
+        if chance < 0.08:
+            return Outcome(Status.LOW_QUALITY, (dataclasses.replace(BAD, rig_from_part=place),))
+        return Outcome(Status.OK, (dataclasses.replace(GOOD, rig_from_part=place),))
+
+    def new_head(self) -> Head:
+        """Other cameras."""
+        self.heads += 1
+        self.head = Head(self, self.heads)
+        return self.head
 
     def boot(self) -> None:
         """Start the daemon."""
-        jobs = {number: LoadedJob(f"job{number}", number, self.locate) for number in (1, 2)}
-        setup = Setup(jobs, 1, None, "cal", "f00d", simulated=False, robot_from_rig=None)
-        self.cycle = Cycle(self, setup, self.utc_ns)
-        self.cell = WatchedRegisters(self.settings, self.cycle, self.loop.time, book=self.book)
-        self.written = {}
-        self.cycle.set_publishers([_Announcer(self.cell)])
+        self.new_head()
+        self.cycle = Cycle(self.head, self.setup(), self.utc_ns)
+        self.trigger = Trigger(self)
+        self.serve()
         self.task = self.loop.create_task(self.cycle.run())
+        self.is_down = False
         self.book.counts["starts"] += 1
 
+    def serve(self) -> None:
+        """Start the Modbus server."""
+        self.cell = WatchedRegisters(self.settings, self.cycle, self.loop.time, world=self)
+        self.publish()
+
+    def publish(self) -> None:
+        """Tell the cycle who publishes."""
+        self.cycle.set_publishers([_Announcer(self.cell.take), _Announcer(self.trigger.announce)])
+
     async def reboot(self) -> None:
-        """Stop the daemon, wait, start it again: nothing of the old one is left."""
-        self.cycle.stop()
-        await self.task
-        own = [key for key in self.book.open if key[0] == id(self.cell)]
-        self.book.expect(not own, f"{len(own)} commands were never answered before the stop")
-        self._old = self.cell  # keeps its id from being used again
-        await asyncio.sleep(self.dice.uniform(0.5, 5.0))
+        """Stop the daemon, or kill it, wait, start it again: nothing of the old one is left."""
+        if self.dice.random() < 0.5:
+            self.cycle.stop()
+            await self.task
+            self.book.expect(not self.book.forget(self.cell), "commands were never answered before the stop")
+        else:
+            self.is_down = True
+            self.task.cancel()
+            await asyncio.wait({self.task})
+            self.book.forget(self.cell)
+        self.is_down = True
+        self.kept += [self.cell, self.trigger]
+        await asyncio.sleep(self.dice.choice((0.0, 0.01, self.dice.uniform(0.5, 5.0))))
         self.boot()
+
+    def reload(self, section: str) -> None:
+        """As `Daemon.reload`: servers that changed are made anew, then the cycle hears of the rest."""
+        self.book.counts[f"reload {section}"] += 1
+        head = None
+        if section == "modbus":
+            self.kept.append(self.cell)
+            self.book.forget(self.cell)
+            self.serve()
+        elif section == "zenoh":
+            self.kept.append(self.trigger)
+            self.trigger.close()
+            self.trigger = Trigger(self)
+            self.publish()
+        elif section == "cell":
+            self.numbers = self.dice.choice(((1, 2), (1,), (2,), (2, 1)))
+        elif section in ("cameras", "rig"):
+            head = self.new_head()
+        self.cycle.exchange(self.setup(), head)  # "recorder", "web", "drift": nothing for who measures
 
 
 class _Announcer:
-    """The registers as a publisher."""
+    """Something that hears events, as a publisher."""
 
-    def __init__(self, cell: CellRegisters) -> None:
-        self.announce = cell.take
+    def __init__(self, announce: Callable[[Event], None]) -> None:
+        self.announce = announce
+
+
+class LinkDown(Exception):
+    """Nobody answers."""
 
 
 class Line:
-    """A client's connection: requests and answers as bytes."""
+    """A client's connection: requests and answers as bytes. It is made anew whenever the server is.
 
-    def __init__(self, world: World, number: int) -> None:
-        self._world, self.number = world, number
+    means : whether the client means a command by this number now.
+    """
+
+    def __init__(self, world: World, number: int, step: int) -> None:
+        self._world, self._step = world, step
+        self.number = number
+        self.intent: set[int] = set()
+        self._server = world.cell
+        world.lines[number] = self
+
+    def means(self, sequence: int) -> bool:
+        """Once for each time it was meant."""
+        meant = sequence in self.intent
+        self.intent.discard(sequence)
+        return meant
+
+    def connect(self) -> None:
+        """A new connection where the server is another one. Raises `LinkDown`."""
+        if self._world.is_down:
+            raise LinkDown
+        if self._server is not self._world.cell:
+            self.renew()
+
+    def renew(self) -> None:
+        """Hang up and connect again."""
+        self.gone()
+        self.number += self._step
+        self._server = self._world.cell
+        self._world.lines[self.number] = self
 
     def ask(self, pdu: bytes) -> bytes:
         """The answer of whatever daemon runs now."""
-        return respond(pdu, ClientView(self._world.cell, self.number), may_write=True)
+        self.connect()
+        return respond(pdu, ClientView(self._server, self.number), may_write=True)
 
     def read(self, block: reg.Block) -> dict[str, reg.Number]:
         """One block by name."""
@@ -227,17 +432,25 @@ class Line:
 
     def gone(self) -> None:
         """The connection ends."""
-        self._world.cell.gone(self.number)
+        self._server.gone(self.number)
+        self._world.lines.pop(self.number, None)
 
 
 class Soak:
-    """One run: a careful PLC, a careless one, an observer, and bad luck."""
+    """One run: careful, cyclic and careless clients, a trigger, an observer, and bad luck.
 
-    def __init__(self, seed: int) -> None:
+    block_s : for how long the generated function block takes part (a scan takes a millisecond of real time).
+    until : the violation that ends the run. only : the one section that is reloaded, and no other bad luck.
+    """
+
+    def __init__(self, seed: int, block_s: float = 0.0, until: str = "", only: str = "") -> None:
         self.dice = random.Random(seed)
-        self.book = Book()
+        self.book = Book(until)
         self.loop = VirtualLoop(self._vision_s)
         self.clients = 1
+        self._block_s = block_s
+        self._sections = (only,) if only else SECTIONS
+        self._luck = ("reloads",) if only else LUCK
 
     def run(self, seconds: float) -> Book:
         """Simulate; returns what was counted and every violation."""
@@ -248,113 +461,246 @@ class Soak:
         return self.book
 
     def _vision_s(self) -> float:
-        return self.dice.choice((0.02, 0.03, 0.05)) if self.dice.random() > 0.02 else self.dice.uniform(1, 4)
+        return self.dice.choice((0.02, 0.03, 0.05)) if self.dice.random() > 0.04 else self.dice.uniform(1, 4)
 
     async def _run(self, seconds: float) -> None:
         self.world = World(self.loop, self.dice, self.book)
         self.end_s = self.loop.time() + seconds
-        await asyncio.gather(self._plc(), self._careless(), self._observe(), self._bad_luck())
+        people = [self._plc, self._cyclic, self._careless, self._zenoh, self._observe, self._bad_luck]
+        if self._block_s:
+            people.append(self._block)
+        await asyncio.gather(*(one() for one in people))
         self.world.cycle.stop()
         await self.world.task
-        self.book.expect(not self.book.open, f"{len(self.book.open)} commands were never answered")
+        if not self.book.is_found:
+            self.book.expect(not self.book.open, f"{len(self.book.open)} commands were never answered")
 
     @property
     def _going(self) -> bool:
-        return self.loop.time() < self.end_s
+        return self.loop.time() < self.end_s and not self.book.is_found
 
     def _line(self) -> Line:
         self.clients += 1
-        return Line(self.world, self.clients)
+        return Line(self.world, self.clients, 10_000_000)
 
     # --- who uses the cell -------------------------------------------------------------------
 
     async def _plc(self) -> None:
-        """Handshake after handshake, as docs/how-to/plc.md says; now and then its power fails."""
+        """Handshakes, each register once, as docs/how-to/plc.md says; now and then its power fails."""
         line, sequence = self._line(), 0
         while self._going:
             if self.dice.random() < 0.01:
                 line.gone()
                 await asyncio.sleep(self.dice.uniform(0.0, 10.0))
-                line, sequence = self._line(), self.dice.choice((0, sequence, 65534))
+                line, sequence = self._line(), self.dice.choice((0, 0, sequence, 65534))
             sequence = sequence % 65535 + 1
-            if sequence == line.read(reg.STATUS)["CMD_SEQ_ECHO"]:
-                sequence = sequence % 65535 + 1  # a command runs when CMD_SEQ changes
-            await self._handshake(line, sequence)
-            if self.dice.random() < 0.05:
-                line.write(reg.ADDRESS["OPTIONS"], reg.Option.RELEASE)
-                await asyncio.sleep(self.dice.uniform(0.0, 10.0))
+            try:
+                if not await self._handshake(line, sequence) and self.dice.random() < 0.8:
+                    sequence -= 1  # the same number once more: it was not answered
+                    continue
+                if self.dice.random() < 0.5:
+                    line.write(reg.ADDRESS["OPTIONS"], reg.Option.RELEASE)
+                    await asyncio.sleep(self.dice.uniform(0.0, 10.0))
+            except LinkDown:
+                await asyncio.sleep(0.1)
             await asyncio.sleep(self.dice.uniform(0.0, 1.0))
 
-    async def _handshake(self, line: Line, sequence: int) -> None:
+    async def _handshake(self, line: Line, sequence: int) -> bool:
+        """Whether the command was answered."""
         kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4))[0]
         job = self.dice.choice((1, 2)) if self.dice.random() < 0.99 else 9
         timeout_ms = self.dice.choice((0, 100, 1000, 5000))
-        world, cell = self.world, self.world.cell
-        line.write(reg.ADDRESS["TIMEOUT"], timeout_ms)
+        # the first CMD_SEQ of a connection runs nothing: 0 never does
+        if not line.write(reg.ADDRESS["CMD_SEQ"], 0) or not line.write(reg.ADDRESS["TIMEOUT"], timeout_ms):
+            self.book.counts["not my turn"] += 1
+            await asyncio.sleep(1.0)
+            return True
+        epoch = line.read(reg.STATUS)["START_EPOCH"]
+        line.intent = {sequence}
         if not line.write(reg.ADDRESS["COMMAND"], kind, job, sequence):
             self.book.counts["not my turn"] += 1
-            return
+            return True
         written_s = self.loop.time()
-        world.written[sequence] = written_s
-        while self._going and cell is world.cell:
+        while self._going:
             await asyncio.sleep(self.dice.choice((0.01, 0.02, 0.1)))
             status = line.read(reg.STATUS)
-            if status["CMD_SEQ_ECHO"] != sequence:
-                return  # somebody else, or a restart
+            if (status["CMD_SEQ_ECHO"], status["START_EPOCH"]) != (sequence, epoch):
+                return False  # somebody else, or another start
             waited_s = self.loop.time() - written_s
             if status["DONE_SEQ"] == sequence:
                 break
             limit_s = timeout_ms / 1000 if timeout_ms else 60.0
             self.book.expect(waited_s <= limit_s + 0.2, f"no answer to {sequence} for {waited_s:.2f} s")
         result = line.read(reg.RESULT)
-        if int(result["FLAGS"]) & reg.Flag.VALID and result["SEQ_HEAD"] == sequence:
-            self.book.counts["parts picked"] += 1
-            self.book.expect(kind == CommandKind.LOCATE, f"coordinates for {kind.name}")
+        if (result["SEQ_HEAD"], result["START_EPOCH"]) != (sequence, epoch):
+            return True
+        if int(result["FLAGS"]) & reg.Flag.VALID:
+            self._pick(kind, job, result, written_s)
             if self.dice.random() < 0.5:
                 await asyncio.sleep(self.dice.uniform(0.0, 3.0))
             if not line.write(reg.ADDRESS["ACK_SEQ"], sequence):
-                return
-            bits = int(line.read(reg.STATUS)["STATUS_BITS"])
-            self.book.expect(not bits & reg.StatusBit.RESULT_VALID, "VALID after its acknowledgement")
+                return True
+            status = line.read(reg.STATUS)
+            up = int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
+            self.book.expect(not up or status["START_EPOCH"] != epoch, "VALID after its acknowledgement")
+        return True
+
+    def _pick(self, kind: int, job: int, result: Mapping[str, reg.Number], asked_s: float) -> None:
+        """A robot moves to it."""
+        self.book.counts["parts picked"] += 1
+        self.book.expect(kind == CommandKind.LOCATE, f"coordinates for command {kind}")
+        exposed_s, _ = self.world.exposures[int(result["X"])]
+        self.book.expect(exposed_s >= asked_s, f"picked by an exposure {asked_s - exposed_s:.3f} s too old")
+        measured = {int(result["JOB"]), round(int(result["Y"]) / 1000)}
+        self.book.expect(measured == {job} or (job == 0 and len(measured) == 1), f"{measured} for job {job}")
+
+    async def _cyclic(self) -> None:
+        """A PLC as most are: the same registers every 20 ms, for ever, whatever happens in between."""
+        line = self._line()
+        memory = [0, 0, 0, 0]  # COMMAND, JOB, CMD_SEQ, ACK_SEQ
+        asked_s, epoch, looks = -math.inf, 0, 0
+        while self._going:
+            await asyncio.sleep(CYCLE_S)
+            looks += 1
+            try:
+                if self.dice.random() < 1e-3:
+                    line.gone()  # its power fails; registers are kept
+                    line.intent.clear()
+                    asked_s = -math.inf
+                    await asyncio.sleep(self.dice.uniform(0.0, 30.0))
+                    line.renew()
+                line.connect()
+                self.world.cell.write(line.number, reg.ADDRESS["COMMAND"], memory)
+                if looks % 5 == 0:
+                    status = line.read(reg.STATUS)
+                    if memory[2] in line.intent and status["NACK_REASON"] == hs.Reason.BASELINE:
+                        line.intent, memory[2] = {memory[2] % 65535 + 1}, memory[2] % 65535 + 1
+                    if asked_s > 0 and status["START_EPOCH"] == epoch and status["DONE_SEQ"] == memory[2]:
+                        result = line.read(reg.RESULT)
+                        mine = (result["SEQ_HEAD"], result["START_EPOCH"]) == (memory[2], epoch)
+                        if mine and int(result["FLAGS"]) & reg.Flag.VALID:
+                            self._pick(memory[0], memory[1], result, asked_s)
+                            memory[3] = memory[2]
+                        asked_s = -math.inf
+                    if asked_s < 0 and self.dice.random() < 0.05 and status["CMD_SEQ_ECHO"] == memory[2]:
+                        memory = [CommandKind.LOCATE, self.dice.choice((0, 1, 2)), memory[2] % 65535 + 1, 0]
+                        line.intent, asked_s, epoch = (
+                            {memory[2]},
+                            self.loop.time(),
+                            int(status["START_EPOCH"]),
+                        )
+            except (LinkDown, RequestRefused):
+                line.intent.clear()  # its program gives up; its registers stay
+                asked_s = -math.inf
+                if self.dice.random() < 0.05:
+                    await asyncio.sleep(self.dice.uniform(0.0, 60.0))
+            if self.loop.time() - asked_s > 20.0:
+                line.intent.clear()
+                asked_s = -math.inf
 
     async def _careless(self) -> None:
-        """A second client: reads, tries to write, floods the queue, starts a heartbeat and forgets it."""
+        """A third client: reads, tries to write, floods the queue, starts a heartbeat and forgets it."""
         while self._going:
             await asyncio.sleep(self.dice.expovariate(1 / 10.0))
             line = self._line()
-            for _ in range(self.dice.choice((1, 1, 12))):
-                sequence = self.dice.randrange(65536)
-                if line.write(reg.ADDRESS["COMMAND"], self.dice.choice((1, 2, 3, 4, 77)), 0, sequence):
-                    self.world.written[sequence] = self.loop.time()
-                    self.book.counts["careless writes"] += 1
-            if self.dice.random() < 0.3:
-                line.write(reg.ADDRESS["CLIENT_HEARTBEAT"], self.dice.randrange(1, 9))
-            await asyncio.sleep(self.dice.uniform(0.0, 3.0))
+            try:
+                for _ in range(self.dice.choice((1, 1, 12))):
+                    sequence = self.dice.choice((self.dice.randrange(65536), self.dice.randrange(9)))
+                    line.intent = {sequence}
+                    option = self.dice.choice((0, 0, reg.Option.ONCE))
+                    words = (self.dice.choice((1, 2, 3, 4, 77)), 0, sequence, 0, 0, option)
+                    if line.write(reg.ADDRESS["COMMAND"], *words):
+                        self.book.counts["careless writes"] += 1
+                if self.dice.random() < 0.3:
+                    line.write(reg.ADDRESS["CLIENT_HEARTBEAT"], self.dice.randrange(1, 9))
+                await asyncio.sleep(self.dice.uniform(0.0, 3.0))
+            except LinkDown:
+                continue
             line.gone()
 
-    async def _bad_luck(self) -> None:
-        """Dead cameras, a clock that is set, a daemon that is restarted."""
+    async def _zenoh(self) -> None:
+        """Triggers that come beside the PLC's commands."""
         while self._going:
-            await asyncio.sleep(self.dice.expovariate(1 / 120.0))
-            what = self.dice.choice(("camera", "camera", "clock", "restart"))
+            await asyncio.sleep(self.dice.expovariate(1.0))
+            for _ in range(self.dice.choice((1, 1, 3)) if not self.world.is_down else 0):
+                self.world.trigger.ask(self.dice.choice((0, 1, 2)), self.dice.choice((0.1, 5.0)))
+
+    async def _block(self) -> None:
+        """The generated function block in a PLC that writes every 50 ms."""
+        program = structured_text.Program(structured_text_source(), lambda: self.loop.time() * 1e3)
+        block = program.instance("FB_EDGED")
+        values, line = block.values, self._line()
+        values["awStatus"], values["awResult"] = [0] * reg.STATUS.words, [0] * reg.RESULT.words
+        asked_s, stop_s = math.inf, self.loop.time() + self._block_s
+        while self._going and self.loop.time() < stop_s:
+            await asyncio.sleep(0.05)
+            try:
+                for name, place in (("awStatus", reg.STATUS), ("awResult", reg.RESULT)):
+                    answer = line.ask(struct.pack(">BHH", 3, place.address, place.words))
+                    values[name] = list(struct.unpack(f">{place.words}H", answer[2:]))
+                values["xLinkOk"] = line.write(reg.COMMAND.address, *values["awCommand"])
+            except LinkDown:
+                values["xLinkOk"] = False
+            if not values["xExecute"] and values["xReady"] and self.dice.random() < 0.2:
+                values |= {"xExecute": True, "uiJob": self.dice.choice((0, 1, 2))}
+                asked_s = self.loop.time()
+            elif values["xExecute"] and not values["xBusy"] and self.dice.random() < 0.1:
+                values["xExecute"] = False
+            block.scan()
+            line.intent = {values["uiSequence"]} if values["xBusy"] else set()
+            if not values["stResult"]["xValid"]:
+                continue
+            self.book.counts["scans of the function block with something valid"] += 1
+            result = values["stResult"]
+            exposed_s, _ = self.world.exposures[result["diX"]]
+            age_s = self.loop.time() - exposed_s
+            self.book.expect(
+                exposed_s >= asked_s, f"xValid by an exposure {asked_s - exposed_s:.3f} s too old"
+            )
+            self.book.expect(age_s <= VALIDITY_S + 0.06, f"xValid after {age_s:.3f} s")
+            measured = {result["uiJOB"], round(result["diY"] / 1000)}
+            self.book.expect(
+                len(measured) == 1 and values["uiJob"] in (0, *measured), f"xValid for {measured}"
+            )
+
+    async def _bad_luck(self) -> None:
+        """Dead cameras, a clock that is set, a daemon that is stopped or killed, reloads of every section."""
+        while self._going:
+            await asyncio.sleep(self.dice.expovariate(1 / 10.0))
+            what = self.dice.choice(self._luck)
             self.book.counts[what] += 1
             if what == "camera":
                 self.world.broken = True
-                await asyncio.sleep(self.dice.uniform(0.1, 20.0))
+                await asyncio.sleep(self.dice.uniform(0.1, 10.0))
                 self.world.broken = False
             elif what == "clock":
                 self.world.wall_shift_s += self.dice.choice((-3600.0, -1.0, -0.02, 0.02, 1.0, 3600.0))
-            else:
+            elif what == "restart":
                 await self.world.reboot()
+            else:
+                section = self.dice.choice(self._sections)
+                for _ in range(1 if what == "reload" else 4):
+                    await self._while_commands_wait()
+                    again = self.dice.random() < 0.5
+                    self.world.reload(section if again else self.dice.choice(self._sections))
+                    await asyncio.sleep(self.dice.choice((0.0, 0.001, 0.1, 1.0)))
+
+    async def _while_commands_wait(self) -> None:
+        """What goes wrong at a reload goes wrong for commands that were accepted before it."""
+        for _ in range(self.dice.choice((0, 100, 500))):
+            if len(self.book.open) + self.world.trigger.waiting > 1:
+                return
+            await asyncio.sleep(0.01)
 
     # --- who looks on --------------------------------------------------------------------------
 
     async def _observe(self) -> None:
-        line = Line(self.world, 0)
+        line = self._line()
         while self._going:
             await asyncio.sleep(self.dice.choice((0.001, 0.01, 0.05, 0.3, 2.0)))
-            self.book.counts["looks"] += 1
-            self._look(line)
+            if not self.world.is_down:
+                self.book.counts["looks"] += 1
+                self._look(line)
 
     def _look(self, line: Line) -> None:
         expect, now_s = self.book.expect, self.loop.time()
@@ -379,8 +725,9 @@ class Soak:
         self.book.counts["looks at something valid"] += 1
         expect(sequence == status["CMD_SEQ_ECHO"] != 0, f"VALID with {sequence}, not the newest command")
         expect(len(set(places)) == 1 and round(mirror["F_X"] * 1000) == places[0], f"X differs: {places}")
-        exposed_s = self.world.exposures.get(int(places[0]), -math.inf)
-        written_s = self.world.written.get(sequence, math.inf)
+        exposed_s, _ = self.world.exposures.get(int(places[0]), (-math.inf, 0))
+        written_s = self.world.cell.written.get(sequence, math.inf)
+        expect(result["START_EPOCH"] == status["START_EPOCH"] != 0, "another start's result")
         expect(
             exposed_s >= written_s, f"the exposure is {written_s - exposed_s:.3f} s older than its command"
         )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scriptedhead import Ear, Head, until
 
-from edged.cycle import QUEUE_LENGTH, Cycle, LoadedJob, Setup
+from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
     CellPhase,
     CellState,
@@ -260,6 +260,106 @@ def test_a_new_setup_is_taken_between_two_cycles() -> None:
     assert ("job2", 2, "cal2", True) == (last.job, last.job_number, last.calibration_id, last.simulated)
     assert head.closed >= 1
     assert second_head.captures >= 1
+
+
+def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> None:
+    """The second one changes no camera: the calibration of both goes with the cameras of the first."""
+    second_head = Head()
+    new = dataclasses.replace(make_setup(period_s=0.005), calibration_id="cal2")
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await until(lambda: ear.state() == "READY")
+        cycle.exchange(new, second_head)
+        cycle.exchange(dataclasses.replace(new, fingerprint="beef"))
+        await until(lambda: ear.snapshots() and ear.snapshots()[-1].fingerprint == "beef")
+
+    ear, head = drive(make_setup(), script)
+
+    assert {"cal2"} == {shot.calibration_id for shot in ear.snapshots()}
+    assert (0, 1) == (head.captures, head.closed)
+    assert second_head.captures
+
+
+def waiting_at_a_reload(commands: list[Command], new: Setup) -> Ear:
+    """Accepted while a cycle runs; the setup is exchanged before their turn comes."""
+    release = threading.Event()
+
+    def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        release.wait(5)
+        return Outcome(Status.NO_TARGET)
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        cycle.submit(locate_command(0))
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        for command in commands:
+            cycle.submit(command)
+        cycle.exchange(new)
+        release.set()
+        await until(lambda: all(ear.answers(command) for command in commands))
+
+    ear, _ = drive(make_setup(locate=slow), script)
+    return ear
+
+
+@pytest.mark.parametrize("kind", [CommandKind.LOCATE, CommandKind.VERIFY, CommandKind.CHANGE_JOB])
+def test_a_command_for_a_job_that_a_reload_took_away_fails(kind: CommandKind) -> None:
+    """It does not measure, or prepare, the job that happens to be active."""
+    lost, kept = Command(kind, "test", 1, 2), locate_command(2, job=1)
+
+    ear = waiting_at_a_reload([lost, kept], make_setup(numbers=(1,)))
+
+    (answer,) = ear.answers(lost)
+    assert isinstance(answer, CommandFailed)
+    assert "unknown job 2" in answer.reason
+    assert [Snapshot] == [type(answer) for answer in ear.answers(kept)]
+
+
+def test_a_command_for_the_active_job_fails_when_a_reload_took_that_away() -> None:
+    """Who asked for the active part gets no other one; who changes the job first gets what it asked for."""
+    blind, change, meant = locate_command(1), Command(CommandKind.CHANGE_JOB, "test", 2, 2), locate_command(3)
+
+    ear = waiting_at_a_reload([blind, change, meant], make_setup(numbers=(2,)))
+
+    (answer,) = ear.answers(blind)
+    assert isinstance(answer, CommandFailed)
+    assert "job 1 (job1), which was active" in answer.reason
+    assert [JobChanged, Snapshot] == [type(ear.answers(command)[0]) for command in (change, meant)]
+
+
+def test_a_command_without_what_a_reload_made_necessary_fails() -> None:
+    """The robot carries the cameras now: LOCATE without the pose of the flange is not carried out."""
+    command = locate_command(1)
+
+    ear = waiting_at_a_reload([command], dataclasses.replace(make_setup(), flange_from_rig=np.eye(4)))
+
+    (answer,) = ear.answers(command)
+    assert isinstance(answer, CommandFailed)
+    assert "pose of the flange" in answer.reason
+
+
+def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
+    """Free running at full speed without cameras; and listening, each time a fault that is known at once."""
+
+    class Unpaired(Head):
+        async def listen(self) -> FramePair:
+            raise FrameUnpaired("right", "no partner")
+
+    for setup, head in (
+        (make_setup(period_s=0.0), Head()),
+        (dataclasses.replace(make_setup(), listens=True), Unpaired()),
+    ):
+        head.broken = True
+        spans: list[float] = []
+
+        async def script(cycle: Cycle, ear: Ear, head: Head, spans: list[float] = spans) -> None:
+            await until(ear.snapshots)
+            start_s = time.monotonic()
+            await asyncio.sleep(0.35)
+            spans.append(time.monotonic() - start_s)
+
+        ear, _ = drive(setup, script, head)
+
+        assert 2 <= len(ear.snapshots()) <= 2 + spans[0] / FAULT_REST_S + 1
 
 
 # --- exposures that others trigger --------------------------------------------------------------------

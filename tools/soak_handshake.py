@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Simulate days of handshakes with faults in virtual time and look for violations.
+"""Simulate days of handshakes with faults, restarts and reloads in virtual time and look for violations.
 
 Run it with the project's Python: `.venv/bin/python tools/soak_handshake.py --hours 24`. What is simulated and
 which rules are checked stands in `tests/soak.py`. Exit code 1 if any rule was broken; a seed repeats a run.
@@ -18,11 +18,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from soak import Soak
 
 
-def main(hours: float, seed: int) -> int:
+def main(hours: float, seed: int, block_hours: float) -> int:
     """Print what happened and what should not have."""
     logging.disable(logging.CRITICAL)  # refused and failed commands by the thousand are what is simulated
     start_s = time.monotonic()
-    book = Soak(seed).run(hours * 3600)
+    book = Soak(seed, block_hours * 3600).run(hours * 3600)
     print(f"{hours:g} h of handshakes in {time.monotonic() - start_s:.0f} s, seed {seed}")
     for what, count in sorted(book.counts.items()):
         print(f"  {count:9d}  {what}")
@@ -36,5 +36,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--hours", type=float, default=24.0, help="of virtual time")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--block-hours",
+        type=float,
+        default=0.5,
+        help="of them, with the generated function block, scan by scan",
+    )
     arguments = parser.parse_args()
-    sys.exit(main(arguments.hours, arguments.seed))
+    sys.exit(main(arguments.hours, arguments.seed, arguments.block_hours))

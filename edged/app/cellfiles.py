@@ -53,12 +53,15 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     jobs = _load_jobs(config, problems)
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
-    files = {"rig.json": config.cell.rig.read_bytes()}
-    for folder in job_folders(config.cell.jobs):
-        for name in ("job.toml", "shape.npz"):
-            files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
+    try:
+        files = {"rig.json": config.cell.rig.read_bytes()}
+        for folder in job_folders(config.cell.jobs):
+            for name in ("job.toml", "shape.npz"):
+                files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
+        contents = {**files, "cell.toml": path.read_bytes()}
+    except OSError as error:  # it was there a moment ago
+        raise ConfigError(str(path), [f"{error.filename}: cannot be read: {error.strerror}"]) from error
     identity = fingerprint(config, files)
-    contents = {**files, "cell.toml": path.read_bytes()}
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
 
 

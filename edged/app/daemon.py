@@ -80,7 +80,8 @@ class Daemon:
         """Publish and measure until `stop`. Raises `ListenError` when a port cannot be opened."""
         started: list[Publisher] = []
         try:
-            await self._servers.start(self._loaded.cell.config)
+            async with self._reloading:
+                await self._servers.start(self._loaded.cell.config)
             for observer in self._observers:
                 started.append(observer)
                 await observer.start()
@@ -98,7 +99,8 @@ class Daemon:
     async def reload(self) -> bool:
         """Read the configuration again and exchange what changed; False if it was refused.
 
-        A configuration with mistakes, or one whose ports cannot be opened, leaves everything as it was.
+        A configuration with mistakes, files that cannot be read, or ports that cannot be opened leave
+        everything as it was.
         """
         async with self._reloading:
             self._notifier.reloading()
@@ -106,12 +108,15 @@ class Daemon:
                 loaded = await asyncio.to_thread(load_cell, self._path)
                 await asyncio.to_thread(warm_up, loaded)
                 head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
-                await self._servers.exchange(self._loaded.cell.config, loaded.cell.config)
-            except EdgedError as error:
+                await self._servers.exchange(loaded.cell.config)
+            except (EdgedError, OSError, RuntimeError) as error:
                 # the message names file, section and option: a traceback says no more
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
                 self._notifier.reloaded(refused=str(error))
                 return False
+            except Exception:
+                self._notifier.reloaded(refused="a bug, see the log")
+                raise
             self._loaded, self._head = loaded, head or self._head
             self._cycle.exchange(loaded.setup, head)
             self._notifier.reloaded()

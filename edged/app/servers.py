@@ -2,40 +2,82 @@
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
+import logging
 from collections.abc import Callable, Mapping
 from ipaddress import ip_address, ip_network
+from pathlib import Path
 from typing import NamedTuple
 
-from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings
+from edged.adapters.modbus import (
+    ModbusPublisher,
+    ModbusSettings,
+    SerialSettings,
+    TlsSettings,
+    server_context,
+)
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.adapters.web import Sources, WebPublisher, WebSettings
-from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
+from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
+from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, configured, named_files
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
 from edged.config import Config, ModbusSection, RecorderSection, WebSection, ZenohSection
 from edged.errors import EdgedError
 from edged.ports import Commander, Publisher
 from edged.robot.orientations import Convention
 
+log = logging.getLogger(__name__)
+
 
 class Wanted(NamedTuple):
-    """A server that a configuration asks for. cell : the cell's name where the server says it, else ""."""
+    """A server that a configuration asks for. cell : the cell's name where the server says it, else "".
+
+    files : digest of each file that it reads at its start: certificates, authorities, access control.
+    """
 
     section: ModbusSection | ZenohSection | RecorderSection | WebSection
     cell: str = ""
+    files: tuple[tuple[Path, bytes], ...] = ()
+
+    @property
+    def port(self) -> int | None:
+        """The TCP port that it listens on; None where that is not all that it holds, or not known."""
+        section = self.section
+        if isinstance(section, ModbusSection):
+            return section.port if section.serial is None else None
+        return section.port if isinstance(section, WebSection) else None
 
 
 def wanted_servers(config: Config) -> dict[str, Wanted]:
-    """By the name of their section; two that are equal need no exchange."""
+    """By the name of their section, the PLC's last; two that are equal need no exchange.
+
+    Raises `OSError` for a file that cannot be read.
+    """
     wanted = dict[str, Wanted]()
-    if config.modbus.enabled:
-        wanted["modbus"] = Wanted(config.modbus)
-    if config.zenoh.enabled:
-        wanted["zenoh"] = Wanted(config.zenoh, config.cell.name)
+    files = config.machine_files()
     if config.recorder is not None:
         wanted["recorder"] = Wanted(config.recorder)
     if config.web is not None:
-        wanted["web"] = Wanted(config.web, config.cell.name)
+        wanted["web"] = Wanted(config.web, config.cell.name, _digests(files, "web."))
+    if config.zenoh.enabled:
+        own = config.zenoh.config_file
+        named = {} if own is None else {str(file): file for file in (own, *named_files(own))}
+        wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, _digests(named))
+    if config.modbus.enabled:
+        wanted["modbus"] = Wanted(config.modbus, files=_digests(files, "modbus."))
     return wanted
+
+
+def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path, bytes], ...]:
+    return tuple(
+        (file, hashlib.sha256(file.read_bytes()).digest())
+        for place, file in files.items()
+        if place.startswith(beginning)
+    )
+
+
+Build = Callable[[], Publisher]
+"""Makes a server anew of what was read before: it needs no file any more."""
 
 
 class Servers:
@@ -57,6 +99,7 @@ class Servers:
         self._metrics = metrics
         self._changed = changed
         self._started: dict[str, Publisher] = {}
+        self._wanted: dict[str, tuple[Wanted, Build]] = {}  # of those that run
 
     @property
     def started(self) -> Mapping[str, Publisher]:
@@ -66,20 +109,27 @@ class Servers:
     async def start(self, config: Config) -> None:
         """Start all that are wanted. Raises `ListenError`; those that were started before it run on."""
         for name, wanted in wanted_servers(config).items():
-            await self._start(name, wanted)
+            await self._start(name, wanted, self._builder(wanted))
 
-    async def exchange(self, old: Config, new: Config) -> None:
-        """Exchange those that are wanted otherwise. When one cannot start, all are again as they were."""
-        before, after = wanted_servers(old), wanted_servers(new)
-        exchanged: list[str] = []
+    async def exchange(self, config: Config) -> None:
+        """Exchange those that are wanted otherwise, or whose files have changed; or all stay, and it raises.
+
+        Files are read, and judged, before any server is touched. One that listens elsewhere is started beside
+        the running one. When one cannot start all the same, those that were exchanged before it are again as
+        they were, of the files as they were.
+        """
+        wanted = await asyncio.to_thread(wanted_servers, config)
+        before = {name: running for name, (running, _) in self._wanted.items()}
+        changed = [name for name in {**before, **wanted} if before.get(name) != wanted.get(name)]
+        new = {name: (wanted[name], self._builder(wanted[name])) for name in changed if name in wanted}
+        old, exchanged = dict(self._wanted), list[str]()
         try:
-            for name in {**before, **after}:
-                if before.get(name) != after.get(name):
-                    exchanged.append(name)
-                    await self._restart(name, after.get(name))
-        except EdgedError:
-            for name in exchanged:
-                await self._restart(name, before.get(name))
+            for name in changed:
+                exchanged.append(name)
+                await self._restart(name, new.get(name))
+        except (EdgedError, OSError):
+            for name in reversed(exchanged):
+                await self._put_back(name, old.get(name))
             raise
 
     async def close(self) -> None:
@@ -87,34 +137,60 @@ class Servers:
         for publisher in self._started.values():
             await publisher.close()
 
-    async def _restart(self, name: str, wanted: Wanted | None) -> None:
+    async def _restart(self, name: str, new: tuple[Wanted, Build] | None) -> None:
         try:
-            if name in self._started:
+            running = self._wanted.get(name)
+            if new is not None and running is not None and _lie_apart(running[0], new[0]):
+                before = self._started[name]
+                await self._start(name, *new)
+                await before.close()
+                return
+            if running is not None:
+                del self._wanted[name]
                 await self._started.pop(name).close()
-            if wanted is not None:
-                await self._start(name, wanted)
+            if new is not None:
+                await self._start(name, *new)
         finally:
             self._changed()
 
-    async def _start(self, name: str, wanted: Wanted) -> None:
-        publisher = self._made(wanted)
-        await publisher.start()
-        self._started[name] = publisher
+    async def _put_back(self, name: str, old: tuple[Wanted, Build] | None) -> None:
+        if self._wanted.get(name) == old:
+            return
+        try:
+            await self._restart(name, old)
+        except (EdgedError, OSError):
+            # somebody took its port meanwhile; the others must be put back all the same
+            log.exception("%s is off until the next reload", name)
 
-    def _made(self, wanted: Wanted) -> Publisher:
+    async def _start(self, name: str, wanted: Wanted, build: Build) -> None:
+        publisher = build()
+        try:
+            await publisher.start()
+        except BaseException:
+            await publisher.close()
+            raise
+        self._started[name], self._wanted[name] = publisher, (wanted, build)
+
+    def _builder(self, wanted: Wanted) -> Build:
+        """Read what a server needs. Raises `EdgedError` or `OSError` for what it cannot use."""
         running, section = self._running, wanted.section
         match section:
             case ModbusSection():
-                return ModbusPublisher(_modbus_settings(section), self._commander)
+                modbus = _modbus_settings(section)
+                context = None if modbus.tls is None else server_context(modbus.tls)
+                return lambda: ModbusPublisher(modbus, self._commander, context=context)
             case ZenohSection():
-                return ZenohPublisher(
-                    _zenoh_settings(section, wanted.cell),
+                zenoh = _zenoh_settings(section, wanted.cell)
+                session = configured(zenoh)
+                return lambda: ZenohPublisher(
+                    zenoh,
                     self._commander,
                     jobs=lambda: job_list(running().loaded),
                     config=lambda: config_summary(running().loaded),
+                    session=session,
                 )
             case RecorderSection():
-                return Recorder(
+                return lambda: Recorder(
                     RecorderSettings(**section.model_dump()),
                     lambda: (running().loaded.setup.fingerprint, running().loaded.cell.contents),
                 )
@@ -126,7 +202,14 @@ class Servers:
                     registers=lambda: register_rows(self._started.get("modbus")),
                     metrics=self._metrics,
                 )
-                return WebPublisher(wanted.cell, WebSettings(**section.model_dump()), sources)
+                web = WebSettings(**section.model_dump())
+                tls = page_context(web)
+                return lambda: WebPublisher(wanted.cell, web, sources, context=tls)
+
+
+def _lie_apart(one: Wanted, other: Wanted) -> bool:
+    """Whether both can run at once."""
+    return None not in (one.port, other.port) and one.port != other.port
 
 
 def _modbus_settings(section: ModbusSection) -> ModbusSettings:

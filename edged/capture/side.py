@@ -17,7 +17,8 @@ class Side:
 
     frame_id : of the last frame since it was opened. paired_id : of the last pair. image : the last one ever,
     so that a camera that still shows the same picture after it was opened again is caught. coming : the frame
-    that is listened for. suspect : it gave no image, and is to be asked why.
+    that is listened for, since_s, and heard_s : when the last one came (time of the event loop). suspect : it
+    gave no image, and is to be asked why.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -28,6 +29,7 @@ class Side:
         self.image: Image | None = None
         self.paired_id: int | None = None
         self.coming: asyncio.Task[Frame] | None = None
+        self.since_s = self.heard_s = 0.0
         self.suspect = False
         self.closing: asyncio.Task[None] | None = None
 
@@ -61,8 +63,20 @@ class Side:
     def listen(self) -> asyncio.Task[Frame]:
         """The task that waits for the next frame; it goes on when who waits for it is cancelled."""
         if self.coming is None:
-            self.coming = asyncio.create_task(self.camera.frame(), name=f"listen {self.name}")
+            self.since_s = asyncio.get_running_loop().time()
+            self.coming = asyncio.create_task(self._hear(), name=f"listen {self.name}")
         return self.coming
+
+    def listen_again(self) -> None:
+        """After it gave up: the same wait goes on."""
+        since_s, self.coming = self.since_s, None
+        self.listen()
+        self.since_s = since_s
+
+    async def _hear(self) -> Frame:
+        frame = await self.camera.frame()
+        self.heard_s = asyncio.get_running_loop().time()
+        return frame
 
     async def closed(self) -> None:
         """Wait for the end of what `close_soon` began."""

@@ -259,8 +259,15 @@ class StereoHead:
                 break
             await asyncio.sleep(LISTEN_AGAIN_S)
             for side in given_up:
-                side.coming = None
-        await asyncio.wait(tasks, timeout=self._timeout_s)
+                if side.has_given_up():
+                    side.listen_again()
+        # this may be cancelled and called again for as long as a camera is silent: its time runs on from when
+        # the first frame was there and both were listened to
+        now_s = asyncio.get_running_loop().time()
+        frames_s = (side.heard_s for side, task in zip(self._sides, tasks, strict=True) if _has_frame(task))
+        first_s = min(frames_s, default=now_s)
+        due_s = max(first_s, *(side.since_s for side in self._sides)) + self._timeout_s
+        await asyncio.wait(tasks, timeout=max(0.0, due_s - now_s))
         came = {side.name: side.coming for side in self._sides if side.coming and side.coming.done()}
         frames = {name: task.result() for name, task in came.items() if task.exception() is None}
         if len(frames) == 2:
@@ -320,6 +327,10 @@ class StereoHead:
             for side in broken:
                 side.close_soon()
         return error
+
+
+def _has_frame(task: asyncio.Task[Frame]) -> bool:
+    return task.done() and not task.cancelled() and task.exception() is None
 
 
 def _merge(errors: list[CaptureError]) -> CaptureError:

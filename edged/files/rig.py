@@ -69,7 +69,7 @@ def load_rig(path: Path) -> StereoRig:
     path = Path(path)
     try:
         document = json.loads(read_bytes(path, "a rig"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON: {error}") from error
     if not isinstance(document, dict) or document.get("format") != RIG_FORMAT:
         raise FileFormatError(f'{path}: not a rig file (expected "format": "{RIG_FORMAT}")')

@@ -9,6 +9,11 @@ The rules:
 
 - A command runs when CMD_SEQ changes to something other than 0. Whatever result was on display is
   taken down at that moment, whether the command is accepted or refused.
+- The first CMD_SEQ that a connection writes is a baseline: it is taken note of, and nothing runs (NACK,
+  BASELINE). So it is after the start, after another client has written CMD_SEQ, and after it was not its
+  turn. PLCs write the same registers for ever: what was a command to the cell before a restart, or before
+  somebody else's turn, is none any more. Who writes a command once, on purpose, says so
+  (`SequenceWritten.once`).
 - Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
   found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
 - The answer of the newest command stays on display until the next one is written.
@@ -60,6 +65,8 @@ class Reason(enum.IntEnum):
     """Accepted, and then it could not be carried out: the log says why."""
     CAPTURE_FAULT = 6
     """The cameras gave no pair of images: ERROR says why."""
+    BASELINE = 8
+    """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
 
 
 class Verdict(enum.Enum):
@@ -108,10 +115,14 @@ class Result(Generic[Payload]):
 
 @dataclass(frozen=True, slots=True)
 class Handshake(Generic[Payload]):
-    """The state. Build it with the limits only; everything else is the state after start."""
+    """The state. Build it with the limits only; everything else is the state after start.
+
+    synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
+    """
 
     limits: Limits
     ticket: int = 0
+    synchronised: int | None = None
     command_sequence: int = 0
     acknowledged: int = 0
     open: tuple[Open, ...] = ()
@@ -135,12 +146,15 @@ class Handshake(Generic[Payload]):
 class SequenceWritten:
     """CMD_SEQ was written. known : the command register holds a command that exists.
 
-    timeout_s : for this command, None for none.
+    client : who wrote it. once : it is no part of a block that is written again and again: it runs although
+    nothing is known of what this client wrote before. timeout_s : for this command, None for none.
     """
 
     sequence: int
     known: bool = True
     timeout_s: float | None = None
+    client: int = 0
+    once: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +221,15 @@ class ClaimedBy:
 
 @dataclass(frozen=True, slots=True)
 class Released:
-    """A client has gone, or has given up its right to write."""
+    """A client has given up its right to write. gone : its connection has ended, too."""
+
+    client: int
+    gone: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Barred:
+    """A client wrote CMD_SEQ while another one held the right to write: it was not taken."""
 
     client: int
 
@@ -228,6 +250,7 @@ Event = (
     | Finished[Payload]
     | ClaimedBy
     | Released
+    | Barred
     | Tick
 )
 
@@ -320,8 +343,11 @@ def _take(
             return (replace(state, exposure_done=True) if mine else state), ()
         case ClaimedBy(client):
             return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
-        case Released(client):
-            return (replace(state, owner=None) if state.owner == client else state), ()
+        case Released():
+            return _release(state, event), ()
+        case Barred(client):
+            # what it goes on writing when its turn comes may be a command that it has given up meanwhile
+            return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Tick():
             return state, ()
 
@@ -341,7 +367,10 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
 def _command(
     state: Handshake[Payload], event: SequenceWritten, now_s: float
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    if event.sequence == state.command_sequence:
+    is_baseline = event.client != state.synchronised and not event.once
+    state = replace(state, synchronised=event.client)
+    # what another connection was answered under this very number is no answer to this one
+    if event.sequence == state.command_sequence and not (is_baseline and event.sequence):
         return state, ()
     state = replace(state, command_sequence=event.sequence, result=None, exposure_done=False)
     if event.sequence == 0:
@@ -351,6 +380,8 @@ def _command(
         ticket += SEQUENCE_MASK + 1
     # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
     state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
+    if is_baseline:
+        return _refuse(state, Reason.BASELINE)
     if not event.known:
         return _refuse(state, Reason.UNKNOWN_COMMAND)
     if len(state.open) >= state.limits.queue:
@@ -402,6 +433,14 @@ def _finish(
         # a result without a fault proves an exposure, whatever became of the message that said so
         state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
     return state, effects
+
+
+def _release(state: Handshake[Payload], event: Released) -> Handshake[Payload]:
+    if state.owner == event.client:
+        state = replace(state, owner=None)
+    if event.gone and state.synchronised == event.client:
+        state = replace(state, synchronised=None)
+    return state
 
 
 def _beat(state: Handshake[Payload], value: int, now_s: float) -> Handshake[Payload]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import pytest
+from certificates import make_certificates
 from smallcell import free_port
 
 from edged.app.servers import Servers, wanted_servers
 from edged.app.status import Running
 from edged.config import Config, load
 from edged.domain import Command
-from edged.errors import ListenError
+from edged.errors import ConfigError, ListenError
 
 HEAD = """
 [cell]
@@ -62,7 +64,7 @@ def exchanged(before: Config, after: Config, look: list[int]) -> tuple[list[bool
         servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: told.append(None))
         await servers.start(before)
         try:
-            await servers.exchange(before, after)
+            await servers.exchange(after)
         except ListenError:
             pass
         finally:
@@ -122,3 +124,106 @@ def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tm
     after = wanted_servers(config(tmp_path, sections + change, name))
 
     assert expected == {one for one in {*before, *after} if before.get(one) != after.get(one)}
+
+
+def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:
+    """Whether the server was made anew by an exchange for the same configuration, and whether it listens."""
+    wanted = config(folder, sections)
+
+    async def main() -> tuple[bool, bool]:
+        servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+        await servers.start(wanted)
+        before = dict(servers.started)
+        change()
+        try:
+            await servers.exchange(wanted)
+        except (ListenError, ConfigError):
+            pass
+        finally:
+            answers = is_taken(port)
+            made_anew = dict(servers.started) != before
+            await servers.close()
+        return made_anew, answers
+
+    return asyncio.run(main())
+
+
+def tls_sections(folder: Path, port: int) -> str:
+    """Modbus over TLS with certificates in the folder."""
+    make_certificates(folder)
+    files = "\n".join(
+        f'{name} = "{folder / file}"'
+        for name, file in (("certificate", "server.pem"), ("key", "server.key"), ("authority", "ca.pem"))
+    )
+    return f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[modbus.tls]\n{files}\n"
+
+
+def test_renewed_certificates_are_taken_by_a_reload_and_untouched_ones_leave_the_plc_alone(
+    tmp_path: Path,
+) -> None:
+    """The names in the configuration are the same: what the files hold decides."""
+    port = free_port()
+    sections = tls_sections(tmp_path, port)
+
+    assert (True, True) == exchange_after(tmp_path, sections, lambda: make_certificates(tmp_path), port)
+    assert (False, True) == exchange_after(tmp_path, sections, lambda: None, port)
+
+
+def test_a_damaged_certificate_is_refused_before_the_server_is_touched(tmp_path: Path) -> None:
+    """Half written by who renews it: the PLC's connections live on."""
+    port = free_port()
+    sections = tls_sections(tmp_path, port)
+
+    def damage() -> None:
+        (tmp_path / "server.pem").write_text("-----BEGIN CERTIFICATE-----\n")
+
+    assert (False, True) == exchange_after(tmp_path, sections, damage, port)
+
+
+def test_a_port_that_is_taken_leaves_the_running_server_alone(tmp_path: Path) -> None:
+    """The new one is tried beside the old one, which is never closed."""
+    first = free_port()
+    off = "[zenoh]\nenabled = false\n"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        before = config(tmp_path, f"{off}[modbus]\nport = {first}\n")
+        after = config(tmp_path, f"{off}[modbus]\nport = {taken.getsockname()[1]}\n")
+
+        async def main() -> bool:
+            servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+            await servers.start(before)
+            running = servers.started["modbus"]
+            try:
+                with pytest.raises(ListenError):
+                    await servers.exchange(after)
+                return servers.started["modbus"] is running
+            finally:
+                await servers.close()
+
+        assert asyncio.run(main())
+
+
+def test_a_changed_access_control_of_zenoh_is_taken_by_a_reload(tmp_path: Path) -> None:
+    """It stands in Zenoh's own file, whose name stays the same; so do the certificates which that names."""
+    port = free_port()
+    own = tmp_path / "zenoh.json5"
+    own.write_text("{}")
+    sections = (
+        f'[modbus]\nenabled = false\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\nconfig_file = "{own}"\n'
+    )
+    half = '{access_control: {enabled: true, default_permission: "deny"}}'  # Zenoh refuses it when it opens
+    denied = half.replace("}}", ", rules: [], subjects: [], policies: []}}")
+
+    for content in (denied, half):
+        assert (True, True) == exchange_after(tmp_path, sections, writes(own, content), port)
+        own.write_text("{}")
+    assert (False, True) == exchange_after(tmp_path, sections, writes(own, "{}"), port)
+    assert (False, True) == exchange_after(tmp_path, sections, writes(own, "{"), port)
+
+
+def writes(file: Path, content: str) -> Callable[[], None]:
+    """What somebody does to a file."""
+
+    def write() -> None:
+        file.write_text(content)
+
+    return write

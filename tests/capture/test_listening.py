@@ -156,6 +156,27 @@ def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
     streaming(script, timeout_s=5.0)
 
 
+def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_over() -> None:
+    """Interrupted again and again, each time for less than the partner's time: a fault all the same."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        left.expose(0)
+        for _ in range(1000):
+            listening = asyncio.create_task(head.listen())
+            await asyncio.wait({listening}, timeout=0.02)
+            if listening.done():
+                break
+            listening.cancel()
+            await asyncio.wait({listening})
+        with pytest.raises(FrameUnpaired, match="camera right: no partner for frame 1 of left"):
+            listening.result()
+        left.expose(50)
+        right.expose(50)
+        assert (2, 1) == numbers(await head.listen())
+
+    streaming(script)
+
+
 def test_exposures_that_nobody_had_time_for_are_counted() -> None:
     """Both cameras skipped two numbers: two exposures were missed."""
 

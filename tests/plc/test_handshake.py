@@ -18,8 +18,8 @@ LIMITS = Limits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
 class Run:
     """A handshake that is driven step by step; remembers every effect."""
 
-    def __init__(self) -> None:
-        self.state: Handshake[str] = Handshake(LIMITS)
+    def __init__(self, synchronised: int | None = 0) -> None:
+        self.state: Handshake[str] = Handshake(LIMITS, synchronised=synchronised)
         self.now_s = 100.0
         self.effects: list[hs.Effect] = []
 
@@ -58,6 +58,79 @@ def test_the_same_sequence_again_does_not_run_again() -> None:
     run = Run()
     run.tell(hs.SequenceWritten(7))
     assert () == run.tell(hs.SequenceWritten(7))
+
+
+def test_the_first_number_after_the_start_runs_nothing() -> None:
+    """A PLC that goes on writing what it wrote to the daemon before this one: NACK 8, the next one runs."""
+    run = Run(synchronised=None)
+    assert (hs.Answered(7, Answer.NACK, Reason.BASELINE),) == run.tell(hs.SequenceWritten(7))
+    assert (7, 7, Reason.BASELINE) == (run.state.command_sequence, run.state.done_sequence, run.state.reason)
+    assert () == run.tell(hs.SequenceWritten(7))
+    assert (hs.Submit(8),) == run.tell(hs.SequenceWritten(8))
+
+
+def test_zero_is_a_first_number_as_good_as_any() -> None:
+    """A PLC that starts with cleared registers commands with its next write, and no result is taken down."""
+    run = Run(synchronised=None)
+    run.good(None, cycle=3)
+    assert () == run.tell(hs.SequenceWritten(0))
+    assert run.valid
+    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1))
+
+
+def test_a_command_that_is_written_once_on_purpose_needs_no_number_before() -> None:
+    """And it makes this connection's number known, so that a cyclic repetition runs nothing."""
+    run = Run(synchronised=None)
+    assert (hs.Submit(7),) == run.tell(hs.SequenceWritten(7, client=5, once=True))
+    assert () == run.tell(hs.SequenceWritten(7, client=5))
+    assert (hs.Submit(8),) == run.tell(hs.SequenceWritten(8, client=5))
+
+
+def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothing() -> None:
+    """Whoever wrote CMD_SEQ last goes on; anybody else, and a connection made anew, begins."""
+    run = Run()
+    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1))
+    run.good(1)
+    run.tell(hs.Released(0))
+    assert (hs.Submit(2),) == run.tell(hs.SequenceWritten(2)), "only the right to write was given up"
+    run.good(2)
+    for event in (hs.SequenceWritten(9, client=4), hs.SequenceWritten(2)):
+        (answered,) = run.tell(event)
+        assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+        assert not run.valid
+    run.tell(hs.Released(0, gone=True))
+    (answered,) = run.tell(hs.SequenceWritten(3))
+    assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+
+
+def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
+    """It may have been given up meanwhile, and a PLC goes on writing it."""
+    run = Run()
+    run.tell(hs.Barred(3))
+    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1)), "another client's turn is nothing to this one"
+    run.good(1)
+    run.tell(hs.Barred(0))
+    (answered,) = run.tell(hs.SequenceWritten(2))
+    assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+
+
+def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() -> None:
+    """7 is shown, or still measured, for a client that is gone: a new one that writes 7 sees neither."""
+    done, late = Run(), Run()
+    done.tell(hs.SequenceWritten(7))
+    done.good(7)
+    assert done.valid
+    late.tell(hs.SequenceWritten(7))
+    for run in (done, late):
+        run.tell(hs.Released(0, gone=True))
+        run.tell(hs.SequenceWritten(7, client=1))
+        run.good(7)
+        assert run.state.result is None
+        assert (7, Answer.NACK, Reason.BASELINE) == (
+            run.state.done_sequence,
+            run.state.answer,
+            run.state.reason,
+        )
 
 
 def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -> None:
@@ -218,18 +291,27 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @initialize()
     def start(self) -> None:
-        self.run = Run()
+        self.run = Run(synchronised=None)
         self.accepted: list[int] = []
         self.written_at: int | None = None  # newest ticket (or None when free running)
         self.in_cell: list[int] = []  # commands that the cell has and has not finished
         self.free_cycle = 0
+        self.last_writer: int | None = None  # whose CMD_SEQ is known
 
-    @rule(sequence=st.sampled_from([0, 1, 2, 3, 4, 65534, 65535]), known=st.booleans(), quick=st.booleans())
-    def write_sequence(self, sequence: int, known: bool, quick: bool) -> None:
-        changed = sequence != self.run.state.command_sequence
-        effects = self.run.tell(hs.SequenceWritten(sequence, known, 0.5 if quick else None))
+    @rule(
+        sequence=st.sampled_from([0, 1, 2, 3, 4, 65534, 65535]),
+        known=st.booleans(),
+        quick=st.booleans(),
+        client=st.sampled_from([1, 1, 1, 2]),
+        once=st.sampled_from([False, False, True]),
+    )
+    def write_sequence(self, sequence: int, known: bool, quick: bool, client: int, once: bool) -> None:
+        begins = client != self.last_writer and not once
+        self.last_writer = client
+        changed = sequence != self.run.state.command_sequence or (begins and sequence != 0)
+        effects = self.run.tell(hs.SequenceWritten(sequence, known, 0.5 if quick else None, client, once))
         submitted = [effect.ticket for effect in effects if isinstance(effect, hs.Submit)]
-        assert len(submitted) <= int(changed and sequence != 0 and known)
+        assert len(submitted) <= int(changed and sequence != 0 and known and not begins)
         self.accepted += submitted
         self.in_cell += submitted
         if changed:
@@ -287,10 +369,12 @@ class AnyClientAnyCell(RuleBasedStateMachine):
     def beat(self, value: int) -> None:
         self.run.tell(hs.HeartbeatWritten(value))
 
-    @rule(client=st.integers(1, 3), leaves=st.booleans())
-    def client(self, client: int, leaves: bool) -> None:
+    @rule(client=st.integers(1, 3), leaves=st.booleans(), gone=st.booleans())
+    def client(self, client: int, leaves: bool, gone: bool) -> None:
         if leaves:
-            self.run.tell(hs.Released(client))
+            self.run.tell(hs.Released(client, gone))
+            if gone and self.last_writer == client:
+                self.last_writer = None
         elif may_write(self.run.state, client, self.run.now_s):
             self.run.tell(hs.ClaimedBy(client))
             assert not any(may_write(self.run.state, other, self.run.now_s) for other in {1, 2, 3} - {client})

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 from soak import Soak
 
+from edged.adapters.modbus.cell import NOBODYS, SOURCE, CellRegisters
+from edged.adapters.zenoh.triggers import Triggers
+from edged.cycle import Cycle, LoadedJob
 from edged.plc import handshake as hs
 
 
@@ -19,7 +23,7 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
-    """Dead cameras, a clock that is set, restarts, lost PLCs, a second client: every rule holds."""
+    """Dead cameras, a clock that is set, restarts, reloads, three clients and triggers: every rule holds."""
     book = Soak(seed).run(600.0)
     assert [] == book.violations
     for event in (
@@ -27,7 +31,11 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
         "looks at something valid",
         "NACK TIMEOUT",
         "NACK CAPTURE_FAULT",
+        "NACK BASELINE",
+        "triggers answered",
         "restart",
+        "reload modbus",
+        "reloads",
     ):
         assert book.counts[event], event
 
@@ -71,3 +79,111 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(hs, "step", twice)
     assert any("second answer" in violation for violation in Soak(1).run(60.0).violations)
+
+
+@pytest.mark.slow
+def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
+    """In every scan xValid means: exposed after xExecute, not too old, of the job that was asked for."""
+    book = Soak(1, block_s=120.0).run(120.0)
+    assert [] == book.violations
+    assert book.counts["scans of the function block with something valid"]
+
+
+# --- each defect that was once there is found when it is put back -------------------------------
+
+
+def found(what: str, only: str = "") -> bool:
+    """Whether an hour of the soak says so; only : in which nothing but this section is reloaded."""
+    return Soak(1, until=what, only=only).run(3600.0).is_found
+
+
+def test_a_cell_that_runs_the_first_number_after_a_start_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A PLC that goes on writing the same registers makes a new daemon run an old command."""
+    real = hs.step
+
+    def eager(state: Any, event: Any, now_s: float) -> Any:
+        if isinstance(event, hs.SequenceWritten):
+            state = dataclasses.replace(state, synchronised=event.client)
+        return real(state, event, now_s)
+
+    monkeypatch.setattr(hs, "step", eager)
+    assert found("ran unasked")
+
+
+@pytest.mark.slow
+def test_two_reloads_that_lose_the_cameras_of_the_first_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The calibration of the new cameras over pictures of the old ones."""
+
+    real = Cycle.exchange
+
+    def overwrite(self: Cycle, setup: Any, head: Any = None) -> None:
+        vars(self)["_pending"] = None
+        real(self, setup, head)
+
+    monkeypatch.setattr(Cycle, "exchange", overwrite)
+    assert found("under the calibration of")
+
+
+class _AnyJob(dict[int, LoadedJob]):
+    """Jobs of which a missing one is the active one."""
+
+    def __init__(self, cycle: Cycle) -> None:
+        super().__init__(vars(cycle)["_setup"].jobs)
+        self._active = vars(cycle)["_active"]
+
+    def __missing__(self, number: int) -> LoadedJob:
+        return self._active
+
+
+@pytest.mark.slow
+def test_a_missing_job_that_is_measured_as_the_active_one_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that was accepted before a reload took its job away."""
+    real = vars(Cycle)["_measure"]
+
+    async def anything(self: Cycle, command: Any, heard: Any) -> Any:
+        mine = vars(self)
+        mine["_setup"] = dataclasses.replace(mine["_setup"], jobs=_AnyJob(self))
+        return await real(self, command, heard)
+
+    monkeypatch.setattr(Cycle, "_check_waiting", lambda _self, _gone: None)
+    monkeypatch.setattr(Cycle, "_measure", anything)
+    assert found("for a trigger of job")
+
+
+def by_number(self: CellRegisters, command: Any) -> int | None:
+    """The ticket of a command, whoever submitted it."""
+    if command is None:
+        return None
+    return command.sequence if command.source == SOURCE else NOBODYS
+
+
+def take_by_number(self: Triggers[Any], command: Any) -> Any:
+    """Who waits for a command of this number."""
+    if command is None or command.source != "zenoh":
+        return None
+    pending = vars(self)["_pending"].pop(command.sequence, None)
+    if pending is not None and pending.timer is not None:
+        pending.timer.cancel()
+    return pending.query if pending is not None else None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("owner", "name", "defect", "violation", "only"),
+    [
+        (CellRegisters, "_ticket", by_number, "too old", "modbus"),
+        (Triggers, "take", take_by_number, "an exposure answers a trigger", "zenoh"),
+    ],
+    ids=["modbus", "zenoh"],
+)
+def test_numbers_that_begin_again_with_a_reload_are_caught(
+    owner: type,
+    name: str,
+    defect: Callable[..., Any],
+    violation: str,
+    only: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A command in flight over a reload answers one with the same number after it."""
+    monkeypatch.setattr(owner, name, defect)
+    assert found(violation, only)

@@ -66,6 +66,7 @@ class Plc(Ear):
     def __init__(self, cycle: Cycle, convention: Convention) -> None:
         super().__init__()
         self.cell = CellRegisters(ModbusSettings(convention=convention), cycle, time.monotonic)
+        self.cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
 
     def announce(self, event: Event) -> None:
         super().announce(event)

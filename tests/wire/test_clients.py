@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import math
 import subprocess
@@ -23,6 +24,7 @@ from snapshots import make_target
 from edged.adapters.modbus import ModbusSettings
 from edged.commands.registers import render
 from edged.domain import Reject
+from edged.plc.registers import ADDRESS, STATUS, Option
 from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0
@@ -133,6 +135,52 @@ def test_the_python_client_refuses_what_is_no_cell(client_module: ModuleType) ->
         client_module.EdgedCell("127.0.0.1", port, answer_s=0.2).connect()
 
 
+@pytest.mark.parametrize(
+    "changes, allowed",
+    [({"robot_from_rig": None}, {"allow_rig_frame": True}), ({"simulated": True}, {"allow_simulated": True})],
+    ids=["rig frame", "simulated"],
+)
+def test_the_python_client_does_not_move_a_robot_by_what_no_robot_may_use(
+    client_module: ModuleType, changes: dict[str, Any], allowed: dict[str, Any]
+) -> None:
+    """Coordinates in the rig's frame, or of a virtual cell, are not `ok` unless the client was told so."""
+    cell = LiveCell()
+    cell.setup = dataclasses.replace(cell.setup, **changes)
+    with cell:
+        for options, ok in (({}, False), (allowed, True)):
+            with client_module.EdgedCell("127.0.0.1", cell.port, **options) as client:
+                until(lambda client=client: "READY" in client.status()["bits"], "READY")
+                result = client.locate()
+                assert ("OK", 10_000, ok) == (result.code, result.values["X"], result.ok)
+
+
+def test_the_python_client_says_that_the_cell_was_started_anew(client_module: ModuleType) -> None:
+    """While it waits for its answer; it does not take what another daemon shows under the same number."""
+    with LiveCell() as cell:
+        port = cell.port
+        client = client_module.EdgedCell("127.0.0.1", port)
+        client.connect()
+        cell.slow_s = 0.3
+
+        def restart() -> dict[str, float]:
+            """The first look after the command happens in the next life of the cell."""
+            values = dict(real("status"))
+            values["START_EPOCH"] += 1
+            return values
+
+        real, looks = client.read, []
+
+        def read(block: str, shift: int = 0) -> dict[str, float]:
+            looks.append(block)
+            return restart() if len(looks) > 1 else real(block, shift)
+
+        client.read = read
+        with pytest.raises(client_module.NoAnswer, match="started anew"):
+            client.locate()
+        client.read = real
+        client.close()
+
+
 # --- structured text ---------------------------------------------------------------------------
 
 
@@ -145,6 +193,10 @@ class Plc:
         self.block = program.instance("FB_EDGED")
         self.values = self.block.values
         self.values["xLowWordFirst"] = low_word_first
+        self.connect(port)
+
+    def connect(self, port: int) -> None:
+        """A new connection, without a word to the block."""
         self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
         assert self.client.connect()
         self.linked = True
@@ -158,7 +210,7 @@ class Plc:
     def scan(self) -> None:
         """One cycle of the PLC."""
         if self.linked:
-            self.values["awStatus"] = self.client.read_holding_registers(200, count=16).registers
+            self.values["awStatus"] = self.client.read_holding_registers(200, count=STATUS.words).registers
             self.values["awResult"] = self.client.read_holding_registers(300, count=48).registers
         self.values["xLinkOk"] = self.linked
         self.block.scan()
@@ -247,6 +299,111 @@ def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
         plc.scan()
         plc.scan()
         assert (True, 101) == (plc.values["xError"], plc.values["uiError"])
+
+
+@pytest.mark.parametrize("notices", [True, False], ids=["link down", "unnoticed"])
+def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -> None:
+    """In "done" with a good result, the cell is started anew: an error, nothing valid, nothing runs unasked.
+
+    Whether the PLC's Modbus client says that the link was down, or reconnects without a word.
+    """
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        assert plc.values["stResult"]["xValid"]
+    plc.linked = False
+    if notices:
+        plc.scan()
+    with LiveCell() as cell:
+        cell.targets = (make_target(x_mm=28.0),)
+        plc.connect(cell.port)
+        with plc:
+            for _ in range(20):
+                plc.scan()
+                assert not plc.values["stResult"]["xValid"]
+            assert (False, True, 101 if notices else 103) == tuple(
+                plc.values[name] for name in ("xDone", "xError", "uiError")
+            )
+            assert 0 == cell.head.captures, "a command of the life before ran again"
+            plc.release()
+            plc.until("xReady")
+            plc.run()
+            assert (True, 28_000) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["diX"])
+
+
+def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
+    """The first CMD_SEQ of a connection runs nothing: the block writes another one, measured once."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.client.close()
+        plc.connect(cell.port)
+        plc.run()
+        assert plc.values["stResult"]["xValid"]
+        assert 1 == cell.head.captures
+
+
+def test_structured_text_gives_way_to_another_clients_command() -> None:
+    """Another client commands while the result is in use: not valid any more, and its own is not repeated."""
+    with LiveCell(ModbusSettings(port=0, validity_s=30.0, owner_s=0.01)) as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        other = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2)
+        assert other.connect()
+        try:
+            command = [1, 0, 500, 0, 0, int(Option.ONCE)]
+            until(lambda: not other.write_registers(ADDRESS["COMMAND"], command).isError(), "its turn")
+            until(
+                lambda: 500 == other.read_holding_registers(ADDRESS["DONE_SEQ"], count=1).registers[0], "it"
+            )
+        finally:
+            other.close()
+        plc.scan()
+        assert (False, 103) == (plc.values["stResult"]["xValid"], plc.values["uiError"])
+        for _ in range(5):
+            plc.scan()
+        assert 2 == cell.head.captures
+
+
+def test_structured_text_takes_a_command_back_that_failed() -> None:
+    """The link is down when it is given: error 101; when the link returns, nothing runs."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        plc.release()
+        plc.until("xReady")
+        plc.linked = False
+        plc.values["xExecute"] = True
+        plc.scan()
+        plc.until("xError")
+        plc.linked = True
+        for _ in range(10):
+            plc.scan()
+        assert 0 == plc.values["awStatus"][2], "CMD_SEQ_ECHO"
+        assert 1 == cell.head.captures
+        plc.release()
+        plc.until("xReady")
+        plc.run()
+        assert plc.values["stResult"]["xValid"]
+
+
+@pytest.mark.parametrize(
+    "changes, allowed",
+    [({"robot_from_rig": None}, "xAllowRigFrame"), ({"simulated": True}, "xAllowSimulated")],
+)
+def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
+    changes: dict[str, Any], allowed: str
+) -> None:
+    """xValid stays FALSE, though the cell says VALID, until the PLC's program allows it."""
+    cell = LiveCell()
+    cell.setup = dataclasses.replace(cell.setup, **changes)
+    with cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        assert (True, False) == (plc.values["xDone"], plc.values["stResult"]["xValid"])
+        assert 10_000 == plc.values["stResult"]["diX"]
+        plc.values[allowed] = True
+        plc.scan()
+        assert plc.values["stResult"]["xValid"]
 
 
 def test_structured_text_notices_a_cell_that_stands_still() -> None:
@@ -353,6 +510,21 @@ def test_urscript_locates_a_part() -> None:
         robot["edged_locate"](0, 5.0)
         assert (False, 6) == (robot["edged_ok"], robot["edged_error"])
         robot["edged_alive"]()
+
+
+def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
+    """edged_error 103, no pose; with edged_allow_simulated the pose of the virtual cell."""
+    cell = LiveCell()
+    cell.setup = dataclasses.replace(cell.setup, simulated=True)
+    with cell, Controller(cell.port) as controller:
+        robot = urscript.load(render("urscript"), controller.builtins())
+        robot["edged_setup"]("192.168.10.20")
+        robot["edged_locate"](0, 5.0)
+        assert (False, 103) == (robot["edged_ok"], robot["edged_error"])
+        robot["edged_allow_simulated"] = True
+        pose = robot["edged_locate"](0, 5.0)
+        assert robot["edged_ok"]
+        assert 0.010 == pytest.approx(pose[0])
 
 
 def test_urscript_arithmetic_is_exact_at_the_ends_of_the_range() -> None:

@@ -22,7 +22,7 @@ from pymodbus.client import ModbusTcpClient
 from edged.adapters.aravis import aravis_missing
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.config import load
-from edged.plc.registers import ADDRESS, BLOCKS, decode
+from edged.plc.registers import ADDRESS, BLOCKS, Option, decode
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 EDGED = (sys.executable, "-m", "edged")
@@ -309,7 +309,7 @@ def test_the_command_mode_handshake_over_modbus(tmp_path: Path) -> None:
     cell.start()
     try:
         until(lambda: _bits(cell) & 1, "READY")
-        cell.write(ADDRESS["COMMAND"], [1, 0, 77])
+        cell.write(ADDRESS["COMMAND"], [1, 0, 77, 0, 0, Option.ONCE])
         result = until(lambda: _valid(cell), "the result")
         assert result["SEQ_HEAD"] == 77
         assert _bits(cell) & 0b10, "ACK"

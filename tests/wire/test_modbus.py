@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import pty
 import random
@@ -10,6 +11,7 @@ import shutil
 import socket
 import ssl
 import struct
+import termios
 import tty
 from collections.abc import Callable, Coroutine
 from ipaddress import ip_address, ip_network
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from certificates import make_certificates
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
@@ -68,6 +71,7 @@ class Rig:
         self.base = settings.base_address
         self.order = settings.word_order
         self.client: AsyncModbusTcpClient
+        self.is_known = False
 
     async def block(self, block: reg.Block) -> dict[str, reg.Number]:
         """Read one block by name."""
@@ -80,7 +84,10 @@ class Rig:
         return StatusBit(int((await self.block(reg.STATUS))["STATUS_BITS"]))
 
     async def command(self, kind: int, job: int, sequence: int) -> None:
-        """COMMAND, JOB, CMD_SEQ in one write."""
+        """COMMAND, JOB, CMD_SEQ in one write; before the first of the connection a CMD_SEQ of 0."""
+        if not self.is_known:
+            self.is_known = True
+            assert not (await self.client.write_register(self.base + 102, 0)).isError()
         response = await self.client.write_registers(self.base + 100, [kind, job, sequence])
         assert not response.isError(), response
 
@@ -179,6 +186,40 @@ def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
         assert reg.INT32_MIN == (await rig.block(reg.RESULT))["X"]
 
     serve(test, settings)
+
+
+def test_who_connects_for_each_request_says_once() -> None:
+    """The first CMD_SEQ of a connection runs nothing, NACK 8; with ONCE in the same request it runs."""
+
+    async def test(rig: Rig) -> None:
+        write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 5, 0, 0, 0)
+        assert 16 == (await ask(rig, write))[0]
+        assert [] == rig.cell.commands
+        status = await rig.block(reg.STATUS)
+        assert (5, 5, 8) == tuple(status[name] for name in ("CMD_SEQ_ECHO", "DONE_SEQ", "NACK_REASON"))
+        write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 6, 0, 0, reg.Option.ONCE)
+        assert 16 == (await ask(rig, write))[0]
+        assert [6] == [command.sequence for command in rig.cell.commands]
+        assert 0 == (await rig.block(reg.COMMAND))["OPTIONS"]
+
+    serve(test)
+
+
+def test_each_start_of_the_server_has_another_epoch() -> None:
+    """In status and result alike, never 0; and until a client has written CMD_SEQ a warning says so."""
+    epochs = []
+
+    async def test(rig: Rig) -> None:
+        status, result = await rig.block(reg.STATUS), await rig.block(reg.RESULT)
+        assert status["START_EPOCH"] == result["START_EPOCH"] != 0
+        assert reg.Warn.UNSYNCHRONISED == status["WARNING"]
+        await rig.client.write_register(102, 0)
+        assert 0 == (await rig.block(reg.STATUS))["WARNING"]
+        epochs.append(status["START_EPOCH"])
+
+    for _ in range(3):
+        serve(test)
+    assert 3 == len(set(epochs))
 
 
 def test_a_result_grows_old() -> None:
@@ -680,15 +721,15 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
     async def run() -> None:
         line = Line(tmp_path / "line")
         cell = Cell()
-        serial = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
-        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), cell)
+        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), cell)
         await server.start()
         try:
             assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
             # whatever was answered to these would come before the answer to the last one
             damaged = bytearray(rtu_frame(1, READ_MAGIC))
             damaged[3] ^= 1
-            broadcast = rtu_frame(0, struct.pack(">BHHB3H", 16, 100, 3, 6, 1, 0, 5))
+            broadcast = rtu_frame(0, struct.pack(">BHHB6H", 16, 100, 6, 12, 1, 0, 5, 0, 0, reg.Option.ONCE))
             for data in (rtu_frame(9, READ_MAGIC), bytes(damaged), broadcast):
                 os.write(line.master, data)
                 await asyncio.sleep(0.06)
@@ -712,12 +753,48 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
     asyncio.run(run())
 
 
+def test_a_serial_line_comes_back_over_errors_of_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An adapter that re-enumerates can be opened and not be set up: that is tried again, too."""
+
+    async def run() -> None:
+        line = Line(tmp_path / "line")
+        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.01)
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
+        await server.start()
+        try:
+            real, refusals = serial.Serial, []
+
+            def half_there(*arguments: Any, **options: Any) -> Any:
+                if len(refusals) < 2:
+                    refusals.append(1)
+                    raise termios.error(5, "Input/output error")
+                return real(*arguments, **options)
+
+            monkeypatch.setattr(serial, "Serial", half_there)
+            line.unplug()
+            line = Line(tmp_path / "line")
+            async with asyncio.timeout(WAIT_S):
+                while True:
+                    with contextlib.suppress(TimeoutError):
+                        answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
+                        break
+            assert answer.endswith(MAGIC_ANSWER)
+            assert 2 == len(refusals)
+        finally:
+            await server.close()
+            line.unplug()
+
+    asyncio.run(run())
+
+
 def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
     """And the TCP port that was opened before is closed again."""
 
     async def run() -> None:
-        serial = SerialSettings(str(tmp_path / "nothing"))
-        server = ModbusPublisher(ModbusSettings(port=0, serial=serial), Cell())
+        settings = SerialSettings(str(tmp_path / "nothing"))
+        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
         with pytest.raises(ListenError, match="is it plugged in"):
             await server.start()
         assert 0 == server.port

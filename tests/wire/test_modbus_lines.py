@@ -85,7 +85,8 @@ def drive(line: Line) -> None:
     """Two parts, from READY to the acknowledgement, as a PLC does."""
     for sequence in (7, 8):
         wait_for(line, lambda status: int(status["STATUS_BITS"]) & StatusBit.READY)
-        line.write(100, [CommandKind.LOCATE, 0, sequence])
+        # mbpoll makes a connection for each request
+        line.write(100, [CommandKind.LOCATE, 0, sequence, 0, 0, reg.Option.ONCE])
         status = wait_for(line, lambda status, wanted=sequence: status["DONE_SEQ"] == wanted)
         bits = StatusBit(int(status["STATUS_BITS"]))
         assert StatusBit.ACK | StatusBit.EXPOSURE_DONE | StatusBit.RESULT_VALID in bits
@@ -102,7 +103,7 @@ def wait_for(line: Line, condition: Any) -> dict[str, reg.Number]:
     """Read the status until it is so."""
     deadline_s = time.monotonic() + WAIT_S
     while True:
-        status = reg.decode(reg.STATUS, line.read(200, 16))
+        status = reg.decode(reg.STATUS, line.read(200, reg.STATUS.words))
         if condition(status):
             return status
         assert time.monotonic() < deadline_s, status

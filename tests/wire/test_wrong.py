@@ -33,7 +33,7 @@ class Plc:
     def __init__(self, port: int) -> None:
         self._client = ModbusTcpClient("127.0.0.1", port=port, timeout=5)
         assert self._client.connect()
-        self._sequences = itertools.count(1)
+        self._sequences = itertools.count(0)
 
     def read(self, block: reg.Block) -> dict[str, reg.Number]:
         """One block by name."""
@@ -51,8 +51,11 @@ class Plc:
         return StatusBit(int(self.read(reg.STATUS)["STATUS_BITS"]))
 
     def trigger(self, timeout_ms: int = 0) -> int:
-        """LOCATE; returns its sequence."""
+        """LOCATE; returns its sequence. Before the first of the connection a CMD_SEQ of 0."""
         sequence = next(self._sequences)
+        if sequence == 0:
+            assert self.write(reg.ADDRESS["CMD_SEQ"], sequence)
+            sequence = next(self._sequences)
         assert self.write(reg.ADDRESS["TIMEOUT"], timeout_ms)
         assert self.write(reg.ADDRESS["COMMAND"], CommandKind.LOCATE, 0, sequence)
         return sequence

@@ -6,6 +6,7 @@ the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`
 
 from __future__ import annotations
 
+import secrets
 import struct
 from collections.abc import Callable, Sequence
 
@@ -14,6 +15,7 @@ import numpy as np
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
+from edged.ages import ExposureClock
 from edged.domain import (
     Calibrated,
     CellPhase,
@@ -35,6 +37,8 @@ from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 SOURCE = "modbus"
+NOBODYS = -1
+"""Ticket of a command that has ended, or that somebody else submitted."""
 STATES = {
     CellPhase.STARTING: 0,
     CellPhase.READY: 1,
@@ -76,6 +80,7 @@ class CellRegisters:
         self._commander = commander
         self._clock_s = clock_s
         self._state: hs.Handshake[reg.Measured] = hs.Handshake(settings.limits)
+        self._epoch = 1 + secrets.randbelow(reg.UINT32_MAX)
         self._cell: CellState | None = None
         self._last: reg.Measured | None = None
         self._command = [0] * reg.COMMAND.words
@@ -83,7 +88,8 @@ class CellRegisters:
         self._encoded: tuple[int, int, bool] | None = None
         self._held: tuple[object, object] = (None, None)
         self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
-        self._exposed = (0, 0.0)  # the latest cycle whose images are in memory, and since when
+        self._exposures = ExposureClock(clock_s)
+        self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self.clients = 0
 
@@ -124,6 +130,7 @@ class CellRegisters:
         if result is not None:
             free = self._state.command_sequence == 0
             values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
+        values["START_EPOCH"] = self._epoch
         for block in (reg.RESULT, reg.UR, reg.FLOAT):
             self._place(block, values)
         rows = len(result.payload.poses) if result is not None else 0
@@ -154,7 +161,7 @@ class CellRegisters:
             "CMD_SEQ_ECHO": state.command_sequence,
             "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
             "ERROR": error & reg.UINT16_MAX,
-            "WARNING": reg.Warn.CLIENT_LOST if state.client_lost else 0,
+            "WARNING": self._warnings(),
             "ACTIVE_JOB": min(cell.job_number, reg.UINT16_MAX) if cell is not None else 0,
             "RESULT_AGE": age_ms,
             "MISSED_TRIGGERS": min(cell.missed_triggers, reg.UINT16_MAX) if cell is not None else 0,
@@ -163,7 +170,13 @@ class CellRegisters:
             "OPEN_COMMANDS": len(state.open),
             "NACK_REASON": state.reason,
             "WRITE_OWNER": int(state.owner is not None),
+            "START_EPOCH": self._epoch,
         }
+
+    def _warnings(self) -> reg.Warn:
+        lost = reg.Warn.CLIENT_LOST if self._state.client_lost else reg.Warn(0)
+        unknown = reg.Warn.UNSYNCHRONISED if self._state.synchronised is None else reg.Warn(0)
+        return lost | unknown
 
     def _status_bits(self, now_s: float, valid: bool) -> int:
         state, cell = self._state, self._cell
@@ -205,12 +218,14 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_ADDRESS)
         now_s = self._clock_s()
         self._step(hs.Tick(), now_s)
-        if not hs.may_write(self._state, client, now_s):
-            raise RequestRefused(DEVICE_BUSY)
         written = range(start, start + len(words))
+        if not hs.may_write(self._state, client, now_s):
+            if _offset("CMD_SEQ") in written:
+                self._step(hs.Barred(client), now_s)
+            raise RequestRefused(DEVICE_BUSY)
         new = [*self._command[:start], *words, *self._command[start + len(words) :]]
         options = new[_offset("OPTIONS")]
-        if options & ~int(reg.Option.RELEASE):
+        if options & ~int(reg.Option.RELEASE | reg.Option.ONCE):
             raise RequestRefused(ILLEGAL_VALUE)
         new[_offset("OPTIONS")] = 0
         self._command = new
@@ -220,8 +235,8 @@ class CellRegisters:
         if _offset("ACK_SEQ") in written:
             self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
         if _offset("CMD_SEQ") in written:
-            self._trigger(now_s)
-        if options:
+            self._trigger(client, now_s, once=bool(options & reg.Option.ONCE))
+        if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
@@ -235,15 +250,19 @@ class CellRegisters:
 
     def gone(self, client: int) -> None:
         """A connection has ended."""
-        self._step(hs.Released(client), self._clock_s())
+        self._step(hs.Released(client, gone=True), self._clock_s())
 
-    def _trigger(self, now_s: float) -> None:
+    def _trigger(self, client: int, now_s: float, *, once: bool) -> None:
         code = self._command[_offset("COMMAND")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
         flange = self._taken_flange()
         event = hs.SequenceWritten(
-            self._command[_offset("CMD_SEQ")], known, timeout_ms / 1000 if timeout_ms else None
+            self._command[_offset("CMD_SEQ")],
+            known,
+            timeout_ms / 1000 if timeout_ms else None,
+            client,
+            once,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
@@ -267,6 +286,7 @@ class CellRegisters:
         if self._commander is None:
             self._step(hs.Declined(command.sequence), self._clock_s())
             return
+        self._submitted[command.sequence] = command
         try:
             self._commander.submit(command)
         except CommandRefused as refused:
@@ -281,16 +301,16 @@ class CellRegisters:
         match event:
             case Snapshot():
                 self._take_snapshot(event, now_s)
-            case ExposureDone(cycle, command):
-                self._exposed = (cycle, now_s)
-                self._step(hs.Exposed(_ticket(command)), now_s)
+            case ExposureDone(_, command):
+                self._exposures.note(event)
+                self._step(hs.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
-                ticket = _ticket(command)
+                ticket = self._ticket(command)
                 if ticket is not None:
                     self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
             case CommandFailed(command, reason):
-                ticket = _ticket(command)
-                if ticket is not None:
+                ticket = self._ticket(command)
+                if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
             case CellState():
@@ -306,22 +326,27 @@ class CellRegisters:
         result = reg.measured(snapshot, self._settings.convention)
         self._last = result
         verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
-        # both stamps are UTC of one machine. If the clock was set in between, the latency is too long, and
-        # the result stale, or too short: then it counts from when the images were in memory
-        exposed_s = now_s - result.latency_us * 1e-6
-        cycle, in_memory_s = self._exposed
-        if cycle == snapshot.cycle:
-            exposed_s = min(exposed_s, in_memory_s)
-        ticket = _ticket(snapshot.command)
+        exposed_s = self._exposures.exposed_s(snapshot)
+        ticket = self._ticket(snapshot.command)
         self._step(hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result), now_s)
 
     def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
         self._state, effects = hs.step(self._state, event, now_s)
+        for effect in effects:
+            if isinstance(effect, hs.Answered):
+                self._submitted.pop(effect.ticket, None)
         return effects
 
+    def _ticket(self, command: Command | None) -> int | None:
+        """Whose command it was: None when nobody asked, `NOBODYS` when it was none that is open here.
 
-def _ticket(command: Command | None) -> int | None:
-    return command.sequence if command is not None and command.source == SOURCE else None
+        Known by being the same object: tickets begin again when a reload makes these registers anew, and what
+        the ones before submitted may still be measured. What others ask over Zenoh is no cycle of a
+        free-running cell: a PLC gets no coordinates of it.
+        """
+        if command is None:
+            return None
+        return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
 
 
 def _offset(name: str) -> int:

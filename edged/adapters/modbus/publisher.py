@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import ssl
 import time
 from collections.abc import Callable
 
@@ -19,7 +20,8 @@ class ModbusPublisher:
     """Publishes one cell over Modbus and takes its commands (`edged.ports.Publisher`).
 
     commander : takes the commands that clients write; None answers each with NACK.
-    clock_s : monotonic; ages, time-outs and the heartbeat count on it.
+    clock_s : monotonic; ages, time-outs and the heartbeat count on it. context : of `settings.tls`, so that
+    its files need not be read again; None: they are read at the start.
     """
 
     def __init__(
@@ -28,11 +30,12 @@ class ModbusPublisher:
         commander: Commander | None,
         *,
         clock_s: Callable[[], float] = time.monotonic,
+        context: ssl.SSLContext | None = None,
     ) -> None:
         self._settings = settings
         self._cell = CellRegisters(settings, commander, clock_s)
         clients = itertools.count(1)
-        self._tcp = TcpServer(settings, self._cell, clients)
+        self._tcp = TcpServer(settings, self._cell, clients, context)
         serial = settings.serial
         self._rtu = (
             RtuServer(serial, settings.unit_id, self._cell, next(clients)) if serial is not None else None

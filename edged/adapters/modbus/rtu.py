@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import termios
 
 import serial
 from pymodbus.framer import FramerRTU
@@ -24,6 +25,9 @@ from edged.errors import ListenError
 from edged.plc.registers import CRC_START, crc16
 
 log = logging.getLogger(__name__)
+
+OPEN_ERRORS = (OSError, ValueError, termios.error)
+"""What opening a line raises; `termios.error`, which is no `OSError`, of an adapter that re-enumerates."""
 
 MAX_FRAME_BYTES = 256
 MIN_FRAME_BYTES = 4
@@ -83,7 +87,7 @@ class RtuServer:
         """Open the line. Raises `ListenError`; a line that gets lost later is opened again by itself."""
         try:
             self._open()
-        except (OSError, ValueError) as error:
+        except OPEN_ERRORS as error:
             raise ListenError(
                 f"modbus: cannot open {self._settings.device}: {error}; is it plugged in, and is the "
                 "daemon's user in the group dialout?"
@@ -132,7 +136,8 @@ class RtuServer:
     def _reopen(self) -> None:
         try:
             self._open()
-        except (OSError, ValueError):
+        except OPEN_ERRORS:
+            self._drop_line()
             loop = asyncio.get_running_loop()
             self._timer = loop.call_later(self._settings.retry_s, self._reopen)
         else:

@@ -37,11 +37,18 @@ SILENT_S = 3.0  # no PLC polls as slowly as that
 class TcpServer:
     """Accepts connections and keeps them within the limits."""
 
-    def __init__(self, settings: ModbusSettings, cell: CellRegisters, clients: itertools.count[int]) -> None:
+    def __init__(
+        self,
+        settings: ModbusSettings,
+        cell: CellRegisters,
+        clients: itertools.count[int],
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self.settings = settings
         self.cell = cell
         self.log = LogLimit(__name__)
         self._numbers = clients
+        self._context = context
         self._connections: set[Connection] = set()
         self._server: asyncio.Server | None = None
         self._sweep: asyncio.TimerHandle | None = None
@@ -55,7 +62,9 @@ class TcpServer:
         """Listen. Raises `ListenError` that says what to do."""
         settings = self.settings
         loop = asyncio.get_running_loop()
-        context = server_context(settings.tls) if settings.tls is not None else None
+        context = self._context
+        if context is None and settings.tls is not None:
+            context = server_context(settings.tls)
         try:
             self._server = await loop.create_server(
                 lambda: Connection(self, next(self._numbers)),

@@ -73,10 +73,22 @@ class WebSettings:
 
 
 class WebPublisher:
-    """Serves the page and the manual (`edged.ports.Publisher`). manual : folder that it was built into."""
+    """Serves the page and the manual (`edged.ports.Publisher`).
 
-    def __init__(self, cell: str, settings: WebSettings, sources: Sources, *, manual: Path = FOLDER) -> None:
+    manual : folder that it was built into. context : `page_context`; None: read at the start.
+    """
+
+    def __init__(
+        self,
+        cell: str,
+        settings: WebSettings,
+        sources: Sources,
+        *,
+        manual: Path = FOLDER,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self._settings = settings
+        self._context = context
         self._page = Page(cell, sources)
         self._access = Access(settings.password_hash)
         self._manual_folder = manual
@@ -97,7 +109,7 @@ class WebPublisher:
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
         settings = self._settings
-        context = _tls(settings)
+        context = self._context or page_context(settings)
         if context is None and settings.password_hash and not is_loopback(settings.host):
             log.warning("the status page sends its password in the clear: set web.certificate and web.key")
         app = web.Application(middlewares=[self._guard], client_max_size=MAX_FORM_BYTES)
@@ -323,7 +335,8 @@ def _text(text: str, content_type: str) -> web.Response:
     return web.Response(text=text, content_type=content_type, charset="utf-8")
 
 
-def _tls(settings: WebSettings) -> ssl.SSLContext | None:
+def page_context(settings: WebSettings) -> ssl.SSLContext | None:
+    """TLS of the page; None without certificate. Raises `ListenError` for files that do not fit."""
     if settings.certificate is None or settings.key is None:
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -16,7 +16,6 @@ import functools
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import zenoh
@@ -27,9 +26,11 @@ from edged.adapters.zenoh.health import Health
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
-from edged.adapters.zenoh.session import ZenohSettings, bounded, open_session, plain, session_config
+from edged.adapters.zenoh.session import ZenohSettings, bounded, configured, open_session, plain
 from edged.adapters.zenoh.triggerquery import parse_trigger
+from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
+from edged.ages import ExposureClock
 from edged.domain import (
     CellPhase,
     CellState,
@@ -46,7 +47,6 @@ from edged.ports import Commander
 
 log = logging.getLogger(__name__)
 
-SOURCE = "zenoh"  # of our commands
 HEALTH_PERIOD_S = 1.0
 OUTBOX_LENGTH = 64  # a second of the fastest cell; more would only be old news
 MAX_PENDING = 32  # triggers that wait for their answer
@@ -63,7 +63,8 @@ class ZenohPublisher:
 
     commander : takes the commands of `trigger`; None makes the cell read-only.
     jobs : (number, name) of every job. config : what `config` answers; no secrets, please.
-    Both are called on the event loop.
+    Both are called on the event loop. utc_ns : for stamps, clock_s : monotonic, for ages.
+    session : `configured`, so that its files need not be read again; None: they are read at the start.
     """
 
     def __init__(
@@ -74,12 +75,17 @@ class ZenohPublisher:
         jobs: Callable[[], Sequence[tuple[int, str]]] = tuple,
         config: Callable[[], Mapping[str, Any]] = dict,
         utc_ns: Callable[[], int] = time.time_ns,
+        clock_s: Callable[[], float] = time.monotonic,
+        session: zenoh.Config | None = None,
     ) -> None:
         self._settings = settings
         self._commander = commander
         self._jobs = jobs
         self._config = config
         self._utc_ns = utc_ns
+        self._clock_s = clock_s
+        self._exposures = ExposureClock(clock_s)
+        self._session_config = session
         self._encode, self._encoding = ENCODINGS[settings.encoding]
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
@@ -90,20 +96,18 @@ class ZenohPublisher:
         self._started_ns = utc_ns()
         self._outbox = Worker("zenoh-publish", OUTBOX_LENGTH)
         self._answers = Worker("zenoh-answer", 2 * MAX_PENDING)
-        self._pending: dict[int, _Pending] = {}
-        self._commands = 0
+        self._triggers: Triggers[zenoh.Query] = Triggers()
         self._closed = False
         self._health = Health()
         self._heartbeat: asyncio.Task[None] | None = None
-        self._last: tuple[Snapshot, int] | None = None
+        self._last: tuple[Snapshot, int, float] | None = None
         self._state: CellState | None = None
 
     # --- Publisher -------------------------------------------------------------------------
 
     async def start(self) -> None:
         """Open the session. Raises `ListenError`, or `ConfigError` for what Zenoh cannot read."""
-        settings = self._settings
-        config = session_config(settings.mode, settings.listen, settings.connect, settings.config_file)
+        config = self._session_config or configured(self._settings)
         self._session = session = await bounded(lambda: open_session(config), OPEN_TIMEOUT_S, "open")
         try:
             self._declare(session)
@@ -124,13 +128,14 @@ class ZenohPublisher:
             return
         if isinstance(event, Snapshot):
             sequence = self._publish("target", lambda: snapshot_to_json(event))
-            self._last = (event, sequence)
+            self._last = (event, sequence, self._exposures.exposed_s(event))
             self._publish_ros2(event)
             self._health.count(event)
             self._answer_command(
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
             )
         elif isinstance(event, ExposureDone):
+            self._exposures.note(event)
             if self._preview is not None:
                 self._preview.offer(event)
         elif isinstance(event, CellState):
@@ -151,8 +156,8 @@ class ZenohPublisher:
         if self._heartbeat is not None:
             self._heartbeat.cancel()
             await asyncio.wait({self._heartbeat})
-        for pending in list(self._pending.values()):
-            self._settle(pending.command, "the daemon is stopping")
+        for command in self._triggers.commands():
+            self._settle(command, "the daemon is stopping")
         session, self._session = self._session, None
         try:
             for worker in self._workers():
@@ -234,7 +239,7 @@ class ZenohPublisher:
                 "state": CellPhase.STARTING if self._state is None else self._state.state,
                 **self._health.to_json(),
                 "links": self.links(),
-                "pending_triggers": len(self._pending),
+                "pending_triggers": len(self._triggers),
                 "messages_dropped": self._outbox.dropped,
                 "messages_failed": self._outbox.failed,
             }
@@ -263,8 +268,8 @@ class ZenohPublisher:
         if self._last is None:
             self._reply_error(query, "nothing has been measured yet")
             return
-        snapshot, sequence = self._last
-        age_ms = (self._utc_ns() - (snapshot.exposed_ns or snapshot.published_ns)) / 1e6
+        snapshot, sequence, exposed_s = self._last
+        age_ms = (self._clock_s() - exposed_s) * 1e3
         self._reply(
             query,
             "last",
@@ -284,37 +289,28 @@ class ZenohPublisher:
         if self._commander is None:
             self._reply_error(query, "this cell takes no commands over Zenoh")
             return
-        if len(self._pending) >= MAX_PENDING:
+        if len(self._triggers) >= MAX_PENDING:
             self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
             return
-        self._commands += 1
-        command = Command(asked.kind, SOURCE, self._commands, asked.job, asked.robot_from_flange)
+        command = self._triggers.add(query, asked.kind, asked.job, asked.robot_from_flange)
         late = f"no result within {asked.timeout_s:g} s"
-        timer = asyncio.get_running_loop().call_later(asked.timeout_s, self._settle, command, late)
-        self._pending[command.sequence] = _Pending(query, command, timer)
+        loop = asyncio.get_running_loop()
+        self._triggers.limit(command, loop.call_later(asked.timeout_s, self._settle, command, late))
         try:
             self._commander.submit(command)
         except CommandRefused as error:
             self._settle(command, str(error))
 
     def _answer_command(self, command: Command | None, document: Callable[[], Json]) -> None:
-        pending = self._take(command)
-        if pending is not None:
-            self._reply(pending.query, "trigger", document)
+        query = self._triggers.take(command)
+        if query is not None:
+            self._reply(query, "trigger", document)
 
     def _settle(self, command: Command, reason: str) -> None:
         """Answer a trigger with an error."""
-        pending = self._take(command)
-        if pending is not None:
-            self._reply_error(pending.query, reason, command)
-
-    def _take(self, command: Command | None) -> _Pending | None:
-        if command is None or command.source != SOURCE:
-            return None
-        pending = self._pending.pop(command.sequence, None)
-        if pending is not None:
-            pending.timer.cancel()
-        return pending
+        query = self._triggers.take(command)
+        if query is not None:
+            self._reply_error(query, reason, command)
 
     def _reply(self, query: zenoh.Query, name: str, document: Callable[[], Json]) -> None:
         def send() -> None:
@@ -336,13 +332,6 @@ class ZenohPublisher:
         self._answers.post(send)
 
 
-@dataclass(frozen=True, slots=True)
-class _Pending:
-    """A trigger that waits for its result."""
-
-    query: zenoh.Query
-    command: Command
-    timer: asyncio.TimerHandle
 
 
 def _on_loop(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import ssl
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from edged.errors import ConfigError, ListenError
 
 T = TypeVar("T")
 Mode = Literal["peer", "client", "router"]
+TLS = "transport/link/tls"
+SIDES = ("listen", "connect")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,36 @@ def session_config(
         connects = json.loads(config.get_json("connect/endpoints"))
         config.insert_json5("mode", json.dumps(mode or ("router" if connects else "peer")))
     return config
+
+
+def configured(settings: ZenohSettings) -> zenoh.Config:
+    """The configuration of a cell's session, its certificates read once.
+
+    Raises `ConfigError`, and `ListenError` for certificates and keys that do not fit: the session of
+    before need not be closed to find that out.
+    """
+    config = session_config(settings.mode, settings.listen, settings.connect, settings.config_file)
+    tls = json.loads(config.get_json(TLS))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        for certificate, key in ((tls[f"{side}_certificate"], tls[f"{side}_private_key"]) for side in SIDES):
+            if certificate and key:
+                context.load_cert_chain(certificate, key)
+        if tls["root_ca_certificate"]:
+            context.load_verify_locations(tls["root_ca_certificate"])
+    except (OSError, ssl.SSLError) as error:
+        raise ListenError(f"zenoh: {settings.config_file}: TLS files: {error}") from error
+    return config
+
+
+def named_files(config_file: Path) -> list[Path]:
+    """Certificates, keys and authorities that Zenoh's own configuration names.
+
+    Raises `ConfigError` for a file that Zenoh cannot read.
+    """
+    config = session_config(None, (), (), config_file)
+    tls = json.loads(config.get_json(TLS))
+    return [Path(name) for name in tls.values() if isinstance(name, str) and Path(name).is_file()]
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:

@@ -11,6 +11,8 @@ Not thread safe: one object for one thread.
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import struct
 import time
 from dataclasses import dataclass
@@ -18,11 +20,12 @@ from types import TracebackType
 from typing import Any
 
 from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
 
 # <map>
 from edged.domain import CommandKind
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, ResultCode, StatusBit
+from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, Option, ResultCode, StatusBit
 from edged.plc.registers import BLOCKS as _BLOCKS
 
 BLOCKS = {
@@ -34,6 +37,7 @@ COMMANDS = {code.name: code.value for code in CommandKind}
 RESULTS = {code.name: code.value for code in ResultCode}
 NACK_REASONS = {code.name: code.value for code in Reason}
 STATUS_BITS = {str(code.name): code.value for code in StatusBit}
+OPTIONS = {str(code.name): code.value for code in Option}
 FLAGS = {str(code.name): code.value for code in Flag}
 # </map>
 
@@ -54,14 +58,15 @@ class CommandRefused(CellError):
 
 
 class NoAnswer(CellError):
-    """The command did not end in the time."""
+    """The command did not end in the time, or the cell was started anew, or another client took its place."""
 
 
 @dataclass(frozen=True)
 class Result:
     """What the cell says about one exposure.
 
-    code : a name of `RESULTS`. ok : coordinates may be used (VALID at the time of reading).
+    code : a name of `RESULTS`. ok : a robot may use the coordinates: VALID at the time of reading, in the
+    robot's frame and of real cameras, unless `EdgedCell` was told that others will do.
     values : every register of the block `result`; lengths in um, angles in 0.001 degrees.
     targets : the rows of the target table, without the prefix of their names.
     """
@@ -75,7 +80,11 @@ class Result:
 
 
 class EdgedCell:
-    """One cell. word_order, base_address, unit_id : as in the cell's configuration."""
+    """One cell. word_order, base_address, unit_id : as in the cell's configuration.
+
+    allow_rig_frame : `ok` also for coordinates in the rig's frame, which no robot knows.
+    allow_simulated : `ok` also for results of a virtual cell.
+    """
 
     def __init__(
         self,
@@ -85,6 +94,8 @@ class EdgedCell:
         unit_id: int = 1,
         base_address: int = 0,
         word_order: str = "high",
+        allow_rig_frame: bool = False,
+        allow_simulated: bool = False,
         answer_s: float = 2.0,
         poll_s: float = 0.01,
     ) -> None:
@@ -92,6 +103,8 @@ class EdgedCell:
         self._unit_id = unit_id
         self._base = base_address
         self._low_first = word_order == "low"
+        self._needed = {"VALID"} if allow_rig_frame else {"VALID", "ROBOT_FRAME"}
+        self._unwanted: set[str] = set() if allow_simulated else {"SIMULATED"}
         self._answer_s = answer_s
         self._poll_s = poll_s
         self._beat = 0
@@ -126,7 +139,9 @@ class EdgedCell:
     def close(self) -> None:
         """Give the right to write to others and hang up."""
         if self._client.connected:
-            self._client.write_register(self._base + ADDRESS["OPTIONS"], 1, device_id=self._unit_id)
+            self._client.write_register(
+                self._base + ADDRESS["OPTIONS"], OPTIONS["RELEASE"], device_id=self._unit_id
+            )
         self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
 
     # --- commands ------------------------------------------------------------------------------
@@ -171,7 +186,7 @@ class EdgedCell:
         return Result(
             sequence=int(values["SEQ_HEAD"]),
             code=codes.get(int(values["RESULT"]), "?"),
-            ok="VALID" in flags,
+            ok=self._needed <= flags and not self._unwanted & flags,
             simulated="SIMULATED" in flags,
             values=values,
             targets=self._targets(values),
@@ -181,9 +196,12 @@ class EdgedCell:
         """One block by name, in one request."""
         address, registers = BLOCKS[block]
         count = sum(WORDS[kind] for _, kind in registers)
-        answer = self._client.read_holding_registers(
-            self._base + address + shift, count=count, device_id=self._unit_id
-        )
+        try:
+            answer = self._client.read_holding_registers(
+                self._base + address + shift, count=count, device_id=self._unit_id
+            )
+        except ModbusException as error:
+            raise CellError(f"reading {block}: {error}") from error
         if answer.isError():
             raise CellError(f"reading {block}: {answer}")
         low_first = self._low_first and block not in HIGH_FIRST
@@ -192,27 +210,33 @@ class EdgedCell:
     # --- inside --------------------------------------------------------------------------------
 
     def _measure(self, command: str, job: int, timeout_s: float) -> Result:
-        sequence = self._run(command, job, timeout_s)
+        sequence, epoch = self._run(command, job, timeout_s)
         result = self.latest()
-        if result.sequence != sequence or result.values["SEQ_TAIL"] != sequence:
+        ours = (sequence, sequence, epoch)
+        if ours != tuple(result.values[name] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH")):
             raise NoAnswer(f"another command has taken the place of {sequence}")
         return result
 
-    def _run(self, command: str, job: int, timeout_s: float) -> int:
-        """Write a command and wait for its end; returns its sequence."""
+    def _run(self, command: str, job: int, timeout_s: float) -> tuple[int, int]:
+        """Write a command and wait for its end; returns its sequence and the cell's START_EPOCH."""
+        before = self.read("status")
         # one more than the cell has seen: a client that was started anew never repeats a sequence
-        sequence = int(self.read("status")["CMD_SEQ_ECHO"]) % 0xFFFF + 1
+        sequence, epoch = int(before["CMD_SEQ_ECHO"]) % 0xFFFF + 1, int(before["START_EPOCH"])
         self._write(ADDRESS["TIMEOUT"], [min(max(round(timeout_s * 1000), 1), 0xFFFF)])
-        self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence])
+        # COMMAND, JOB, CMD_SEQ, ACK_SEQ, CLIENT_HEARTBEAT, OPTIONS: on purpose and once, so that it runs as
+        # the first command of a connection, too
+        self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence, 0, self._beat, OPTIONS["ONCE"]])
         reasons = {number: name for name, number in NACK_REASONS.items()}
         # the cell gives up by itself after the time-out and says so
         end_s = time.monotonic() + timeout_s + self._answer_s
         while time.monotonic() < end_s:
             status = self.status()
+            if (status["START_EPOCH"], status["CMD_SEQ_ECHO"]) != (epoch, sequence):
+                raise NoAnswer(f"the cell was started anew, or another client took the place of {sequence}")
             if status["DONE_SEQ"] == sequence and "NACK" in status["bits"]:
                 raise CommandRefused(reasons.get(int(status["NACK_REASON"]), "?"))
             if status["DONE_SEQ"] == sequence and "ACK" in status["bits"]:
-                return sequence
+                return sequence, epoch
             time.sleep(self._poll_s)
         raise NoAnswer(f"{command} {sequence} did not end within {timeout_s:g} s")
 
@@ -226,11 +250,23 @@ class EdgedCell:
         return tuple(rows)
 
     def _write(self, address: int, words: list[int]) -> None:
-        answer = self._client.write_registers(self._base + address, words, device_id=self._unit_id)
+        try:
+            answer = self._client.write_registers(self._base + address, words, device_id=self._unit_id)
+        except ModbusException as error:
+            self._forget()
+            raise CellError(f"writing {address}: {error}") from error
         if answer.isError():
             raise CellError(
                 f"writing {address}: {answer} (exception 6: another client holds the right to write)"
             )
+
+    def _forget(self) -> None:
+        """Hang up so that what was not sent is dropped: it must not arrive when the link returns."""
+        line = self._client.socket
+        if line is not None:
+            with contextlib.suppress(OSError):
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._client.close()  # type: ignore[no-untyped-call]
 
 
 def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first: bool) -> dict[str, float]:

@@ -6,7 +6,17 @@ from pathlib import Path
 
 from edged.domain import CommandKind
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, BLOCKS, MAGIC, MAP_VERSION, TABLE, Flag, ResultCode, StatusBit
+from edged.plc.registers import (
+    ADDRESS,
+    BLOCKS,
+    MAGIC,
+    MAP_VERSION,
+    TABLE,
+    Flag,
+    Option,
+    ResultCode,
+    StatusBit,
+)
 
 BEGIN, END = "# <map>\n", "# </map>\n"
 
@@ -47,6 +57,7 @@ def _map() -> str:
         ("NACK_REASONS", Reason),
         ("STATUS_BITS", StatusBit),
         ("FLAGS", Flag),
+        ("OPTIONS", Option),
     ):
         lines.append(f"{name} = {{")
         lines += [f'    "{code.name}": {code.value},' for code in codes]

@@ -113,8 +113,10 @@ BLOCK = """\
 used. Its falling edge acknowledges the result, which is then withdrawn.
     xDone          the command was carried out; read stResult. Use coordinates only while stResult.xValid.
     xExposureDone  the picture is taken: the robot may move although the result is still to come.
-    xError         it was not; uiError: 1 to @LAST_REASON@ as NACK_REASON (@REASONS@),
-                   100 not within tTimeout, 101 link down, 102 the cell's heartbeat stands still. *)
+    xError         it was not, or its result is lost; uiError: a NACK_REASON (@REASONS@),
+                   100 not within tTimeout, 101 link down, 102 the cell's heartbeat stands still,
+                   103 the cell was started anew, or another client's command took the place of this one.
+After 100 to 103 the command is taken back (CMD_SEQ 0): it does not run when the link returns. *)
 FUNCTION_BLOCK FB_EDGED
 VAR_INPUT
     xLinkOk : BOOL;
@@ -123,6 +125,8 @@ VAR_INPUT
     uiJob : UINT; (* 0: the active one *)
     tTimeout : TIME := T#5S;
     xLowWordFirst : BOOL; (* word_order = "low" in the cell *)
+    xAllowRigFrame : BOOL; (* TRUE: xValid also in the rig's frame, which no robot knows *)
+    xAllowSimulated : BOOL; (* TRUE: xValid also from a virtual cell, where no part is *)
     adiFlange : ARRAY[0..5] OF DINT; (* pose of the flange, um and 0.001 degrees; optional *)
     awStatus : ARRAY[0..@STATUS_LAST@] OF WORD;
     awResult : ARRAY[0..@RESULT_LAST@] OF WORD;
@@ -138,14 +142,22 @@ VAR_OUTPUT
     awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
 END_VAR
 VAR
-    iState : INT; (* 0 idle, 10 waits for the answer, 20 waits for the result, 30 result in use, 40 failed *)
+    iState : INT; (* 0 idle, 5 until the cell knows our CMD_SEQ, 10 waits for the answer, 20 waits for
+                     the result, 30 result in use, 40 failed *)
+    uiRunning : UINT;
     uiSequence : UINT;
-    uiNext : UINT;
+    wBefore : WORD;
+    wEpochFirst : WORD;
+    wEpochSecond : WORD;
     wBits : WORD;
     wAlive : WORD;
     wHeartbeat : WORD;
     xAlive : BOOL;
+    xKnown : BOOL;
+    xSame : BOOL;
     xMine : BOOL;
+    xFits : BOOL;
+    xTaken : BOOL;
     xWasExecute : BOOL;
     tonAnswer : TON;
     tonAlive : TON;
@@ -171,73 +183,96 @@ END_IF
 awCommand[@O_CLIENT_HEARTBEAT@] := wHeartbeat;
 
 wBits := awStatus[@BITS@];
-xReady := xAlive AND iState = 0 AND (wBits AND @READY@) <> 0;
+(* after a start or a new connection the first CMD_SEQ runs nothing: that must be the one before *)
+xKnown := xAlive AND awStatus[@ECHO@] = awCommand[@O_CMD_SEQ@];
+xReady := xKnown AND iState = 0 AND (wBits AND @READY@) <> 0;
+tonAnswer(IN := iState = 5 OR iState = 10 OR iState = 20, PT := tTimeout);
+
+IF iState = 0 AND xExecute AND NOT xWasExecute THEN
+    uiRunning := uiCommand;
+    awCommand[@O_COMMAND@] := UINT_TO_WORD(uiCommand);
+    awCommand[@O_JOB@] := UINT_TO_WORD(uiJob);
+    awCommand[@O_ACK_SEQ@] := 0;
+    awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(TIME_TO_DWORD(tTimeout));
+    IF tTimeout > T#60S THEN
+        awCommand[@O_TIMEOUT@] := 60000;
+    END_IF
+    uiError := 0;
+    xExposureDone := FALSE;
+    iState := 5;
+END_IF
+
+IF iState = 5 AND xKnown THEN
+    wBefore := awStatus[@ECHO@];
+    wEpochFirst := awStatus[@EPOCH@];
+    wEpochSecond := awStatus[@EPOCH@ + 1];
+    xTaken := FALSE;
+    uiSequence := F_EDGED_NEXT(uiSequence);
+    awCommand[@O_CMD_SEQ@] := UINT_TO_WORD(uiSequence);
+    iState := 10;
+END_IF
+
+xSame := awStatus[@EPOCH@] = wEpochFirst AND awStatus[@EPOCH@ + 1] = wEpochSecond;
+xTaken := xTaken OR awStatus[@ECHO@] = UINT_TO_WORD(uiSequence);
 (* both in one picture: DONE_SEQ alone could be an older command with the same number *)
 xMine := awStatus[@DONE@] = UINT_TO_WORD(uiSequence) AND awStatus[@ECHO@] = UINT_TO_WORD(uiSequence);
-tonAnswer(IN := iState = 10 OR iState = 20, PT := tTimeout);
 
-CASE iState OF
-    0:
-        IF xExecute AND NOT xWasExecute THEN
-            (* one more than the cell has seen, and not one that may still be on its way *)
-            uiNext := F_EDGED_NEXT(WORD_TO_UINT(awStatus[@ECHO@]));
-            IF uiNext = uiSequence THEN
-                uiNext := F_EDGED_NEXT(uiNext);
-            END_IF
-            uiSequence := uiNext;
-            xDone := FALSE;
-            xError := FALSE;
-            uiError := 0;
-            xExposureDone := FALSE;
-            stResult.xValid := FALSE;
-            awCommand[@O_COMMAND@] := UINT_TO_WORD(uiCommand);
-            awCommand[@O_JOB@] := UINT_TO_WORD(uiJob);
-            awCommand[@O_CMD_SEQ@] := UINT_TO_WORD(uiSequence);
-            awCommand[@O_ACK_SEQ@] := 0;
-            awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(TIME_TO_DWORD(tTimeout));
-            IF tTimeout > T#60S THEN
-                awCommand[@O_TIMEOUT@] := 60000;
-            END_IF
-            iState := 10;
-        END_IF
-    10:
-        IF awStatus[@ECHO@] = UINT_TO_WORD(uiSequence) AND (wBits AND @EXPOSURE_DONE@) <> 0 THEN
-            xExposureDone := TRUE;
-        END_IF
-        IF xMine AND (wBits AND @NACK@) <> 0 THEN
-            uiError := WORD_TO_UINT(awStatus[@REASON@]);
-            iState := 40;
-        ELSIF xMine AND (wBits AND @ACK@) <> 0 THEN
-            IF uiCommand = @CHANGE_JOB@ THEN
-                iState := 30; (* a job change has no result *)
-            ELSE
-                iState := 20;
-            END_IF
-        END_IF
-    20:
-        (* head and tail are read in one request: both are ours, or it is not our result *)
-        IF awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence) THEN
-@DECODE@
-            xExposureDone := TRUE;
-            iState := 30;
-        END_IF
-END_CASE
-
-(* A result stays usable only while the cell says so: it grows old, and a new command withdraws it. *)
-stResult.xValid := iState = 30 AND xAlive AND uiCommand <> @CHANGE_JOB@
-    AND awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence)
-    AND (awResult[@FLAGS@] AND @VALID@) <> 0;
-
-IF (iState = 10 OR iState = 20) AND NOT xAlive THEN
-    IF xLinkOk THEN
-        uiError := 102;
-    ELSE
+(* What takes the command or its result away. Before the cell has taken it, it shows the one before. *)
+IF iState = 5 OR iState = 10 OR iState = 20 OR iState = 30 THEN
+    IF NOT xLinkOk THEN
         uiError := 101;
+        iState := 40;
+    ELSIF NOT xAlive THEN
+        uiError := 102;
+        iState := 40;
+    ELSIF iState <> 5 AND NOT xSame THEN
+        uiError := 103;
+        iState := 40;
+    ELSIF iState <> 5 AND awStatus[@ECHO@] <> UINT_TO_WORD(uiSequence)
+        AND (xTaken OR awStatus[@ECHO@] <> wBefore) THEN
+        uiError := 103;
+        iState := 40;
+    ELSIF tonAnswer.Q THEN
+        uiError := 100;
+        iState := 40;
     END_IF
-    iState := 40;
-ELSIF (iState = 10 OR iState = 20) AND tonAnswer.Q THEN
-    uiError := 100;
-    iState := 40;
+END_IF
+
+IF iState = 10 THEN
+    IF xTaken AND (wBits AND @EXPOSURE_DONE@) <> 0 THEN
+        xExposureDone := TRUE;
+    END_IF
+    IF xMine AND (wBits AND @NACK@) <> 0 AND awStatus[@REASON@] = @BASELINE@ THEN
+        iState := 5; (* the connection is a new one: nothing ran, and now the cell knows our CMD_SEQ *)
+    ELSIF xMine AND (wBits AND @NACK@) <> 0 THEN
+        uiError := WORD_TO_UINT(awStatus[@REASON@]);
+        iState := 40;
+    ELSIF xMine AND (wBits AND @ACK@) <> 0 THEN
+        IF uiRunning = @CHANGE_JOB@ THEN
+            iState := 30; (* a job change has no result *)
+        ELSE
+            iState := 20;
+        END_IF
+    END_IF
+END_IF
+
+(* Head, tail and epoch are read in one request: all are ours, or it is not our result. What may be used was
+always decoded in this scan: the result grows old, and a new command withdraws it. *)
+xFits := awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence)
+    AND awResult[@RESULT_EPOCH@] = wEpochFirst AND awResult[@RESULT_EPOCH@ + 1] = wEpochSecond;
+stResult.xValid := FALSE;
+IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ THEN
+@DECODE@
+    stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 0
+        AND ((awResult[@FLAGS@] AND @ROBOT_FRAME@) <> 0 OR xAllowRigFrame)
+        AND ((awResult[@FLAGS@] AND @F_SIMULATED@) = 0 OR xAllowSimulated);
+    xExposureDone := TRUE;
+    iState := 30;
+END_IF
+
+(* A command that failed must not run later: 0 is no command, whenever it arrives. *)
+IF NOT xAlive OR (iState = 40 AND uiError >= 100) THEN
+    awCommand[@O_CMD_SEQ@] := 0;
 END_IF
 
 IF (iState = 30 OR iState = 40) AND NOT xExecute THEN
@@ -245,7 +280,7 @@ IF (iState = 30 OR iState = 40) AND NOT xExecute THEN
     stResult.xValid := FALSE;
     iState := 0;
 END_IF
-xBusy := iState = 10 OR iState = 20;
+xBusy := iState = 5 OR iState = 10 OR iState = 20;
 xDone := iState = 30;
 xError := iState = 40;
 xWasExecute := xExecute;
@@ -269,8 +304,8 @@ def _block() -> str:
         "LOCATE": CommandKind.LOCATE.value,
         "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
         "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
-        "REASONS": ", ".join(reason.name.lower() for reason in Reason if reason),
-        "LAST_REASON": max(Reason).value,
+        "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
+        "BASELINE": Reason.BASELINE.value,
         "STATUS_LAST": STATUS.words - 1,
         "RESULT_LAST": RESULT.words - 1,
         "CONTROL_LAST": CONTROL_WORDS - 1,
@@ -280,10 +315,14 @@ def _block() -> str:
         "ECHO": _at("CMD_SEQ_ECHO"),
         "REASON": _at("NACK_REASON"),
         "FLANGE": ADDRESS["FLANGE_X"] - COMMAND.address,
-        "FLAGS": next(one.address for one in RESULT.registers if one.name == "FLAGS") - RESULT.address,
+        "EPOCH": _at("START_EPOCH"),
+        "RESULT_EPOCH": _in_result("START_EPOCH"),
+        "FLAGS": _in_result("FLAGS"),
         "VALID": f"16#{Flag.VALID.value:04X}",
+        "ROBOT_FRAME": f"16#{Flag.ROBOT_FRAME.value:04X}",
+        "F_SIMULATED": f"16#{Flag.SIMULATED.value:04X}",
         "DECODE": "\n".join(
-            f"            stResult.{name} := {conversion};"
+            f"    stResult.{name} := {conversion};"
             for register in _used()
             for name, _, conversion in _fields(register)
         ),
@@ -301,3 +340,7 @@ def _block() -> str:
 
 def _at(name: str) -> int:
     return ADDRESS[name] - STATUS.address
+
+
+def _in_result(name: str) -> int:
+    return next(one.address for one in RESULT.registers if one.name == name) - RESULT.address

@@ -25,13 +25,15 @@ SCRIPT = """\
 #     end
 #     edged_acknowledge()
 # The cell listens on port 502 (a robot's Modbus client knows no other). Positions are in m and rad in the
-# robot's base. edged_error: 0 none, 1 to @LAST_REASON@ as NACK_REASON (@REASONS@),
-# 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot.
+# robot's base. edged_error: 0 none, a NACK_REASON (@REASONS@),
+# 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot, 103 a virtual cell
+# (set edged_allow_simulated to True to move by what it says).
 
 global edged_ok = False
 global edged_error = 0
 global edged_sequence = 0
 global edged_beat = 0
+global edged_allow_simulated = False
 
 def edged_setup(ip):
 @SIGNALS@
@@ -85,6 +87,8 @@ def edged_run(command, job, timeout):
     edged_ok = False
     edged_error = 0
     edged_sequence = edged_sequence % 65535 + 1
+    # after a restart or a new connection the first CMD_SEQ runs nothing: 0 never does
+    modbus_set_output_register("edged_out_CMD_SEQ", 0, False)
     modbus_set_output_register("edged_out_ACK_SEQ", 0, False)
     modbus_set_output_register("edged_out_COMMAND", command, False)
     modbus_set_output_register("edged_out_JOB", job, False)
@@ -109,6 +113,8 @@ def edged_run(command, job, timeout):
             end
         end
     end
+    # taken back: it must not run when the link returns
+    modbus_set_output_register("edged_out_CMD_SEQ", 0, False)
     edged_error = 100
     return False
 end
@@ -146,6 +152,12 @@ def edged_pose(words):
         edged_error = 102
         return p[0, 0, 0, 0, 0, 0]
     end
+    if edged_bit(words[@FLAGS@], @SIMULATED@):
+        if not edged_allow_simulated:
+            edged_error = 103
+            return p[0, 0, 0, 0, 0, 0]
+        end
+    end
     edged_ok = True
     return p[@POSE@]
 end
@@ -165,8 +177,7 @@ def _values() -> dict[str, str]:
     settle_s = 3 / REFRESH_HZ  # every signal has been read at least once in between
     return {
         "VERSION": str(MAP_VERSION),
-        "LAST_REASON": str(max(Reason).value),
-        "REASONS": ", ".join(reason.name.lower() for reason in Reason if reason),
+        "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
         "SIGNALS": "\n".join(f"    {line}" for line in _signals()),
         "SETTLE": f"{settle_s:g}",
         "STEP": f"{1 / REFRESH_HZ:g}",
@@ -179,6 +190,7 @@ def _values() -> dict[str, str]:
         "LOCATE": str(CommandKind.LOCATE.value),
         "VALID": str(Flag.VALID.value),
         "ROBOT_FRAME": str(Flag.ROBOT_FRAME.value),
+        "SIMULATED": str(Flag.SIMULATED.value),
         "ACK": str(StatusBit.ACK.value),
         "NACK": str(StatusBit.NACK.value),
     }

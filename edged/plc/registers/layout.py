@@ -57,7 +57,8 @@ COMMAND = make_block(
             "CMD_SEQ",
             _U16,
             "",
-            "write it last: the command runs when this changes. 0: no command, shows a free-running cell",
+            "write it last: the command runs when this changes. 0: no command, shows a free-running cell. "
+            "The first one of a connection, and after the start or another client's, runs nothing (NACK 8)",
         ),
         ("ACK_SEQ", _U16, "", "write SEQ of the result here when it is used: RESULT_VALID drops"),
         (
@@ -66,7 +67,13 @@ COMMAND = make_block(
             "",
             "optional: count it up; when it stops the result is withdrawn. 0: not supervised",
         ),
-        ("OPTIONS", _U16, "bits", f"{list_bits(Option)}: give up the right to write (reads back as 0)"),
+        (
+            "OPTIONS",
+            _U16,
+            "bits",
+            f"{list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. ONCE, in one "
+            "request with CMD_SEQ: not written again and again, so it runs as the first of a connection, too",
+        ),
         *(
             (
                 f"FLANGE_{axis}",
@@ -100,7 +107,12 @@ STATUS = make_block(
         ("CMD_SEQ_ECHO", _U16, "", "the CMD_SEQ that was taken note of"),
         ("HEARTBEAT", _U16, "0.1 s", "counts at 10 Hz while the server lives"),
         ("ERROR", _U16, "", "0: none; 1xx: cameras; 1: other, see the log"),
-        ("WARNING", _U16, "bits", list_bits(Warn)),
+        (
+            "WARNING",
+            _U16,
+            "bits",
+            f"{list_bits(Warn)}: no client's CMD_SEQ is known, the next one runs nothing",
+        ),
         ("ACTIVE_JOB", _U16, "", "the job that is loaded and warm"),
         ("RESULT_AGE", _U32, "ms", "since the exposure of the result on display; 0xFFFFFFFF: none"),
         ("MISSED_TRIGGERS", _U16, "", "since start; stays at 65535"),
@@ -116,10 +128,12 @@ STATUS = make_block(
             "NACK_REASON",
             _U16,
             "",
-            "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault",
+            "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
+            "8 first CMD_SEQ of a connection, or after a start or another client's: nothing ran",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
         ("RESERVED_215", _U16, "", "0"),
+        ("START_EPOCH", _U32, "", "another number after each start of the daemon or of this server; never 0"),
     ],
 )
 
@@ -158,8 +172,7 @@ RESULT = make_block(
         ("CYCLE", _U32, "", "cycle number"),
         ("LATENCY", _U32, "µs", "from exposure to publication"),
         ("CALIBRATION", _U32, "", "CRC-32 of the calibration id"),
-        ("RESERVED_344", _U16, "", "0"),
-        ("RESERVED_345", _U16, "", "0"),
+        ("START_EPOCH", _U32, "", "as in the status: the start to which this result belongs"),
         ("CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
         ("SEQ_TAIL", _U16, "", "equals SEQ_HEAD"),
     ],

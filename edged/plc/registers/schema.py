@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 MAGIC = 0x4544  # "ED"
-MAP_VERSION = 1
+MAP_VERSION = 2
 INT32_MIN = -(2**31)
 INT32_MAX = 2**31 - 1
 UINT16_MAX = 0xFFFF
@@ -112,6 +112,8 @@ class Option(enum.IntFlag):
 
     RELEASE = 1 << 0
     """Give up the right to write; reads back as 0."""
+    ONCE = 1 << 1
+    """With CMD_SEQ in one request: written once, so it runs as the first of a connection, too."""
 
 
 class Warn(enum.IntFlag):
@@ -119,6 +121,8 @@ class Warn(enum.IntFlag):
 
     CLIENT_LOST = 1 << 0
     """The client's heartbeat has stopped: its result is withdrawn."""
+    UNSYNCHRONISED = 1 << 2
+    """No client's CMD_SEQ is known: the next one runs nothing."""
 
 
 @dataclass(frozen=True, slots=True)

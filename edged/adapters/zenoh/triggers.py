@@ -1,0 +1,61 @@
+"""Triggers that wait for their answer."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from edged.domain import Command, CommandKind, FloatArray
+
+SOURCE = "zenoh"  # of our commands
+
+Query = TypeVar("Query")
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending(Generic[Query]):
+    query: Query
+    command: Command
+    timer: asyncio.TimerHandle | None = None
+
+
+class Triggers(Generic[Query]):
+    """The triggers of one publisher, each answered once.
+
+    A command is known by being the same object, not by its number: a publisher that was made anew by a reload
+    counts from the beginning, and a command of the one before may still be measured.
+    """
+
+    def __init__(self) -> None:
+        self._pending: dict[int, _Pending[Query]] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def add(self, query: Query, kind: CommandKind, job: int, robot_from_flange: FloatArray | None) -> Command:
+        """The command of a trigger, which waits from now on."""
+        self._count += 1
+        command = Command(kind, SOURCE, self._count, job, robot_from_flange)
+        self._pending[command.sequence] = _Pending(query, command)
+        return command
+
+    def limit(self, command: Command, timer: asyncio.TimerHandle) -> None:
+        """What ends the wait of a trigger that was just added; an answer cancels it."""
+        query = self._pending[command.sequence].query
+        self._pending[command.sequence] = _Pending(query, command, timer)
+
+    def take(self, command: Command | None) -> Query | None:
+        """Who waits for this command, no longer waiting; None when nobody does."""
+        pending = self._pending.get(command.sequence) if command is not None else None
+        if pending is None or pending.command is not command:
+            return None
+        del self._pending[command.sequence]
+        if pending.timer is not None:
+            pending.timer.cancel()
+        return pending.query
+
+    def commands(self) -> list[Command]:
+        """All that wait."""
+        return [pending.command for pending in self._pending.values()]

@@ -1,0 +1,31 @@
+"""How old a result is: counted on a monotonic clock, because somebody may set the other one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from edged.domain import ExposureDone, Snapshot
+
+
+class ExposureClock:
+    """When exposures were made, on the monotonic clock that is given.
+
+    Both stamps of a snapshot are UTC of one machine. If the clock was set in between, the latency is too
+    long, and the result old, or too short: then it counts from when the images were in memory.
+    """
+
+    def __init__(self, clock_s: Callable[[], float]) -> None:
+        self._clock_s = clock_s
+        self._cycle, self._in_memory_s = 0, 0.0  # the latest cycle whose images are in memory, and since when
+
+    def note(self, event: ExposureDone) -> None:
+        """The images of a cycle are in memory now."""
+        self._cycle, self._in_memory_s = event.cycle, self._clock_s()
+
+    def exposed_s(self, snapshot: Snapshot) -> float:
+        """When a snapshot that is complete now was exposed; without an exposure, now."""
+        now_s = self._clock_s()
+        if not snapshot.exposed_ns:
+            return now_s
+        exposed_s = now_s - max(snapshot.published_ns - snapshot.exposed_ns, 0) * 1e-9
+        return min(exposed_s, self._in_memory_s) if self._cycle == snapshot.cycle else exposed_s
