@@ -225,6 +225,11 @@ def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
     """robot_from_flange (4, 4) in mm of a pose as the controller shows it.
 
     Raises ValueError that says what was expected: a wrong count, an impossible quaternion.
+
+    A KUKA flange, 500 mm up, turned by 90° about z (its A); KUKA tells X, Y, Z, A, B, C.
+
+    >>> transform_of(Brand.KUKA, (0.0, 0.0, 500.0, 90.0, 0.0, 0.0)).round(6).tolist()[1]
+    [1.0, 0.0, 0.0, 0.0]
     """
     expected = 7 if brand is Brand.ABB else 6
     if len(numbers) != expected or not all(map(math.isfinite, numbers)):

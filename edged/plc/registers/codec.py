@@ -110,7 +110,11 @@ CRC_START = 0xFFFF
 
 
 def crc16(data: bytes | bytearray, crc: int = CRC_START) -> int:
-    """CRC-16/MODBUS; crc : of what came before, to go on with it."""
+    """CRC-16/MODBUS; crc : of what came before, to go on with it.
+
+    >>> hex(crc16(b"123456789"))
+    '0x4b37'
+    """
     for byte in data:
         crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
     return crc

@@ -85,7 +85,12 @@ class Curve:
 
     @property
     def perimeter_mm(self) -> float:
-        """Length of the outline."""
+        """Length of the outline.
+
+        >>> slot = Curve("s", "slot", np.array([0.0, 0.0, 0.0, 9.0, 4.0]), 1)  # 9 mm long, 4 mm wide
+        >>> round(slot.perimeter_mm - (2 * 5 + 4 * math.pi), 9)
+        0.0
+        """
         if self.kind == "circle":
             return float(2 * math.pi * self.parameters[2])
         if self.kind == "edge":

@@ -20,12 +20,20 @@ Angles = TypeVar("Angles", float, FloatArray)
 
 
 def wrapped(angle: Angles, period: float = 2 * math.pi) -> Angles:
-    """The angle without whole periods, in [-period / 2, period / 2); in the unit of the period."""
+    """The angle without whole periods, in [-period / 2, period / 2); in the unit of the period.
+
+    >>> wrapped(350.0, 360.0)
+    -10.0
+    """
     return (angle + period / 2) % period - period / 2
 
 
 def angle_between(one_rad: float, other_rad: float) -> float:
-    """By how much two directions of a plane differ, in [0, pi]."""
+    """By how much two directions of a plane differ, in [0, pi].
+
+    >>> round(angle_between(math.radians(350), math.radians(10)), 6) == round(math.radians(20), 6)
+    True
+    """
     return abs(wrapped(one_rad - other_rad))
 
 
@@ -74,6 +82,9 @@ def quaternion(rotation: FloatArray) -> FloatArray:
 
     By its largest component, so that no digits are lost, neither at no turn nor at half a turn.
     Source: S. W. Shepperd, "Quaternion from Rotation Matrix", 1978.
+
+    >>> quaternion(about_z(math.pi)).round(6).tolist()
+    [0.0, 0.0, 0.0, 1.0]
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = float(np.trace(r))
@@ -124,7 +135,14 @@ def invert(to_from_source: FloatArray) -> FloatArray:
 
 
 def apply(to_from_source: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Points (..., 3) of the frame `source` in the frame `to`."""
+    """Points (..., 3) of the frame `source` in the frame `to`.
+
+    A part that lies 200 mm before the camera, turned by 90° about z: its x axis points along the rig's y.
+
+    >>> rig_from_part = transform(about_z(math.pi / 2), np.array([0.0, 0.0, 200.0]))
+    >>> apply(rig_from_part, np.array([10.0, 0.0, 0.0])).round(6).tolist()
+    [0.0, 10.0, 200.0]
+    """
     points = np.asarray(points_mm, dtype=np.float64)
     return np.asarray(points @ to_from_source[:3, :3].T + to_from_source[:3, 3])
 

@@ -55,7 +55,8 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
         result = _from_edges(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = with_flatness(result, images, job)
+    if any(spec.kind == "flatness" for spec in job.measurements):
+        result = with_flatness(result, images, job)
     return replace(result, target=judged(job, images.rectification, result.target, result.evidence))
 
 
