@@ -332,8 +332,6 @@ class ZenohPublisher:
         self._answers.post(send)
 
 
-
-
 def _on_loop(
     loop: asyncio.AbstractEventLoop, name: str, handle: Callable[[str, zenoh.Query], None]
 ) -> Callable[[zenoh.Query], None]:

@@ -266,7 +266,7 @@ class EdgedCell:
         if line is not None:
             with contextlib.suppress(OSError):
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self._client.close()  # type: ignore[no-untyped-call]
+        self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
 
 
 def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first: bool) -> dict[str, float]:
