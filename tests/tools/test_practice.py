@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from cells import frame_pair
 
-from edged.adapters.replay import find_pairs
 from edged.commands.register import read_touched
 from edged.domain import FloatArray
 from edged.files.images import load_image
+from edged.files.pairs import find_pairs
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.touch import register_points
 from edged.sim.cell import demo_rig
