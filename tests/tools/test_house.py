@@ -28,7 +28,7 @@ READ = sorted([*SOURCES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "tools").glob
 FACES = re.compile(r"(adapters|plc)/\w+|files/(rigformats|jobs)")
 """Packages that are used by the names in their `__init__.py`; of all others the modules are named."""
 
-MOST_FILES_ENTERED = 36
+MOST_FILES_ENTERED = 35
 """By `inspect`, today; who reads how a part is found opens as many. Wanted: 15."""
 
 SUPPRESSION = re.compile(
