@@ -38,7 +38,8 @@ class Sensor:
 
     def saw(self, image: Image) -> int:
         """The frame id of a picture; fails for one that was never shown."""
-        return next(number for number, shown in self.shown.items() if np.array_equal(shown, image))
+        known = list(self.shown.items())  # a free-running camera goes on exposing meanwhile
+        return next(number for number, shown in known if np.array_equal(shown, image))
 
 
 def gige_camera(

@@ -192,17 +192,27 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
     )
 
 
-def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(in_process_cell: Cell) -> None:
-    """Port in use: exit code 2, no stack trace, the first one goes on."""
+@pytest.mark.parametrize("shared", ["zenoh", "modbus"])
+def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
+    in_process_cell: Cell, shared: str
+) -> None:
+    """Port in use, of one server or the other: exit code 2 that names it, and the first one goes on."""
+    ports = {"zenoh": in_process_cell.zenoh_port, "modbus": in_process_cell.modbus_port}
+    text = in_process_cell.config.read_text()
+    for name, port in ports.items():
+        if name != shared:
+            text = text.replace(str(port), str(free_port()))
+    config = in_process_cell.config.with_name("second.toml")
+    config.write_text(text)
     second = subprocess.run(
-        [sys.executable, "-m", "edged", "run", str(in_process_cell.config)],
+        [sys.executable, "-m", "edged", "run", str(config)],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
     )
     assert second.returncode == 2
-    assert str(in_process_cell.modbus_port) in second.stderr
+    assert str(ports[shared]) in second.stderr
     assert "Traceback" not in second.stderr
     assert in_process_cell.read("status")
 
