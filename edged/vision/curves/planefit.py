@@ -123,7 +123,7 @@ class PlaneFit:
     of each fit's curve, mm and rad, correlations included.
     edge_covariance (P, P) : what of it comes from the edges, not from the calibration.
     row_shift_px, row_sigma_px : by which the right image shows all curves farther across the rows than the
-    left one, raw px; sigma with the calibration's.
+    left one, raw px; sigma with the calibration's; NaN where the curves were only laid where they are.
     """
 
     face: Face
@@ -386,28 +386,27 @@ class _State:
         columns = self._columns(np.diff(pairs.parts) > 0)
         # unknowns that are held leave no gap: the solver would find them undetermined
         used = np.unique(columns[columns >= 0])
+        dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
         samples, priors = samples_of(
             pairs,
-            self._with_row_shift(outline, sides),
-            np.pad(
-                np.where(columns < 0, -1, np.searchsorted(used, columns)),
-                ((0, 0), (0, 1)),
-                constant_values=-1,
-            ),
+            self._with_row_shift(outline, sides) if final else tuple(side.design for side in sides),
+            np.pad(dense, ((0, 0), (0, 1)), constant_values=-1) if final else dense,
             edges.offset_px,
             edges.bias_px,
             np.array([curve.polarity for curve in self.curves]),
             self._shift_basis(outline, sides, gain) if final else None,
             len(used),
         )
-        samples.columns[samples.columns[:, 0] >= 0, -1] = len(used) + priors
-        priors += 1
+        if final:
+            samples.columns[samples.columns[:, 0] >= 0, -1] = len(used) + priors
+            priors += 1
         solution = solve(samples, len(used) + priors, priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
-        row = len(solution.delta) - 1
         by_edges = known = solution.covariance[: len(used), : len(used)]
-        row_variance = float(solution.covariance[row, row])
+        row, row_shift, row_variance = len(solution.delta) - 1, math.nan, math.nan
+        if final:
+            row_shift, row_variance = float(solution.delta[row]), float(solution.covariance[row, row])
         if final and self.rig.covariance is not None:
             space = self.face.to_rig(outline.points)
             causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
@@ -424,7 +423,7 @@ class _State:
             covariances[0],
             covariances[1],
             self._motion(sides, delta, starts),
-            ROW_SIGMA_PX * float(solution.delta[row]),
+            ROW_SIGMA_PX * row_shift,
             ROW_SIGMA_PX * math.sqrt(row_variance),
             starts,
             np.stack(
