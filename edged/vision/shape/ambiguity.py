@@ -39,7 +39,7 @@ MEETING_PX = (8.0, 4.0, 2.5)
 ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
 """Share of n points where texture or clutter shows edges that are not the part's, at the most, and the spread
 of that share, times 1 / sqrt(n): a rotation that shows more of its own is beyond doubt by itself."""
-DECIDED, CHANCE = 0.25, 1.5
+DECIDED, CHANCE = 0.3, 1.5
 """By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
 points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
 SEEN, STRONG_SHARE = 70, 0.2
@@ -48,8 +48,9 @@ and shadows are weaker, holes of a dark part on a bright table are not."""
 REACH_PX = 1.5
 BESIDE_PX = 3.0
 """Where the grey values beside an edge are taken: out of its blur, still before the next edge."""
-SURFACE_SHARE = 0.35
-"""Of the contrast of the part's weaker edges: so much may its surface vary."""
+SURFACE_SHARE, EVEN_SHARE, SPREADS = 0.35, 0.1, 4.0
+"""Of the contrast of the part's weaker edges: so much may its surface vary at most, and so much always; in
+between, so many times its own sigma: a bar may be nearly as bright."""
 WEAKER = 25
 """Percentile of the part's edges that stands for its weaker ones."""
 
@@ -96,14 +97,13 @@ class Sight:
 class Surroundings:
     """What counts as an edge of the part, and as a surface without one, in the light of one image.
 
-    strong : slope, grey values per px.  face, around : grey values of the part's face and of what lies around
-    it, NaN where they are not even.  vary : so much may a surface vary.
+    strong : slope, grey values per px.  face, around : grey value, and by how much it may vary, of the part's
+    face and of what lies around it; NaN where they are not even.
     """
 
     strong: float
-    face: float
-    around: float
-    vary: float
+    face: tuple[float, float]
+    around: tuple[float, float]
 
     def shows(self, sight: Sight) -> Flags:
         """Points (N,) with an edge."""
@@ -111,8 +111,11 @@ class Surroundings:
 
     def denies(self, sight: Sight) -> Flags:
         """Points (N,) where the bare face is, or instead of the rim the bare table, without an edge."""
-        bare = (np.abs(sight.beside - self.face) < self.vary).all(axis=1)  # False for NaN
-        bare |= (sight.inward != 0) & (np.abs(sight.beside - self.around) < self.vary).all(axis=1)
+        bare, empty = (
+            (np.abs(sight.beside - level) < vary).all(axis=1)  # False for NaN
+            for level, vary in (self.face, self.around)
+        )
+        bare |= (sight.inward != 0) & empty
         return np.asarray(bare & (np.abs(sight.slope) < self.strong))
 
 
@@ -141,19 +144,22 @@ def surroundings(sight: Sight, min_contrast: float) -> Surroundings:
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
     if rim.sum() < MIN_APART:
-        return Surroundings(strong, math.nan, math.nan, 0.0)
+        return Surroundings(strong, (math.nan, 0.0), (math.nan, 0.0))
     steps = np.abs(sight.beside[seen, 2] - sight.beside[seen, 0])
-    vary = SURFACE_SHARE * _percentile(steps, WEAKER)
+    step = _percentile(steps, WEAKER)
     inward = sight.inward[rim] > 0
     inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
     outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
-    return Surroundings(strong, _even(inside, vary), _even(outside, vary), vary)
+    return Surroundings(strong, _even(inside, step), _even(outside, step))
 
 
-def _even(greys: FloatArray, vary: float) -> float:
-    """The grey value of a surface; NaN for one that is not even."""
+def _even(greys: FloatArray, step: float) -> tuple[float, float]:
+    """The grey value of a surface beside edges of a step, and how much it may vary; NaN if it is not even."""
     level = float(np.median(greys))
-    return level if 2 * float(np.median(np.abs(greys - level))) < vary else math.nan
+    sigma = 1.4826 * float(np.median(np.abs(greys - level)))
+    if 1.35 * sigma >= SURFACE_SHARE * step:
+        return math.nan, 0.0
+    return level, min(max(SPREADS * sigma, EVEN_SHARE * step), SURFACE_SHARE * step)
 
 
 def open_turns(

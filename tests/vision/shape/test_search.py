@@ -189,7 +189,7 @@ def test_hidden_odd_hole_is_ambiguous() -> None:
     assert match.ambiguous
 
 
-@pytest.mark.parametrize(("grey", "doubt"), [(115, False), (200, True)])
+@pytest.mark.parametrize(("grey", "doubt"), [(115, False), (170, False), (200, True)])
 def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> None:
     """One hole hidden, the place of the missing one seen: as many edges speak for a turn by 120°, but a
     hole is denied there. A cover as bright as the part could itself be that surface: in doubt."""
@@ -539,3 +539,15 @@ def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float)
     off = np.array([match.x_px - 190.0, match.y_px - 150.0])
     assert np.linalg.norm(off) < 0.15
     assert (np.abs(off) < 5 * np.sqrt(np.diag(match.covariance)[:2]) + 0.02).all()
+
+
+@pytest.mark.parametrize("grey", [170, 200, 230])
+def test_a_cover_nearly_as_bright_as_the_part_is_not_its_surface(grey: float) -> None:
+    """One hole hidden in the dark, the place of the missing one under a bright cover: nothing decides."""
+    angle, hidden = 0.4, 0.4 + 2 * math.pi / 3
+    image = draw(flange(odd=True), (200, 160, angle, 1, 1)).astype(np.float64)
+    for turn, cover in ((hidden, 30.0), (angle, grey)):
+        place = round(200 + 44 * math.cos(turn)), round(160 + 44 * math.sin(turn))
+        cv2.circle(image, place, 14, cover, -1)
+    match = _one(find_shapes(image.astype(np.uint8), _FUZZ, replace(RIGID, min_score=0.5)))
+    assert match.ambiguous or (grey == 200 and _turn(match.angle_rad, angle) < 0.01)
