@@ -550,4 +550,4 @@ def test_a_cover_nearly_as_bright_as_the_part_is_not_its_surface(grey: float) ->
         place = round(200 + 44 * math.cos(turn)), round(160 + 44 * math.sin(turn))
         cv2.circle(image, place, 14, cover, -1)
     match = _one(find_shapes(image.astype(np.uint8), _FUZZ, replace(RIGID, min_score=0.5)))
-    assert match.ambiguous or (grey == 200 and _turn(match.angle_rad, angle) < 0.01)
+    assert match.ambiguous or (grey == 200 and angle_between(match.angle_rad, angle) < 0.01)
