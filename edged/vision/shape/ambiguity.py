@@ -39,7 +39,7 @@ MEETING_PX = (8.0, 4.0, 2.5)
 ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
 """Share of n points where texture or clutter shows edges that are not the part's, at the most, and the spread
 of that share, times 1 / sqrt(n): a rotation that shows more of its own is beyond doubt by itself."""
-DECIDED, CHANCE = 0.3, 1.5
+DECIDED, CHANCE = 0.25, 1.5
 """By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
 points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
 SEEN, STRONG_SHARE = 70, 0.2
