@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -31,6 +31,16 @@ from edged.vision.boards.deformation import nominal
 from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
 from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
+from edged.vision.calibration.imaging import (
+    Edges,
+    Finding,
+    Imaging,
+    edges_of,
+    findings,
+    imaging_of,
+    with_response,
+)
+from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
@@ -69,15 +79,18 @@ def calibrate(
         calibration = calibrate_stereo(views, *sizes, lens, plate_shape=plate_shape)
     with console.status("holding views out"):
         held = hold_out(calibration)
+    imaging = look_at_edges(pairs, calibration, console)
+    found = findings(imaging, calibration.rig, float(depths_mm(calibration)[1]))
+    calibration = replace(calibration, rig=with_response(calibration.rig, imaging))
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
-    quality = quality_figures(calibration, held, boards)
-    page = _page(directory, calibration, held, views, quality) if report else None
+    quality = quality_figures(calibration, held, boards) | {"imaging": [asdict(one) for one in found]}
+    page = _page(directory, calibration, held, views, quality, found) if report else None
     kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_atomically(report, page.encode())
-    _print(console, calibration, quality, output, report, kept)
+    _print(console, calibration, quality, found, output, report, kept)
     return 0
 
 
@@ -87,6 +100,7 @@ def _page(
     held: Sequence[HeldOutView],
     views: Sequence[StereoView],
     quality: Mapping[str, Any],
+    found: Sequence[Finding],
 ) -> str:
     about = {
         "pictures": str(directory.resolve()),
@@ -94,7 +108,7 @@ def _page(
     }
     sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
     plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
-    return calibration_report(calibration, held, views, quality, about, plain)
+    return calibration_report(calibration, held, views, quality, about, plain, found)
 
 
 def detect_views(
@@ -196,6 +210,34 @@ def _remeasure(
 ) -> Detection | NotDetected:
     board = nominal(fit.view.board)
     return remeasure_board(load_image(path), board, fit.view.found(side), camera, camera_from_board)
+
+
+def look_at_edges(
+    pairs: list[ImagePair], calibration: Calibration, console: Console
+) -> tuple[Imaging, Imaging]:
+    """What the edges of the boards say of the left and of the right camera."""
+    rig = calibration.rig
+    files = {pair.name: pair for pair in pairs}
+    with _pool() as pool, _progress(console) as progress:
+        bar = progress.add_task("looking at the edges", total=2 * len(calibration.views))
+        futures = [
+            [
+                pool.submit(_edges, getattr(files[fit.name], side), fit, side, number)
+                for number, fit in enumerate(calibration.views)
+            ]
+            for side in SIDES
+        ]
+        found = [[_finish(future, progress, bar) for future in each] for each in futures]
+    sizes = [(camera.width, camera.height) for camera in (rig.left, rig.right)]
+    left, right = (
+        imaging_of([one for one in edges if one is not None], size)
+        for edges, size in zip(found, sizes, strict=True)
+    )
+    return left, right
+
+
+def _edges(path: Path, fit: ViewFit, side: Side, number: int) -> Edges | None:
+    return edges_of(load_image(path), fit.view.board, fit.view.found(side), number)
 
 
 def _finish(future: Future[T], progress: Progress, bar: TaskID) -> T:
@@ -300,6 +342,7 @@ def _print(
     console: Console,
     calibration: Calibration,
     quality: Mapping[str, Any],
+    found: Sequence[Finding],
     output: Path,
     report: Path | None,
     kept: Path | None,
@@ -330,6 +373,9 @@ def _print(
     console.print(
         f"all lengths rest on the stated board ({escape(quality['board'])}): the pictures cannot prove it"
     )
+    for finding in found:
+        if finding.remedy:
+            console.print(f"[yellow]note[/] {escape(finding.text)}", soft_wrap=True)
     for name, reason in calibration.excluded:
         console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}")
     for note in calibration.notes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from edged.domain import Circle3D, Frame, FramePair, Image, Target
+from edged.domain import SIDES, Circle3D, FloatArray, Frame, FramePair, Image, Target
 from edged.drift import TELLING
 from edged.errors import ImageError, UserError
 from edged.files.images import load_image
@@ -22,6 +22,8 @@ from edged.files.rig import load_rig
 from edged.pipeline import locate, prepare
 from edged.vision.boards.board import NotDetected, StereoView, parse_boards
 from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.calibration.imaging import Finding as Remark
+from edged.vision.calibration.imaging import Imaging, edges_of, findings, imaging_of
 from edged.vision.calibration.verification import (
     COVERAGE,
     BoardCheck,
@@ -31,6 +33,8 @@ from edged.vision.calibration.verification import (
     pose_of_board,
 )
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.stereoimages import linear_image
 from edged.vision.part.consistency import undoubted
 
 _WARNING = (
@@ -49,13 +53,17 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a pair says of a rig. reason : why there are no figures, or empty."""
+    """What a pair says of a rig. reason : why there are no figures, or empty.
+
+    cameras : what the board's edges say of response, blur and light.
+    """
 
     verdict: Verdict
     epipolar_rms_px: float
     lengths: tuple[Length, ...]
     reason: str = ""
     board: BoardCheck | None = None
+    cameras: tuple[Remark, ...] = ()
 
 
 def verify(
@@ -118,8 +126,22 @@ def _by_board(rig: StereoRig, images: tuple[Image, Image], spec: str, limits: Li
             reason = reason or placed.reason
             continue
         check = check_board(rig, *placed)
-        return _judged(check.epipolar_rms_px, (check.size,), limits, check)
+        found = _judged(check.epipolar_rms_px, (check.size,), limits, check)
+        return replace(found, cameras=_cameras(rig, images, *placed))
     return Finding("UNDECIDED", math.nan, (), reason)
+
+
+def _cameras(
+    rig: StereoRig, images: tuple[Image, Image], view: StereoView, left_from_board: FloatArray
+) -> tuple[Remark, ...]:
+    """What the board's edges say of the cameras, the response that the rig knows of taken out."""
+    sides: list[Imaging] = []
+    for side, image in zip(SIDES, images, strict=True):
+        camera = rig.left if side == "left" else rig.right
+        edges = edges_of(linear_image(image, camera.gamma), view.board, view.found(side))
+        sides.append(imaging_of([] if edges is None else [edges], (camera.width, camera.height)))
+    depth_mm = float(apply(left_from_board, view.board.points_mm)[:, 2].mean())
+    return findings((sides[0], sides[1]), rig, depth_mm)
 
 
 def _by_part(
@@ -212,6 +234,7 @@ def _to_json(finding: Finding, rig: StereoRig, limits: Limits) -> dict[str, Any]
             }
             for length in finding.lengths
         ],
+        "cameras": [asdict(remark) for remark in finding.cameras],
         "board": None
         if finding.board is None
         else {name: value for name, value in asdict(finding.board).items() if name != "size"},
@@ -241,4 +264,7 @@ def _print(finding: Finding, rig: StereoRig, limits: Limits, console: Console) -
             words[verdict],
         )
     console.print(table)
+    for remark in finding.cameras:
+        if remark.remedy:
+            console.print(f"[yellow]note[/] {escape(remark.text)}", soft_wrap=True)
     console.print(_WARNING, soft_wrap=True)

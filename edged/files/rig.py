@@ -17,6 +17,7 @@ from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRi
 
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
+MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
 
 
 # --- rig.json ---------------------------------------------------------------------------------
@@ -127,6 +128,7 @@ def _camera_to_json(camera: CameraModel) -> dict[str, Any]:
         "cx": camera.cx,
         "cy": camera.cy,
         "distortion": dict(zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=True)),
+        "gamma": camera.gamma,
     }
 
 
@@ -138,6 +140,9 @@ def _camera_from_json(reader: _Fields) -> CameraModel:
     fx, fy = reader.number("fx"), reader.number("fy")
     if fx <= 0 or fy <= 0:
         raise reader.error("fx", f"focal lengths must be positive, got {fx}, {fy}")
+    gamma = reader.number("gamma") if "gamma" in reader.document else 1.0  # rigs of older versions
+    if not MIN_GAMMA <= gamma <= MAX_GAMMA:
+        raise reader.error("gamma", f"expected {MIN_GAMMA:g} to {MAX_GAMMA:g}, 1 for linear, got {gamma:g}")
     return CameraModel(
         model,
         reader.integer("width"),
@@ -147,6 +152,7 @@ def _camera_from_json(reader: _Fields) -> CameraModel:
         reader.number("cx"),
         reader.number("cy"),
         tuple(distortion.number(name) for name in DISTORTION_NAMES[model]),
+        gamma,
     )
 
 

@@ -12,6 +12,7 @@ from edged.report.page import Table, render
 from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.crossvalidation import HeldOutView
+from edged.vision.calibration.imaging import Finding
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
 from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
@@ -28,11 +29,13 @@ def calibration_report(
     quality: Mapping[str, Any],
     about: Mapping[str, str] | None = None,
     plain: PlainCalibration | None = None,
+    found: Sequence[Finding] = (),
 ) -> str:
     """The page.
 
     held : views measured without themselves.  views : all that were offered, used or not.
-    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.
+    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : what the
+    boards' edges say of the cameras.
     """
     rig, rectification = calibration.rig, make_rectification(calibration.rig)
     internal, lenses = _internal(rig, rectification)
@@ -48,6 +51,7 @@ def calibration_report(
         lengths=lengths(held) if held else None,
         coverage=coverage(calibration, "left", rig.left) + coverage(calibration, "right", rig.right),
         radial=radial(calibration),
+        imaging=[finding.text for finding in found],
         volume=_volume(calibration),
         sigma_maps=sigma_maps(calibration),
         internal=internal,

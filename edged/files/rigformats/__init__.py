@@ -82,6 +82,7 @@ def write_rig(path: Path, rig: StereoRig, form: RigFormat, options: Options = DE
             ("covariance", rig.covariance),
             ("robot_from_rig", rig.robot_from_rig),
             ("flange_from_rig", rig.flange_from_rig),
+            ("gamma", None if rig.left.gamma == rig.right.gamma == 1.0 else rig.left.gamma),
         )
         if value is not None
     ]

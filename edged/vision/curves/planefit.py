@@ -60,11 +60,17 @@ MAX_SLOPE, MAX_RISE = 0.5, 0.2
 PROBE_MM = 0.01
 PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
+CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
+"""By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
+of it both cameras do not have in common."""
 ROW_SIGMA_PX = 0.3
 """How far the rows of both images may lie apart, before anything was measured."""
 RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
+
+
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,12 +283,14 @@ class _Edges:
     """What the curves show in both images.
 
     offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
-    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.
+    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
+    saturated surface.
     """
 
     offset_px: FloatArray
     base: FloatArray
     bias_px: FloatArray
+    clipped: Flags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -407,6 +415,11 @@ class _State:
         row, row_shift, row_variance = len(solution.delta) - 1, math.nan, math.nan
         if final:
             row_shift, row_variance = float(solution.delta[row]), float(solution.covariance[row, row])
+        if final and edges.clipped.any():
+            by_cause = propagate(samples, solution, pairs.rows_of(*self._clipping(edges, starts)))
+            by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
+            row_variance += float(by_cause[row] @ by_cause[row])
+            known = by_edges
         if final and self.rig.covariance is not None:
             space = self.face.to_rig(outline.points)
             causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
@@ -446,7 +459,7 @@ class _State:
         widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
         nothing = np.zeros((starts[-1], 0))
 
-        def side(number: int) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray]:
+        def side(number: int) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray, Flags]:
             seen = project_outline(self.rig, SIDES[number], self.face, outline)
             image = self.images[number]
             edges = edges_at_widths(image, seen.pixels, seen.normals, reach, signs, widths, fine)
@@ -458,12 +471,22 @@ class _State:
                 # the centre of the bend by blur² x curvature / 2
                 blur2_px2 = np.repeat(chosen.blur2_px2, counts)
                 offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
-            return seen, offsets, chosen.base, chosen.bias_px
+            return seen, offsets, chosen.base, chosen.bias_px, edges.clipped
 
-        (left, *of_left), (right, *of_right) = for_both(side)
+        (left, *of_left, clipped_left), (right, *of_right, clipped_right) = for_both(side)
         offsets, base, bias = (np.stack(both) for both in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
-        return (left, right), _Edges(offsets, np.where(np.repeat(few, counts), 0.0, base), bias)
+        base = np.where(np.repeat(few, counts), 0.0, base)
+        return (left, right), _Edges(offsets, base, bias, np.stack([clipped_left, clipped_right]))
+
+    def _clipping(self, edges: _Edges, starts: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) for each camera: by how much a saturated sensor moves the edges, one sigma, px.
+
+        All of them towards the dark, in both cameras much alike: they see one light.
+        """
+        towards = -np.repeat([float(curve.polarity) for curve in self.curves], np.diff(starts))
+        left, right = CLIPPED_PX * towards * edges.clipped
+        return np.column_stack([left, CLIPPED_APART * left]), np.column_stack([right, -CLIPPED_APART * right])
 
     def _with_row_shift(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]

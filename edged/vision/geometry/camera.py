@@ -32,6 +32,7 @@ class CameraModel:
 
     width, height : image size in px.  fx, fy, cx, cy : px, integer = pixel centre.
     distortion : (k1, k2, p1, p2, k3) for "brown", (kappa,) for "division", normalised.
+    gamma : grey value ~ light ** gamma; 1 for a linear camera, as it should be.
     """
 
     model: LensModel
@@ -42,11 +43,14 @@ class CameraModel:
     cx: float
     cy: float
     distortion: tuple[float, ...]
+    gamma: float = 1.0
 
     def __post_init__(self) -> None:
         expected = len(DISTORTION_NAMES[self.model])
         if len(self.distortion) != expected:
             raise ValueError(f"{self.model} takes {expected} distortion values, got {len(self.distortion)}")
+        if not self.gamma > 0:
+            raise ValueError(f"gamma {self.gamma}: expected a positive number")
 
     @property
     def matrix(self) -> FloatArray:
@@ -129,7 +133,8 @@ class StereoRig:
 def calibration_identity(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> str:
     """A name that follows from the values: the same calibration has the same name anywhere."""
     cameras = [(c.model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion) for c in (left, right)]
-    text = repr((cameras, right_from_left.tolist()))
+    responses = tuple(camera.gamma for camera in (left, right))
+    text = repr((cameras, right_from_left.tolist(), *(responses if responses != (1.0, 1.0) else ())))
     return f"cal-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image, Side
@@ -13,7 +15,10 @@ from edged.vision.geometry.rectification import Rectification
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoImages:
-    """Raw images (H, W) and rectified ones (h, w), uint8, with the rectification between them."""
+    """Raw images (H, W) and rectified ones (h, w), uint8, with the rectification between them.
+
+    Their grey values are in proportion to the light: the response of the cameras is taken out.
+    """
 
     rectification: Rectification
     left: Image
@@ -24,6 +29,10 @@ class StereoImages:
     @staticmethod
     def of(rectification: Rectification, left: Image, right: Image) -> StereoImages:
         """Rectify a raw pair. Raises `ImageError` for images that the rig was not calibrated for."""
+        left, right = (
+            linear_image(left, rectification.rig.left.gamma),
+            linear_image(right, rectification.rig.right.gamma),
+        )
         return StereoImages(
             rectification, left, right, rectification.left_image(left), rectification.right_image(right)
         )
@@ -43,3 +52,16 @@ class StereoImages:
         camera = self.rig.left if side == "left" else self.rig.right
         normalised = camera.normalise(self.rectification.raw_points(side, rectified_px))
         return np.column_stack([normalised, np.ones(len(normalised))])
+
+
+def linear_image(image: Image, gamma: float) -> Image:
+    """An image (H, W) uint8 with grey values in proportion to the light; the same one of a linear camera."""
+    if gamma == 1.0 or image.dtype != np.uint8:
+        return image
+    return np.asarray(cv2.LUT(image, _inverse(gamma)), np.uint8)
+
+
+@lru_cache(maxsize=8)
+def _inverse(gamma: float) -> Image:
+    """(256,) uint8: the linear grey value of each."""
+    return np.rint(255.0 * (np.arange(256) / 255.0) ** (1.0 / gamma)).astype(np.uint8)

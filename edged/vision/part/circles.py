@@ -44,6 +44,8 @@ MIN_OTHER_SUPPORT = 0.4
 ENOUGH_SUPPORT = 0.8
 """Of a start that both cameras agree with this much there is no better one."""
 PNP_POINTS = 16
+STRETCH, MIN_ROWS = 8, 4
+"""Edge points whose row differences are averaged, and how many there must be in all."""
 LOCK_PARAMS = FitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0, min_support=0.0)
 WIDE_LOCK_PARAMS = replace(LOCK_PARAMS, reach_px=(6.0, 4.0, 2.5, 2.0))
 OTHER_PARAMS = FitParams(reach_px=(3.0, 2.0), repeats=0, min_support=MIN_OTHER_SUPPORT)
@@ -410,10 +412,10 @@ def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:
 
 
 def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
-    """Rms row difference of the reference circle's edge points, left against right.
+    """Rms row difference of the reference circle's stretches, left against right.
 
-    Both cameras measure the same points of the circle only up to a motion along the edge; the part of the
-    row difference that a motion along the edge can explain is taken out.
+    Stretches, not single edge points: noise is no mismatch. Both cameras measure the same points of the
+    circle only up to a motion along the edge, so that edges which run down the image are left out.
     """
     both = fit.weights.min(axis=0) > 0.1
     if both.sum() < 8:
@@ -423,8 +425,13 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
     tangent = (np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0))[both]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
-    usable = rows[~vague & np.isfinite(rows)]
-    return float(np.sqrt(np.mean(usable**2))) if len(usable) >= 4 else float("nan")
+    usable = ~vague & np.isfinite(rows)
+    if usable.sum() < MIN_ROWS:
+        return float("nan")
+    stretch = np.flatnonzero(both)[usable] // STRETCH
+    count = np.bincount(stretch)
+    means = np.bincount(stretch, rows[usable])[count > 0] / count[count > 0]
+    return float(np.sqrt(np.average(means**2, weights=count[count > 0])))
 
 
 def _in_order(job: Job, found: list[FoundCircle]) -> tuple[Circle3D, ...]:

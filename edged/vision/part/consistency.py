@@ -38,7 +38,7 @@ that does."""
 ALONG_PER_ACROSS = 8.0
 """How far a camera may have moved along the rows, in shifts across them: as one sigma. A knock has any
 direction; of all directions 98 % are within four of these."""
-MIN_SIZES = 4
+MIN_SIZES = 3
 MIN_SHARE = 1e-6
 """Of a size: no machined part keeps more."""
 ARM = 0.15

@@ -126,6 +126,28 @@ def test_a_saturated_highlight_along_the_edge() -> None:
     assert target.sigma_mm[2] > whole().sigma_mm[2]
 
 
+def test_too_much_light_moves_every_edge_alike() -> None:
+    """A part so bright that the sensor is saturated looks larger: its radius says so in its sigma."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    brighter = 1.3 * 255.0 / np.percentile(left, 99)
+    left, right = (np.minimum(image * brighter, 255).astype(np.uint8) for image in (left, right))
+    target = only(seen(here.job, left, right))
+    circle, clear = target.circles[0], whole().circles[0]
+    assert abs(circle.radius_mm - here.job.reference_circle.radius_mm) < 4 * circle.sigma_radius_mm
+    assert circle.sigma_radius_mm > 2 * clear.sigma_radius_mm
+
+
+def test_noise_is_no_mismatch_of_rows() -> None:
+    """Three times the usual noise scatters single edge points; stretches of them still share their rows."""
+    here = cell("disc")
+    rng = np.random.default_rng(3)
+    left, right = (
+        np.clip(image + rng.normal(0, 12, image.shape), 0, 255).astype(np.uint8) for image in here.see(pose())
+    )
+    assert only(seen(here.job, left, right)).epipolar_rms_px < 0.25
+
+
 @pytest.mark.parametrize(("nearest_mm", "farthest_mm"), [(150.0, 200.0), (210.0, 260.0)])
 def test_a_disparity_outside_of_the_range(nearest_mm: float, farthest_mm: float) -> None:
     """A part nearer or farther than the job allows is measured and refused for that."""

@@ -1,0 +1,407 @@
+"""How the cameras render an edge: response, blur, its asymmetry, light. All from pictures of a chessboard.
+
+The corner between four squares stays where it is, whatever the camera does to bright and dark. The edges
+between two squares do not: with a response that is not linear (a gamma), an edge that the lens has spread
+appears displaced towards the dark, and its profile is no longer the same from both ends. A line through two
+corners says where the edge is. So the exponent that puts the edges on their lines is the camera's response,
+if the shape of the profile confirms it; if not, it may as well be the board's print.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import SIDES, FloatArray, Image
+from edged.vision.boards.board import Board, Detection
+from edged.vision.geometry.camera import StereoRig, calibration_identity
+
+REACH_PX = 5
+"""Of the profiles, to both sides, and half their width along the edge."""
+FLAT_PX = 3.2
+"""From here to the reach the profile is level, for a lens that can be measured with at all."""
+MIN_LENGTH_PX = 3.5 * REACH_PX
+MIN_STEP, BLACK, WHITE = 30.0, 2.0, 250.0
+"""Grey values: least step of an edge, and where pixels are clipped."""
+BIN_PX = 0.1
+SECTORS = 4
+"""Directions from dark to bright that are evaluated apart: asymmetric blur cancels in their mean."""
+PLACES = 3
+"""Rows and columns of the image that are looked at apart."""
+MIN_EDGES = 40
+"""... of one sector, or of one place."""
+GAMMA_RANGE = (0.3, 3.0)
+MIN_SHIFT_PX, SURE = 0.02, 6.0
+"""A response is corrected from this displacement of the edges on, in px and in sigmas."""
+SOFT_PX, MAX_ASYMMETRY_PX, MAX_SATURATED, MAX_FALLOFF = 1.0, 0.05, 0.01, 0.5
+"""From where a person should do something: px of blur, px, shares."""
+NOISE_PX = 0.05
+"""Of a single edge point in good light."""
+CONFIRMED = 0.5
+"""... when it takes away at least half of the profiles' asymmetry."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Square pixel patches (M, P) around the middles of M edges of a board.
+
+    across (M, P) : distance from the line through the edge's corners, px, positive on the bright side.
+    grey (M, P); used (M, P) bool.  toward (M, 2) : unit normals, from dark to bright.  middle (M, 2) px.
+    dark, bright (M,) grey values beside the edge.  view (M,) : number of the picture.
+    """
+
+    across: FloatArray
+    grey: FloatArray
+    used: npt.NDArray[np.bool_]
+    toward: FloatArray
+    middle: FloatArray
+    dark: FloatArray
+    bright: FloatArray
+    view: npt.NDArray[np.int64]
+
+    def some(self, chosen: npt.NDArray[np.bool_]) -> Edges:
+        """Those that are chosen (M,)."""
+        return Edges(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True)
+class Imaging:
+    """What one camera does to an edge; NaN where the pictures do not tell.
+
+    gamma : grey value ~ light ** gamma, 1 unless displacement and profiles of the edges agree on another.
+    shift_px, sigma_shift_px : displacement of edges towards the dark, as the pictures are.
+    blur_px : sigma of the edge spread; least and largest of nine places, too.
+    asymmetry_px : by how much the spread differs between both ends of an edge, largest of the places.
+    saturated : share of edges whose bright side is clipped.  falloff : share of the light missing in the
+    darkest corner, against the brightest place.
+    """
+
+    gamma: float
+    shift_px: float
+    sigma_shift_px: float
+    blur_px: float
+    least_blur_px: float
+    largest_blur_px: float
+    asymmetry_px: float
+    saturated: float
+    falloff: float
+
+
+UNKNOWN = Imaging(1.0, *[math.nan] * 8)
+
+
+def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) -> Edges | None:
+    """The edges between neighbouring corners of a chessboard or ChArUco board; None where there are none.
+
+    image (H, W) uint8.  view : number to keep with them.
+    """
+    lines = _lines(board, detection)
+    if not len(lines):
+        return None
+    along = lines[:, 1] - lines[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    middle = lines.mean(axis=1)
+    margin = REACH_PX + 2
+    inside = (middle >= margin).all(axis=1) & (middle < np.array(image.shape[::-1]) - margin - 1).all(axis=1)
+    fits = inside & (length > MIN_LENGTH_PX)
+    if not fits.any():
+        return None
+    middle, along = middle[fits], along[fits] / length[fits, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    window = np.arange(-REACH_PX - 1, REACH_PX + 2)
+    x, y = (side.ravel() for side in np.meshgrid(window, window))
+    base = np.rint(middle).astype(np.int64)
+    column, row = base[:, :1] + x, base[:, 1:] + y
+    dx, dy = column - middle[:, :1], row - middle[:, 1:]
+    across = dx * normal[:, :1] + dy * normal[:, 1:]
+    beside = dx * along[:, :1] + dy * along[:, 1:]
+    grey = image[row, column].astype(np.float64)
+    used = (np.abs(across) <= REACH_PX) & (np.abs(beside) <= REACH_PX)
+    low, high = _levels(across, grey, used)
+    flip = np.where(high < low, -1.0, 1.0)[:, None]
+    return Edges(
+        across * flip,
+        grey,
+        used,
+        normal * flip,
+        middle,
+        np.minimum(low, high),
+        np.maximum(low, high),
+        np.full(len(middle), view),
+    )
+
+
+def imaging_of(pictures: Sequence[Edges], size: tuple[int, int]) -> Imaging:
+    """What the edges in all pictures of one camera say of it.
+
+    size (w, h) of the images.
+    """
+    if not pictures:
+        return UNKNOWN
+    edges = Edges(*(np.concatenate([getattr(one, name) for one in pictures]) for name in Edges.__slots__))
+    step = edges.bright - edges.dark
+    clipped = edges.bright >= WHITE
+    saturated = float(np.mean(clipped[step > MIN_STEP])) if (step > MIN_STEP).any() else math.nan
+    good = edges.some(~clipped & (edges.dark > BLACK) & (step > MIN_STEP))
+    if len(good.view) < MIN_EDGES:
+        return replace(UNKNOWN, saturated=saturated)
+    gamma, shift, sigma = _response(good)
+    linear = replace(good, grey=linear_grey(good.grey, gamma))
+    whole = _profile(linear)
+    blurs, asymmetries, light = [], [], []
+    place = np.minimum(good.middle * PLACES / np.array(size), PLACES - 1).astype(np.int64)
+    for y in range(PLACES):
+        for x in range(PLACES):
+            here = (place == (x, y)).all(axis=1)
+            if here.sum() < MIN_EDGES:
+                continue
+            there = linear.some(here)
+            profile = _profile(there)
+            blurs.append(profile.blur_px)
+            asymmetries.append(_asymmetry_px(there))
+            light.append(float(np.median(linear_grey(good.bright[here], gamma))))
+    return Imaging(
+        gamma,
+        shift,
+        sigma,
+        whole.blur_px,
+        min(blurs, default=math.nan),
+        max(blurs, default=math.nan),
+        max((value for value in asymmetries if math.isfinite(value)), default=math.nan),
+        saturated,
+        1.0 - min(light) / max(light) if light else math.nan,
+    )
+
+
+def with_response(rig: StereoRig, imaging: tuple[Imaging, Imaging]) -> StereoRig:
+    """The rig with the cameras' responses, from which its images are made linear before they are measured."""
+    left, right = (
+        replace(camera, gamma=one.gamma) for camera, one in zip((rig.left, rig.right), imaging, strict=True)
+    )
+    identity = calibration_identity(left, right, rig.right_from_left)
+    return replace(rig, left=left, right=right, calibration_id=identity)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is to be known of the cameras.
+
+    cost_um : what it does to a measurement.  remedy : what to do, "" if all is well.
+    """
+
+    name: str
+    text: str
+    cost_um: float
+    remedy: str
+
+
+def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) -> tuple[Finding, ...]:
+    """Response, blur, its asymmetry, focus and light of both cameras, with what each costs at a depth."""
+    focal = 0.25 * (rig.left.fx + rig.left.fy + rig.right.fx + rig.right.fy)
+    across_um = 1e3 * depth_mm / focal
+    depth_um = across_um * depth_mm / rig.baseline_mm
+    found: list[Finding] = []
+
+    def add(name: str, text: str, cost_um: float, remedy: str, telling: bool) -> None:
+        if math.isfinite(cost_um):
+            cost = f"{text}: {cost_um:.1f} µm" + (f"; {remedy}" if telling else "")
+            found.append(Finding(name, cost, cost_um, remedy if telling else ""))
+
+    for side, one in zip(SIDES, imaging, strict=True):
+        if one.gamma != 1.0:
+            add(
+                f"{side} response",
+                f"{side} camera, gamma {one.gamma:.2f} instead of 1; left in the images, it costs radii",
+                abs(one.shift_px) * across_um,
+                "the calibration takes it out; better set the camera's Gamma to 1 and calibrate again",
+                telling=True,
+            )
+        else:
+            add(
+                f"{side} response",
+                f"{side} camera, edges {one.shift_px:+.3f} px off the lines through their corners; "
+                "in a radius this is",
+                abs(one.shift_px) * across_um,
+                "it is the camera's response, its sharpening, or ink that has spread",
+                telling=abs(one.shift_px) > max(MIN_SHIFT_PX, SURE * one.sigma_shift_px),
+            )
+        add(
+            f"{side} blur",
+            f"{side} camera, blur {one.blur_px:.2f} px, {one.least_blur_px:.2f} to {one.largest_blur_px:.2f} "
+            "over the image; at chamfers this may cost in depth",
+            math.sqrt(max(one.largest_blur_px**2 - one.least_blur_px**2, 0.0)) * depth_um,
+            "focus again, or close the aperture",
+            telling=one.largest_blur_px > max(SOFT_PX, 1.5 * one.least_blur_px),
+        )
+        add(
+            f"{side} asymmetry",
+            f"{side} camera, asymmetry of the blur {one.asymmetry_px:.3f} px; in depth",
+            one.asymmetry_px * depth_um,
+            "close the aperture, or check that lens and filter are seated and clean",
+            telling=one.asymmetry_px > MAX_ASYMMETRY_PX,
+        )
+        add(
+            f"{side} saturation",
+            f"{side} camera, {100 * one.saturated:.0f} % of the edges saturated; in a radius",
+            (0.5 * one.blur_px if math.isfinite(one.blur_px) else 0.5) * one.saturated * across_um,
+            "less exposure or light",
+            telling=one.saturated > MAX_SATURATED,
+        )
+        add(
+            f"{side} falloff",
+            f"{side} camera, {100 * one.falloff:.0f} % of the light missing in the darkest corner; "
+            "by its noise, in depth",
+            NOISE_PX * (1 / math.sqrt(max(1 - one.falloff, 0.01)) - 1) * depth_um,
+            "open the aperture, or light more evenly",
+            telling=one.falloff > MAX_FALLOFF,
+        )
+    left, right = imaging
+    unequal = math.sqrt(abs(left.blur_px**2 - right.blur_px**2))
+    add(
+        "unequal focus",
+        f"focus of both cameras, {left.blur_px:.2f} and {right.blur_px:.2f} px; at chamfers this may cost "
+        "in depth",
+        unequal * depth_um,
+        "focus both alike",
+        telling=unequal > SOFT_PX,
+    )
+    return tuple(found)
+
+
+def linear_grey(grey: FloatArray, gamma: float) -> FloatArray:
+    """Grey values, 0 to 255, that are in proportion to the light."""
+    return np.asarray(255.0 * (grey / 255.0) ** (1.0 / gamma))
+
+
+def _lines(board: Board, detection: Detection) -> FloatArray:
+    """(M, 2, 2) px: both ends of every edge between neighbouring corners; none for boards of dots."""
+    stated = getattr(board, "stated", board)
+    if not str(stated).startswith(("chessboard", "charuco")):
+        return np.zeros((0, 2, 2))
+    cells = np.rint(stated.points_mm[detection.ids, :2] / stated.pitch_mm).astype(np.int64)
+    known = {(x, y): n for n, (x, y) in enumerate(cells.tolist())}
+    pairs = [
+        (n, known[beside])
+        for (x, y), n in known.items()
+        for beside in ((x + 1, y), (x, y + 1))
+        if beside in known
+    ]
+    return detection.pixels[np.array(pairs, np.int64).reshape(-1, 2)]
+
+
+def _levels(
+    across: FloatArray, grey: FloatArray, used: npt.NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Median grey values (M,) on both sides of each edge."""
+    sides = (used & (across < -FLAT_PX), used & (across > FLAT_PX))
+    low, high = (np.nanmedian(np.where(side, grey, np.nan), axis=1) for side in sides)
+    return low, high
+
+
+# --- profiles --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Profile:
+    """share (B,) of the step, 0 to 1, at place_px (B,); centre_px : where it is one half; blur_px : sigma."""
+
+    place_px: FloatArray
+    share: FloatArray
+    centre_px: float
+    blur_px: float
+
+    def at(self, place_px: FloatArray) -> FloatArray:
+        """The share at places from the centre."""
+        return np.interp(self.centre_px + place_px, self.place_px, self.share)
+
+
+def _profile(edges: Edges) -> _Profile:
+    """The mean profile of edges across their lines, in grey values as they are."""
+    low, high = _levels(edges.across, edges.grey, edges.used)
+    share = (edges.grey - low[:, None]) / np.maximum(high - low, 1e-9)[:, None]
+    bins = int(2 * REACH_PX / BIN_PX)
+    where = np.clip(((edges.across[edges.used] + REACH_PX) / BIN_PX).astype(np.int64), 0, bins - 1)
+    count = np.bincount(where, minlength=bins)
+    total = np.bincount(where, share[edges.used], minlength=bins)
+    place = np.linspace(0.5 * BIN_PX - REACH_PX, REACH_PX - 0.5 * BIN_PX, bins)
+    known = count > 0
+    place, mean = place[known], np.asarray(total[known] / count[known], np.float64)
+    after = max(int(np.argmax(mean > 0.5)), 1)
+    before = after - 1
+    within = (0.5 - mean[before]) / max(mean[after] - mean[before], 1e-9)
+    centre = float(place[before] + within * (place[after] - place[before]))
+    profile = _Profile(place, mean, centre, 0.0)
+    tails = np.maximum(1.0 - profile.at(_HALF) + profile.at(-_HALF), 0.0)
+    return replace(profile, blur_px=math.sqrt(2.0 * float(np.sum(_HALF * tails)) * BIN_PX))
+
+
+CENTRE_STEPS_PX = np.arange(-0.03, 0.031, 0.01)
+_HALF = np.arange(BIN_PX / 2, REACH_PX - 2.0, BIN_PX)
+
+
+def _by_sector(edges: Edges) -> list[Edges]:
+    """The edges by their direction from dark to bright; without directions of which there are too few."""
+    angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
+    sector = ((angle + math.pi) * SECTORS / (2 * math.pi)).astype(np.int64) % SECTORS
+    found = [edges.some(sector == number) for number in range(SECTORS)]
+    return [one for one in found if len(one.view) >= MIN_EDGES]
+
+
+def _odd_part(edges: Edges, gamma: float) -> float:
+    """Mean square of what is not alike at both ends of the profiles, over the directions."""
+    squares = []
+    for one in _by_sector(edges) or [edges]:
+        profile = _profile(replace(one, grey=linear_grey(one.grey, gamma)))
+        moved = (
+            replace(profile, centre_px=profile.centre_px + step) for step in np.arange(-0.03, 0.031, 0.01)
+        )
+        squares.append(min(float(np.mean((p.at(_HALF) + p.at(-_HALF) - 1.0) ** 2)) for p in moved))
+    return float(np.mean(squares))
+
+
+def _shift_px(edges: Edges, gamma: float) -> float:
+    """Displacement of the edges towards the dark, the mean over the directions."""
+    centres = [
+        _profile(replace(one, grey=linear_grey(one.grey, gamma))).centre_px
+        for one in _by_sector(edges) or [edges]
+    ]
+    return -float(np.mean(centres))
+
+
+def _response(edges: Edges) -> tuple[float, float, float]:
+    """Gamma (1 unless it is certain), the displacement of the edges as they are, and its sigma, px."""
+    shift = _shift_px(edges, 1.0)
+    views = [edges.some(edges.view == number) for number in np.unique(edges.view)]
+    parts = views if len(views) > 1 else _by_sector(edges)
+    each = [-_profile(one).centre_px for one in parts if len(one.view) >= MIN_EDGES]
+    sigma = float(np.std(each, ddof=1) / math.sqrt(len(each))) if len(each) > 1 else abs(shift)
+    if abs(shift) < max(MIN_SHIFT_PX, SURE * sigma):
+        return 1.0, shift, sigma
+    low, high = np.log(GAMMA_RANGE)
+    for _ in range(14):  # the displacement grows with the exponent that is assumed
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _shift_px(edges, math.exp(middle)) > 0 else (middle, high)
+    gamma = round(math.exp(0.5 * (low + high)), 3)
+    confirmed = _odd_part(edges, gamma) < CONFIRMED * _odd_part(edges, 1.0)
+    return (gamma if confirmed else 1.0), shift, sigma
+
+
+def _asymmetry_px(edges: Edges) -> float:
+    """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
+    angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
+    sector = ((angle + math.pi) * SECTORS / (2 * math.pi)).astype(np.int64) % SECTORS
+    skew = []
+    for number in range(SECTORS):
+        here = sector == number
+        if here.sum() < MIN_EDGES // SECTORS:
+            skew.append(math.nan)
+            continue
+        profile = _profile(edges.some(here))
+        skew.append(float(np.sum(profile.at(_HALF) + profile.at(-_HALF) - 1.0)) * BIN_PX)
+    pairs = [0.5 * abs(skew[n] - skew[n + SECTORS // 2]) for n in range(SECTORS // 2)]
+    known = [value for value in pairs if math.isfinite(value)]
+    return max(known) if known else math.nan
