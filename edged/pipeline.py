@@ -59,11 +59,10 @@ class Inspection:
 def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
     """`locate` with the evidence: every part that was found, with the edges it stands on."""
     images = _rectified(pair, rig)
+    rectified = images.rectified_left
     lap("rectify")
     with rig.workspaces.lend() as work:
-        matches = find_shapes(
-            images.rectified_left, job.shape, job.search, rig.rectification.valid_left, work
-        )
+        matches = find_shapes(rectified, job.shape, job.search, rig.rectification.valid_left, work)
     lap("find")
     measured, dismissed = [], []
     for match in matches:

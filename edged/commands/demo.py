@@ -22,8 +22,9 @@ from edged.files.atomic import write_atomically
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
 from edged.pipeline import prepare
-from edged.sim.cell import VirtualCell
+from edged.sim.cell import Truth, VirtualCell
 from edged.sim.world import VirtualWorld
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.teaching.pair import teach
 from edged.vision.teaching.region import Region
 
@@ -79,15 +80,20 @@ def demo(options: DemoOptions) -> int:
     return 0 if summary.cycles and summary.located == summary.cycles else 1
 
 
+def region_of_part(rig: StereoRig, truth: Truth) -> Region:
+    """Where a person would draw it: around the largest circle, with a margin."""
+    outline = max(truth.circles, key=lambda circle: circle.radius_mm)
+    x, y = rig.left.project(outline.centre_mm[None])[0]
+    half = 1.12 * outline.radius_mm * rig.left.fx / outline.centre_mm[2]
+    return Region(x - half, y - half, 2 * half, 2 * half)
+
+
 def prepare_cell(folder: Path, cell: VirtualCell, options: DemoOptions, *, gige: bool) -> Path:
     """Write rig, taught job and configuration of the virtual cell; returns the configuration file."""
     folder.mkdir(parents=True, exist_ok=True)
     save_rig(folder / "rig.json", cell.rig)
     left, right, truth = cell.teach_pair()
-    outline = max(truth.circles, key=lambda circle: circle.radius_mm)
-    x, y = cell.rig.left.project(outline.centre_mm[None])[0]
-    half = 1.12 * outline.radius_mm * cell.rig.left.fx / outline.centre_mm[2]
-    region = Region(x - half, y - half, 2 * half, 2 * half)
+    region = region_of_part(cell.rig, truth)
     job = teach(left, right, prepare(cell.rig).rectification, region, "flange")
     save_job(folder / "jobs" / "flange", job)
     source = "virtual" if gige else "virtual-inprocess"

@@ -265,17 +265,15 @@ class _Step:
     weights: FloatArray
     residuals: FloatArray
 
-    def support(self, k: int) -> FloatArray:
-        rows = slice(*self.starts[k : k + 2])
-        agree = (self.weights[:, rows] > 0) & (np.abs(self.residuals[:, rows]) < AGREE_PX)
-        return np.asarray(agree.mean(axis=1))
+    def support(self) -> FloatArray:
+        """(2, K) share of the samples of each curve with an edge that agrees, left and right."""
+        agree = (self.weights > 0) & (np.abs(self.residuals) < AGREE_PX)
+        return np.add.reduceat(agree, self.starts[:-1], axis=1, dtype=np.float64) / np.diff(self.starts)
 
     def supported(self, share: float) -> list[int]:
         """The curves that were seen, by so much of both images."""
-        return [k for k in range(len(self.starts) - 1) if self._is_seen(k) and self.support(k).min() >= share]
-
-    def _is_seen(self, k: int) -> bool:
-        return float(self.weights[:, slice(*self.starts[k : k + 2])].sum()) >= MIN_SAMPLES
+        seen = np.add.reduceat(self.weights, self.starts[:-1], axis=1).sum(axis=0) >= MIN_SAMPLES
+        return np.flatnonzero(seen & (self.support().min(axis=0) >= share)).tolist()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -473,8 +471,10 @@ class _State:
                 offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
             return seen, offsets, chosen.base, chosen.bias_px, edges.clipped
 
-        (left, *of_left, clipped_left), (right, *of_right, clipped_right) = for_both(side)
-        offsets, base, bias = (np.stack(both) for both in zip(of_left, of_right, strict=True))
+        # side by side only what takes long enough: handing it over costs as much as a coarse step
+        both = for_both(side) if final else (side(0), side(1))
+        (left, *of_left, clipped_left), (right, *of_right, clipped_right) = both
+        offsets, base, bias = (np.stack(pair) for pair in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         base = np.where(np.repeat(few, counts), 0.0, base)
         return (left, right), _Edges(offsets, base, bias, np.stack([clipped_left, clipped_right]))
@@ -571,7 +571,7 @@ class _State:
         kept = step.supported(self.params.min_support)
         if not kept:
             return None
-        fits = []
+        fits, support = [], step.support()
         for k in kept:
             rows = slice(*step.starts[k : k + 2])
             weights = step.weights[:, rows]
@@ -580,7 +580,7 @@ class _State:
             fits.append(
                 CurveFit(
                     self.curves[k],
-                    step.support(k),
+                    support[:, k],
                     float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
                     float(means[0] - means[1]),
                     step.points[:, rows],

@@ -92,17 +92,20 @@ class Rectification:
         image: Image,
         side: Side,
     ) -> Image:
-        if image.dtype != np.uint8:
-            raise ImageError(f"{side} image: {image.dtype} pixels, expected 8-bit grey")
-        if image.shape != (camera.height, camera.width):
-            found = "x".join(str(n) for n in reversed(image.shape))
-            raise ImageError(
-                f"{side} image: {found}, the rig was calibrated for {camera.width}x{camera.height}"
-            )
+        check_size(camera, image, side)
         # not cubic: OpenCV rounds its sample positions to 1/32 px, and a Gaussian blob then moves by up to
         # 0.05 px, against 0.02 px with this
         result = cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         return np.asarray(result, dtype=np.uint8)
+
+
+def check_size(camera: CameraModel, image: Image, side: Side) -> None:
+    """Raises `ImageError` for an image that is not one of this camera's, 8-bit grey."""
+    if image.dtype != np.uint8:
+        raise ImageError(f"{side} image: {image.dtype} pixels, expected 8-bit grey")
+    if image.shape != (camera.height, camera.width):
+        found = "x".join(str(n) for n in reversed(image.shape))
+        raise ImageError(f"{side} image: {found}, the rig was calibrated for {camera.width}x{camera.height}")
 
 
 def make_rectification(rig: StereoRig) -> Rectification:
@@ -270,6 +273,7 @@ def _maps(
             valid[rows] = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
         map_x[rows] = np.where(np.isfinite(x), np.clip(x, -1e4, 3e4), outside)
         map_y[rows] = np.where(np.isfinite(y), np.clip(y, -1e4, 3e4), outside)
-    for plane in (map_x, map_y):
+    valid *= np.uint8(255)
+    for plane in (map_x, map_y, valid):
         plane.flags.writeable = False  # the cycle and the status page read them on threads of their own
-    return (map_x, map_y), valid * np.uint8(255)
+    return (map_x, map_y), valid

@@ -3,39 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image, Side
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rectification import Rectification, check_size
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
 class StereoImages:
     """Raw images (H, W) and rectified ones (h, w), uint8, with the rectification between them.
 
-    Their grey values are in proportion to the light: the response of the cameras is taken out.
+    Their grey values are in proportion to the light: the response of the cameras is taken out. An image is
+    rectified when somebody asks for it: to find a part takes the left one, to measure it takes none.
     """
 
     rectification: Rectification
     left: Image
     right: Image
-    rectified_left: Image
-    rectified_right: Image
 
     @staticmethod
     def of(rectification: Rectification, left: Image, right: Image) -> StereoImages:
-        """Rectify a raw pair. Raises `ImageError` for images that the rig was not calibrated for."""
-        left, right = (
-            linear_image(left, rectification.rig.left.gamma),
-            linear_image(right, rectification.rig.right.gamma),
-        )
+        """Take a raw pair. Raises `ImageError` for images that the rig was not calibrated for."""
+        rig = rectification.rig
+        check_size(rig.left, left, "left")
+        check_size(rig.right, right, "right")
         return StereoImages(
-            rectification, left, right, rectification.left_image(left), rectification.right_image(right)
+            rectification, linear_image(left, rig.left.gamma), linear_image(right, rig.right.gamma)
         )
+
+    @cached_property
+    def rectified_left(self) -> Image:
+        """The left image as the rectified camera sees it."""
+        return self.rectification.left_image(self.left)
+
+    @cached_property
+    def rectified_right(self) -> Image:
+        """The right image as the rectified camera sees it."""
+        return self.rectification.right_image(self.right)
 
     @property
     def rig(self) -> StereoRig:
@@ -56,7 +64,7 @@ class StereoImages:
 
 def linear_image(image: Image, gamma: float) -> Image:
     """An image (H, W) uint8 with grey values in proportion to the light; the same one of a linear camera."""
-    if gamma == 1.0 or image.dtype != np.uint8:
+    if gamma == 1.0:
         return image
     return np.asarray(cv2.LUT(image, _inverse(gamma)), np.uint8)
 

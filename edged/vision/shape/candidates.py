@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -69,7 +68,7 @@ def scan_top(
     unsigned = params.polarity in EACH_EDGE_ITSELF
     scratch = work.buffer("directions", (2, *shape[1:]), np.float32, top)
     minimum = int((8 * params.min_contrast) ** 2)
-    scan.fill_responses(gx, gy, _at_level(valid, gx.shape), minimum, unsigned, plan.pad, scratch, maps)
+    scan.fill_responses(gx, gy, work.mask(valid, top), minimum, unsigned, plan.pad, scratch, maps)
     threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * len(plan.points))
     used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
     positions = used_rows * plan.columns
@@ -173,12 +172,3 @@ def _choose(
     kept = np.empty(limit, np.int64)
     number = scan.best_of_each_place(rows, limit, apart_rad, kept)
     return np.ascontiguousarray(rows[kept[:number]])
-
-
-def _at_level(valid: Image | None, shape: tuple[int, ...]) -> Image:
-    """The mask on a level, shrunk so that its border is no edge; (1, 1) for none."""
-    if valid is None:
-        return np.ones((1, 1), np.uint8)
-    full = cv2.resize((valid > 0).astype(np.uint8) * 255, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
-    # a gradient reaches 1 px, and the area average of a partly hidden pixel is no grey value
-    return np.asarray(cv2.erode((full == 255).astype(np.uint8), np.ones((3, 3), np.uint8)))

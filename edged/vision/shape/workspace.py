@@ -14,6 +14,7 @@ import numpy.typing as npt
 from edged.domain import Image
 
 MIN_LEVEL_SIZE_PX = 16
+_ALL_VALID = np.ones((1, 1), np.uint8)
 
 
 class Workspace:
@@ -26,6 +27,7 @@ class Workspace:
         self.images: list[Image] = []
         self._gradients: list[tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]] | None] = []
         self._pool: dict[tuple[str, int], npt.NDArray[Any]] = {}
+        self._masks: dict[tuple[int, ...], tuple[Image, Image]] = {}
 
     def load(self, image: Image, levels: int) -> None:
         """Build the pyramid (area averages) of an image (H, W) uint8, at most `levels` high."""
@@ -54,6 +56,24 @@ class Workspace:
             cv2.spatialGradient(self.images[level], gx, gy)
             found = self._gradients[level] = (gx, gy)
         return found
+
+    def mask(self, valid: Image | None, level: int) -> Image:
+        """A mask (H, W) uint8 on a level, shrunk so that its border is no edge; (1, 1) for none.
+
+        Of a read-only mask, which nobody can change, the last one is kept.
+        """
+        if valid is None:
+            return _ALL_VALID
+        shape = self.images[level].shape
+        kept = self._masks.get(shape)
+        if kept is not None and kept[0] is valid:
+            return kept[1]
+        full = cv2.resize((valid > 0).astype(np.uint8) * 255, shape[::-1], interpolation=cv2.INTER_AREA)
+        # a gradient reaches 1 px, and the area average of a partly hidden pixel is no grey value
+        shrunk = np.asarray(cv2.erode((full == 255).astype(np.uint8), np.ones((3, 3), np.uint8)), np.uint8)
+        if not valid.flags.writeable and valid.base is None:
+            self._masks[shape] = (valid, shrunk)
+        return shrunk
 
     def buffer(
         self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike, slot: int = 0

@@ -76,9 +76,9 @@ def test_a_blank_image_has_no_plane(rectification: Rectification) -> None:
     """Nothing on the right, or nothing on the left: None."""
     where = pose(tilt_deg=3.0)
     images = seen(rectification, where)
-    blank = np.full_like(images.rectified_right, 70)
-    assert find(replace(images, rectified_right=blank), where) is None
-    assert find(replace(images, rectified_left=blank), where) is None
+    blank = np.full_like(images.right, 70)
+    assert find(replace(images, right=blank), where) is None
+    assert find(replace(images, left=blank), where) is None
 
 
 def test_a_part_out_of_range_has_no_plane(rectification: Rectification) -> None:
