@@ -19,6 +19,7 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainValidator,
+    SecretStr,
     ValidationError,
     ValidationInfo,
     model_validator,
@@ -296,6 +297,8 @@ def _endpoint(value: str) -> str:
     protocol, _, address = value.partition("/")
     if not protocol or not address or ":" in protocol:
         raise ValueError("expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447")
+    if "private_key_base64" in value:  # endpoints are shown, and published
+        raise ValueError("a private key does not belong into an endpoint: name its file in zenoh.config_file")
     return value
 
 
@@ -364,7 +367,9 @@ class WebSection(_Section):
 
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     port: Port = Field(8080, description="TCP port")
-    password_hash: str = Field("", description="from `edged password`; needed beyond this machine")
+    password_hash: SecretStr = Field(
+        SecretStr(""), description="from `edged password`; needed beyond this machine"
+    )
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
     key: FilePath | None = Field(None, description="PEM; private key of the certificate")
 
@@ -372,9 +377,10 @@ class WebSection(_Section):
     def _protected(self) -> WebSection:
         if (self.certificate is None) != (self.key is None):
             raise ValueError("certificate and key go together")
-        if self.password_hash and not self.password_hash.startswith("$argon2"):
+        hashed = self.password_hash.get_secret_value()
+        if hashed and not hashed.startswith("$argon2"):
             raise ValueError("password_hash: expected what `edged password` prints")
-        if not self.password_hash and not _is_loopback(self.host):
+        if not hashed and not _is_loopback(self.host):
             raise ValueError(
                 f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
             )
@@ -423,6 +429,15 @@ class Config(_Section):
         if web is not None and modbus.enabled and web.port == modbus.port:
             raise ValueError(f"web.port and modbus.port are both {web.port}")
         return self
+
+    def secret_files(self) -> dict[str, Path]:
+        """Private keys by their dotted path. This file is one more where `password_hash` is set."""
+        return {place: file for place, file in self.machine_files().items() if place.endswith(".key")}
+
+    @property
+    def password_hash(self) -> str:
+        """Of the status page; "" for none."""
+        return "" if self.web is None else self.web.password_hash.get_secret_value()
 
     def machine_files(self) -> dict[str, Path]:
         """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
@@ -476,6 +491,8 @@ def _problem(detail: Any) -> str:
     if detail["type"] == "missing":
         return f"{place}: missing"
     message = detail["msg"].removeprefix("Value error, ")
+    if place == "web.password_hash" or "private key" in message:  # what was found may be the secret
+        return f"{place}: {message}"
     shown = repr(detail["input"])
     if isinstance(detail["input"], dict) or len(shown) > 60:
         return f"{place}: {message}"
