@@ -8,7 +8,9 @@ degrees and milliseconds here; everything is converted once, where the values le
 from __future__ import annotations
 
 import ipaddress
+import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -302,6 +304,13 @@ def _endpoint(value: str) -> str:
     return value
 
 
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine is at the other end of a Zenoh endpoint."""
+    protocol, _, rest = endpoint.partition("/")
+    host, _, _ = re.split("[?#]", rest, maxsplit=1)[0].rpartition(":")
+    return protocol in ("unixsock-stream", "unixpipe") or _is_loopback(host.strip("[]"))
+
+
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
 
 
@@ -313,9 +322,15 @@ class ZenohSection(_Section):
         default_factory=lambda: ["tcp/127.0.0.1:7447"], description="endpoints that others connect to"
     )
     connect: list[Endpoint] = Field(
-        default_factory=list, description='endpoints to connect to: a fleet\'s router, "tcp/192.168.1.5:7447"'
+        default_factory=list, description='endpoints to connect to: a fleet\'s router, "tls/192.168.1.5:7447"'
     )
     config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
+    commands: Literal["guarded", "anyone", "refused"] = Field(
+        "guarded",
+        description='who may trigger and change the job: "guarded": this machine, and beyond it those whom '
+        '`config_file` lets in by mutual TLS or access control; "anyone" who can connect; "refused": nobody, '
+        "the cell is read-only here",
+    )
     encoding: Literal["json", "cbor"] = Field(
         "json", description="of all messages: the same fields, in CBOR fewer bytes"
     )
@@ -325,6 +340,26 @@ class ZenohSection(_Section):
     ros2_domain_id: int | None = Field(
         None, ge=0, le=232, description="publish poses for ROS 2 (rmw_zenoh) too"
     )
+
+    @model_validator(mode="after")
+    def _guarded(self) -> ZenohSection:
+        if self.config_file is None:  # what that says is looked at where it is read
+            self.refuse_unguarded([("listen", end) for end in self.listen])
+            self.refuse_unguarded([("connect", end) for end in self.connect])
+        return self
+
+    def refuse_unguarded(self, endpoints: Sequence[tuple[str, str]]) -> None:
+        """Raise `ValueError` where commands could come from other machines over one of the endpoints.
+
+        endpoints : "listen" or "connect", and where; those that neither mutual TLS nor access control guards.
+        """
+        for side, endpoint in endpoints:
+            if self.enabled and self.commands == "guarded" and not is_local(endpoint):
+                raise ValueError(
+                    f"{side}: over {endpoint} other machines could trigger and change the job: set "
+                    "zenoh.config_file with mutual TLS or access control (config/zenoh-acl-example.json5), "
+                    'or zenoh.commands = "refused" for readers only, or "anyone" where everybody there may'
+                )
 
 
 class DriftSection(_Section):

@@ -6,6 +6,7 @@ quick.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -45,7 +46,7 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     elsewhere : on a machine that it need not run on; certificates and keys may be missing.
     """
     config = load(path)
-    problems = [] if elsewhere else config.missing_files()
+    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
     rig = rectification = None
     try:
         rig = load_rig(config.cell.rig)
@@ -82,10 +83,31 @@ class ExposedSecret:
 
 def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
     """What others may read of the password's hash and the private keys; path : of the configuration."""
-    secrets = config.secret_files()
+    secrets = [*config.secret_files().items()]
     if config.password_hash:
-        secrets["web.password_hash"] = path
-    return [ExposedSecret(place, file, closing(file)) for place, file in secrets.items() if is_exposed(file)]
+        secrets.append(("web.password_hash", path))
+    if config.zenoh.enabled and config.zenoh.config_file is not None:
+        from edged.adapters.zenoh.session import secret_files  # a check without such a file is quicker
+
+        with contextlib.suppress(ConfigError):  # `read_cell` says so
+            secrets += [("zenoh.config_file", file) for file in secret_files(config.zenoh.config_file)]
+    return [ExposedSecret(place, file, closing(file)) for place, file in secrets if is_exposed(file)]
+
+
+def _unguarded(config: Config) -> list[str]:
+    """What is wrong with Zenoh's own file: it cannot be read, or lets everybody command the cell."""
+    zenoh = config.zenoh
+    if not zenoh.enabled or zenoh.config_file is None or not zenoh.config_file.is_file():
+        return []
+    from edged.adapters.zenoh.session import unguarded  # a check without such a file is quicker
+
+    try:
+        zenoh.refuse_unguarded(unguarded(zenoh.listen, zenoh.connect, zenoh.config_file))
+    except ConfigError as error:
+        return [f"zenoh.config_file: {zenoh.config_file}: {problem}" for problem in error.problems]
+    except ValueError as error:
+        return [f"zenoh: {error}, in {zenoh.config_file}"]
+    return []
 
 
 def _load_jobs(config: Config, problems: list[str]) -> list[Job]:

@@ -184,7 +184,7 @@ class Servers:
                 session = configured(zenoh)
                 return lambda: ZenohPublisher(
                     zenoh,
-                    self._commander,
+                    None if section.commands == "refused" else self._commander,
                     jobs=lambda: job_list(running().loaded),
                     config=lambda: config_summary(running().loaded),
                     session=session,

@@ -153,6 +153,25 @@ def test_a_secret_that_every_user_may_read_is_named(config: Path) -> None:
     assert all(str(secret.file) in secret.remedy and "chmod" in secret.remedy for secret in found)
 
 
+def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> None:
+    """The private keys that it names, and itself where it holds a password; one with a mistake names none."""
+    own, key = config.parent / "zenoh.json5", config.parent / "own.key"
+    config.write_text(config.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "zenoh.json5"'))
+    found = []
+    for content in (
+        {"transport": {"link": {"tls": {"listen_private_key": str(key), "listen_certificate": str(own)}}}},
+        {"transport": {"auth": {"usrpwd": {"user": "cell", "password": "x", "dictionary_file": str(key)}}}},
+        {"transport": {}},
+        {"lisen": 3},
+    ):
+        for file, text in ((own, json.dumps(content)), (key, "")):
+            file.write_text(text)
+            file.chmod(0o644)
+        found.append([secret.file.name for secret in exposed_secrets(config, load(config))])
+
+    assert [["own.key"], ["own.key", "zenoh.json5"], [], []] == found
+
+
 def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> None:
     """There is nothing to hide."""
     (taught / "cell.toml").chmod(0o644)
