@@ -17,14 +17,16 @@ OTHERS = 0o007
 def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
     """Write a file that others must not read. Raises `OSError`.
 
-    like : the file that it replaces; its group keeps what it may do. Without one, a file of root's is for the
-    daemons too, and any other one for its owner alone.
+    like : the file that it replaces. Where others cannot read that, its group keeps what it may do.
+    Otherwise, a file of root's is for the daemons too, and any other one for its owner alone; but where root
+    replaces one and there is no group of daemons, it stays readable: the daemon may be one of the others.
     """
+    is_root, daemons = os.geteuid() == 0, _config_group()
+    found = like.stat() if like is not None and like.exists() else None
     mode, group = 0o600, -1
-    if like is not None and like.exists():
-        found = like.stat()
-        mode, group = found.st_mode & 0o777 & ~OTHERS, found.st_gid
-    elif os.geteuid() == 0 and (daemons := _config_group()) is not None:
+    if found is not None and (not found.st_mode & OTHERS or (is_root and daemons is None)):
+        mode, group = found.st_mode & 0o777, found.st_gid
+    elif is_root and daemons is not None:
         mode, group = 0o640, daemons
     write_atomically(path, data, mode=mode, group=group)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import shutil
 from pathlib import Path
 
@@ -214,23 +215,45 @@ def test_check_doctor_and_daemon_say_it(
     assert {line} == {record.getMessage() for record in caplog.records if record.name == "edged.app.daemon"}
 
 
-def test_a_private_file_is_the_owners_or_also_the_daemons(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+DAEMONS = os.getegid()
+
+
+@pytest.mark.parametrize(
+    ("is_root", "daemons", "former", "expected"),
+    [
+        (False, None, None, 0o600),
+        (False, DAEMONS, None, 0o600),
+        (True, DAEMONS, None, 0o640),
+        (True, None, None, 0o600),
+        # others could not read the former one: it keeps its mode
+        (False, None, 0o660, 0o660),
+        (True, DAEMONS, 0o600, 0o600),
+        # they could: no more, unless the daemon is one of them
+        (False, None, 0o664, 0o600),
+        (True, DAEMONS, 0o644, 0o640),
+        (True, None, 0o644, 0o644),
+    ],
+)
+def test_a_private_file_is_its_owners_or_also_the_daemons(
+    is_root: bool,
+    daemons: int | None,
+    former: int | None,
+    expected: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A new one has mode 600, or 640 for the daemons' group where root writes; one that is replaced keeps
-    its group's right, and others lose theirs."""
-    path, former = tmp_path / "new", tmp_path / "former"
-    monkeypatch.setattr(private, "_config_group", lambda: None)
-    write_private(path, b"secret")
-    assert (0o600, b"secret") == (path.stat().st_mode & 0o777, path.read_bytes())
+    """Others cannot read what is written, and the daemon that could read its configuration still can."""
+    like = tmp_path / "former"
+    if former is not None:
+        like.write_bytes(b"")
+        like.chmod(former)
+    monkeypatch.setattr(private, "_config_group", lambda: daemons)
+    monkeypatch.setattr("os.geteuid", lambda: 0 if is_root else 1000)
 
-    former.write_bytes(b"")
-    former.chmod(0o664)
-    write_private(path, b"secret", like=former)
-    assert 0o660 == path.stat().st_mode & 0o777
+    write_private(tmp_path / "new", b"secret", like=like)
 
-    monkeypatch.setattr(private, "_config_group", lambda: path.stat().st_gid)
-    monkeypatch.setattr("os.geteuid", lambda: 0)
-    write_private(path, b"secret")
-    assert 0o640 == path.stat().st_mode & 0o777
-    assert "chmod 640" in private.closing(path)
+    assert (expected, b"secret") == (
+        (tmp_path / "new").stat().st_mode & 0o777,
+        (tmp_path / "new").read_bytes(),
+    )
+    assert ("chmod 600" if daemons is None else "chmod 640") in private.closing(like)
