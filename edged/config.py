@@ -8,7 +8,9 @@ degrees and milliseconds here; everything is converted once, where the values le
 from __future__ import annotations
 
 import ipaddress
+import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +21,7 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainValidator,
+    SecretStr,
     ValidationError,
     ValidationInfo,
     model_validator,
@@ -296,7 +299,16 @@ def _endpoint(value: str) -> str:
     protocol, _, address = value.partition("/")
     if not protocol or not address or ":" in protocol:
         raise ValueError("expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447")
+    if "private_key_base64" in value:  # endpoints are shown, and published
+        raise ValueError("a private key does not belong into an endpoint: name its file in zenoh.config_file")
     return value
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine is at the other end of a Zenoh endpoint."""
+    protocol, _, rest = endpoint.partition("/")
+    host, _, _ = re.split("[?#]", rest, maxsplit=1)[0].rpartition(":")
+    return protocol in ("unixsock-stream", "unixpipe") or _is_loopback(host.strip("[]"))
 
 
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
@@ -310,9 +322,15 @@ class ZenohSection(_Section):
         default_factory=lambda: ["tcp/127.0.0.1:7447"], description="endpoints that others connect to"
     )
     connect: list[Endpoint] = Field(
-        default_factory=list, description='endpoints to connect to: a fleet\'s router, "tcp/192.168.1.5:7447"'
+        default_factory=list, description='endpoints to connect to: a fleet\'s router, "tls/192.168.1.5:7447"'
     )
     config_file: FilePath | None = Field(None, description="Zenoh's own configuration: TLS, access control")
+    commands: Literal["guarded", "anyone", "refused"] = Field(
+        "guarded",
+        description='who may trigger and change the job: "guarded": this machine, and beyond it those whom '
+        '`config_file` lets in by mutual TLS or access control; "anyone" who can connect; "refused": nobody, '
+        "the cell is read-only here",
+    )
     encoding: Literal["json", "cbor"] = Field(
         "json", description="of all messages: the same fields, in CBOR fewer bytes"
     )
@@ -322,6 +340,26 @@ class ZenohSection(_Section):
     ros2_domain_id: int | None = Field(
         None, ge=0, le=232, description="publish poses for ROS 2 (rmw_zenoh) too"
     )
+
+    @model_validator(mode="after")
+    def _guarded(self) -> ZenohSection:
+        if self.config_file is None:  # what that says is looked at where it is read
+            self.refuse_unguarded([("listen", end) for end in self.listen])
+            self.refuse_unguarded([("connect", end) for end in self.connect])
+        return self
+
+    def refuse_unguarded(self, endpoints: Sequence[tuple[str, str]]) -> None:
+        """Raise `ValueError` where commands could come from other machines over one of the endpoints.
+
+        endpoints : "listen" or "connect", and where; those that neither mutual TLS nor access control guards.
+        """
+        for side, endpoint in endpoints:
+            if self.enabled and self.commands == "guarded" and not is_local(endpoint):
+                raise ValueError(
+                    f"{side}: over {endpoint} other machines could trigger and change the job: set "
+                    "zenoh.config_file with mutual TLS or access control (config/zenoh-acl-example.json5), "
+                    'or zenoh.commands = "refused" for readers only, or "anyone" where everybody there may'
+                )
 
 
 class DriftSection(_Section):
@@ -364,7 +402,9 @@ class WebSection(_Section):
 
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     port: Port = Field(8080, description="TCP port")
-    password_hash: str = Field("", description="from `edged password`; needed beyond this machine")
+    password_hash: SecretStr = Field(
+        SecretStr(""), description="from `edged password`; needed beyond this machine"
+    )
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
     key: FilePath | None = Field(None, description="PEM; private key of the certificate")
 
@@ -372,9 +412,10 @@ class WebSection(_Section):
     def _protected(self) -> WebSection:
         if (self.certificate is None) != (self.key is None):
             raise ValueError("certificate and key go together")
-        if self.password_hash and not self.password_hash.startswith("$argon2"):
+        hashed = self.password_hash.get_secret_value()
+        if hashed and not hashed.startswith("$argon2"):
             raise ValueError("password_hash: expected what `edged password` prints")
-        if not self.password_hash and not _is_loopback(self.host):
+        if not hashed and not _is_loopback(self.host):
             raise ValueError(
                 f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
             )
@@ -423,6 +464,15 @@ class Config(_Section):
         if web is not None and modbus.enabled and web.port == modbus.port:
             raise ValueError(f"web.port and modbus.port are both {web.port}")
         return self
+
+    def secret_files(self) -> dict[str, Path]:
+        """Private keys by their dotted path. This file is one more where `password_hash` is set."""
+        return {place: file for place, file in self.machine_files().items() if place.endswith(".key")}
+
+    @property
+    def password_hash(self) -> str:
+        """Of the status page; "" for none."""
+        return "" if self.web is None else self.web.password_hash.get_secret_value()
 
     def machine_files(self) -> dict[str, Path]:
         """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
@@ -476,6 +526,8 @@ def _problem(detail: Any) -> str:
     if detail["type"] == "missing":
         return f"{place}: missing"
     message = detail["msg"].removeprefix("Value error, ")
+    if place == "web.password_hash" or "private key" in message:  # what was found may be the secret
+        return f"{place}: {message}"
     shown = repr(detail["input"])
     if isinstance(detail["input"], dict) or len(shown) > 60:
         return f"{place}: {message}"

@@ -87,6 +87,42 @@ def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], p
     assert problem.startswith(f"{place}: ")
 
 
+@pytest.mark.parametrize("side", ["listen", "connect"])
+@pytest.mark.parametrize(
+    ("endpoint", "local"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tcp/127.8.8.8:7447?rel=1", True),
+        ("udp/[::1]:7447#iface=lo", True),
+        ("tls/localhost:7447", True),
+        ("unixsock-stream//run/edged.sock", True),
+        ("tcp/0.0.0.0:7447", False),
+        ("tcp/[::]:7447", False),
+        ("tcp/192.168.1.5:7447", False),
+        ("tls/fleet.example:7447", False),
+        ("tcp/localhost.example:7447", False),
+        ("tcp/10.0.0.1:7447#127.0.0.1:1", False),
+        ("tcp/:7447", False),
+        ("serial//dev/ttyS0", False),
+    ],
+)
+def test_who_reaches_an_endpoint_could_command_the_cell(
+    tmp_path: Path, side: str, endpoint: str, local: bool
+) -> None:
+    """Beyond this machine it is refused with every remedy, unless commands are, or the key permits anyone."""
+    text = f'{GOOD}[zenoh]\n{side} = ["{endpoint}"]\n'
+    for permitted in ('commands = "refused"\n', 'commands = "anyone"\n', "enabled = false\n"):
+        load(write(tmp_path, text + permitted))
+    if local:
+        assert "guarded" == load(write(tmp_path, text)).zenoh.commands
+        return
+
+    (problem,) = problems(tmp_path, text)
+    assert problem.startswith(f"zenoh: {side}: over {endpoint} other machines could trigger")
+    for remedy in ("zenoh.config_file", 'zenoh.commands = "refused"', '"anyone"'):
+        assert remedy in problem
+
+
 @pytest.mark.parametrize(
     "content, message",
     [

@@ -24,3 +24,8 @@ def test_two_hashes_of_one_password_differ() -> None:
 def test_a_password_in_the_clear_is_no_hash() -> None:
     """It fits nothing, itself included."""
     assert not is_password(PASSWORD, PASSWORD)
+
+
+def test_a_new_hash_leaves_the_cell_its_cores() -> None:
+    """One lane, 64 MiB (RFC 9106, 4): a log-in takes one core at a time, whatever the machine has."""
+    assert hash_password(PASSWORD).startswith("$argon2id$v=19$m=65536,t=3,p=1$")

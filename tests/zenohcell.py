@@ -91,6 +91,19 @@ def peer(what: str, *more: str, **config: object) -> Iterator[Peer]:
         process.close()
 
 
+async def ask(port: int, *selectors: str) -> list[dict[str, Any]]:
+    """Replies to queries of another process."""
+    config = {"mode": "client", "connect__endpoints": [f"tcp/127.0.0.1:{port}"]}
+
+    def run() -> list[dict[str, Any]]:
+        replies: list[dict[str, Any]] = []
+        with peer("get", *selectors, **config) as process:
+            process.line(lambda line: replies.append(line) is None and "done" in line)
+        return replies[:-1]
+
+    return await asyncio.to_thread(run)
+
+
 def is_message(kind: str, **fields: object) -> Callable[[dict[str, Any]], bool]:
     """Whether a line is a message of this kind with these fields."""
 

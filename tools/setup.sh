@@ -59,21 +59,29 @@ else
 fi
 EDGED_PYTHON=$(find_python) || { say "edged needs Python 3.11 or newer, and none was found"; exit 2; }
 
-wanted=$({ cat pyproject.toml constraints.txt; "$EDGED_PYTHON" -V; pwd; } | sha256sum | cut -c1-16)
+pip_install() { .venv/bin/python -m pip install -q --disable-pip-version-check "$@"; }
+
+wanted=$({ cat pyproject.toml requirements/*.txt; "$EDGED_PYTHON" -V; pwd; } | sha256sum | cut -c1-16)
 if [ ! -e ".venv/$wanted" ]; then
     if ! .venv/bin/python -c 'import sys' 2>/dev/null || [ "$(readlink -f .venv/bin/python)" != "$(readlink -f "$EDGED_PYTHON")" ]; then
         rm -rf .venv
         say "making .venv from $EDGED_PYTHON"
         "$EDGED_PYTHON" -m venv --system-site-packages .venv
     fi
-    say "installing the Python packages of pyproject.toml into .venv (versions of constraints.txt)"
-    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+    say "installing the Python packages of pyproject.toml into .venv (files of requirements/dev.txt)"
+    pip_install --only-binary :all: --require-hashes -r requirements/dev.txt
+    pip_install --no-deps --no-build-isolation -e .
     rm -f .venv/????????????????
     touch ".venv/$wanted"
 fi
 if ! .venv/bin/python -c 'import gi' 2>/dev/null && command -v gcc >/dev/null && pkg-config --exists gobject-introspection-1.0 2>/dev/null; then
     say "building PyGObject for $EDGED_PYTHON"
-    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt '.[aravis]' || say "PyGObject could not be built"
+    # what builds comes first: each from requirements/aravis.txt, none by pip's own choice of build tools
+    for names in 'meson|meson-python|ninja|packaging|pyproject-metadata' pycairo pygobject; do
+        sed -nE "/^($names)==/,/[^\\]\$/p" requirements/aravis.txt >.venv/aravis.txt
+        PATH=$PWD/.venv/bin:$PATH pip_install --require-hashes --no-deps --no-build-isolation -r .venv/aravis.txt ||
+            { say "PyGObject could not be built"; break; }
+    done
 fi
 .venv/bin/python - <<'PY' || say "Aravis is not here: real and GigE Vision cameras are unavailable, in-process cameras stand in"
 import gi

@@ -6,6 +6,7 @@ quick.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -15,7 +16,9 @@ from pathlib import Path
 from edged.config import Config, load
 from edged.errors import ConfigError, UserError
 from edged.files.jobs import job_folders, load_job
+from edged.files.private import closing, is_exposed
 from edged.files.rig import load_rig
+from edged.files.secrettext import without_secrets
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
@@ -26,7 +29,7 @@ class CellFiles:
     """What a cell's files say.
 
     fingerprint : changes with anything that a result stands on.
-    contents : of each file that a result stands on, by its name in a recording.
+    contents : of each file that a result stands on, by its name in a recording; without secrets.
     """
 
     config: Config
@@ -43,7 +46,7 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     elsewhere : on a machine that it need not run on; certificates and keys may be missing.
     """
     config = load(path)
-    problems = [] if elsewhere else config.missing_files()
+    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
     rig = rectification = None
     try:
         rig = load_rig(config.cell.rig)
@@ -58,11 +61,53 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
         for folder in job_folders(config.cell.jobs):
             for name in ("job.toml", "shape.npz"):
                 files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
-        contents = {**files, "cell.toml": path.read_bytes()}
+        contents = {**files, "cell.toml": without_secrets(path.read_bytes())}
     except OSError as error:  # it was there a moment ago
         raise ConfigError(str(path), [f"{error.filename}: cannot be read: {error.strerror}"]) from error
     identity = fingerprint(config, files)
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
+
+
+@dataclass(frozen=True, slots=True)
+class ExposedSecret:
+    """A file that every user of this machine may read, and the secret in it. remedy : a command."""
+
+    place: str
+    file: Path
+    remedy: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.place}: every user of this machine may read {self.file}: {self.remedy}"
+
+
+def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
+    """What others may read of the password's hash and the private keys; path : of the configuration."""
+    secrets = [*config.secret_files().items()]
+    if config.password_hash:
+        secrets.append(("web.password_hash", path))
+    if config.zenoh.enabled and config.zenoh.config_file is not None:
+        from edged.adapters.zenoh.session import secret_files  # a check without such a file is quicker
+
+        with contextlib.suppress(ConfigError):  # `read_cell` says so
+            secrets += [("zenoh.config_file", file) for file in secret_files(config.zenoh.config_file)]
+    return [ExposedSecret(place, file, closing(file)) for place, file in secrets if is_exposed(file)]
+
+
+def _unguarded(config: Config) -> list[str]:
+    """What is wrong with Zenoh's own file: it cannot be read, or lets everybody command the cell."""
+    zenoh = config.zenoh
+    if not zenoh.enabled or zenoh.config_file is None or not zenoh.config_file.is_file():
+        return []
+    from edged.adapters.zenoh.session import unguarded  # a check without such a file is quicker
+
+    try:
+        zenoh.refuse_unguarded(unguarded(zenoh.listen, zenoh.connect, zenoh.config_file))
+    except ConfigError as error:
+        return [f"zenoh.config_file: {zenoh.config_file}: {problem}" for problem in error.problems]
+    except ValueError as error:
+        return [f"zenoh: {error}, in {zenoh.config_file}"]
+    return []
 
 
 def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
@@ -97,10 +142,16 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
 def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
     """Short digest (8 hex digits) of the configuration and of the rig and job files it stands on.
 
-    Of a path only its name counts: a cell that was restored elsewhere is the same cell.
+    Of a path only its name counts: a cell that was restored elsewhere is the same cell. So it is with another
+    password, and what is published tells nothing of it.
     """
-    settings = json.dumps(config.model_dump(), default=lambda path: path.name, sort_keys=True)
+    settings = json.dumps(config.model_dump(), default=_identity, sort_keys=True)
     digest = hashlib.sha256(settings.encode())
     for name in sorted(files):
         digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
     return digest.hexdigest()[:8]
+
+
+def _identity(value: object) -> str:
+    """Of what JSON does not know: paths, and secrets."""
+    return value.name if isinstance(value, Path) else ""

@@ -13,6 +13,7 @@ from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import head_of
 from edged.app.cell import LoadedCell, load_cell, warm_up
+from edged.app.cellfiles import exposed_secrets
 from edged.app.servers import Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
@@ -82,6 +83,7 @@ class Daemon:
         try:
             async with self._reloading:
                 await self._servers.start(self._loaded.cell.config)
+            self._warn_of_exposed_secrets()
             for observer in self._observers:
                 started.append(observer)
                 await observer.start()
@@ -127,7 +129,12 @@ class Daemon:
                 fingerprint_,
                 extra=fields(fingerprint=fingerprint_),
             )
+            self._warn_of_exposed_secrets()
             return True
+
+    def _warn_of_exposed_secrets(self) -> None:
+        for secret in exposed_secrets(self._path, self._loaded.cell.config):
+            log.warning("%s", secret)
 
     async def _run_cycle(self) -> None:
         task = asyncio.create_task(self._cycle.run(), name="cycle")

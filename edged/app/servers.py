@@ -184,7 +184,7 @@ class Servers:
                 session = configured(zenoh)
                 return lambda: ZenohPublisher(
                     zenoh,
-                    self._commander,
+                    None if section.commands == "refused" else self._commander,
                     jobs=lambda: job_list(running().loaded),
                     config=lambda: config_summary(running().loaded),
                     session=session,
@@ -202,7 +202,8 @@ class Servers:
                     registers=lambda: register_rows(self._started.get("modbus")),
                     metrics=self._metrics,
                 )
-                web = WebSettings(**section.model_dump())
+                hashed = section.password_hash.get_secret_value()
+                web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
                 tls = page_context(web)
                 return lambda: WebPublisher(wanted.cell, web, sources, context=tls)
 

@@ -110,7 +110,7 @@ def job_list(loaded: LoadedCell) -> list[tuple[int, str]]:
 
 
 def config_summary(loaded: LoadedCell) -> dict[str, Any]:
-    """What `edged/<cell>/config` answers; there are no secrets in a configuration."""
+    """What `edged/<cell>/config` answers; asterisks say that there is a password's hash, and no more."""
     return {
         "version": __version__,
         "fingerprint": loaded.setup.fingerprint,

@@ -96,13 +96,14 @@ def backup(
 def restore(
     archive: Annotated[Path, typer.Argument(help="written by `edged backup`")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="folder to make; without it the archive is checked")
+        Path | None,
+        typer.Option("--output", "-o", help="folder to put it in; without it the archive is checked"),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="replace a folder that is in use; it is kept beside")
+        bool, typer.Option("--force", help="replace this cell's files in a folder; they are kept beside it")
     ] = False,
 ) -> None:
-    """Check a backup and make a folder of it. 0: done; 1: done, but it would not start."""
+    """Check a backup and put it into a folder. 0: done; 1: done, but it would not start."""
     from rich.console import Console
 
     from edged.commands.backup import restore as command

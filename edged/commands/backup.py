@@ -5,9 +5,13 @@
     rig.json, jobs/   calibration and jobs; Zenoh's own file if there is one
     registers.csv     the Modbus map of the version that wrote it: what the PLC's program was made for
 
-Certificates and keys belong to a machine and are not in it, nor are recordings. A backup is restored once
-into a temporary folder before it counts: the cell in it must load, and have the fingerprint that its
-results carry. An archive may come from anywhere: nothing is written before all of it has been checked.
+Certificates and keys belong to a machine and are not in it, nor are recordings. The hash of the status page's
+password is, so that a restored cell works, and perhaps secrets in Zenoh's own file: an archive is its
+owner's alone (mode 0600).
+
+A backup is restored once into a temporary folder before it counts: the cell in it must load, and have the
+fingerprint that its results carry. An archive may come from anywhere: nothing is written before all of it has
+been checked. A folder may hold several cells: only files of the one in the archive are replaced.
 """
 
 from __future__ import annotations
@@ -37,6 +41,7 @@ from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder, write_atomically
 from edged.files.jobs import job_folders
+from edged.files.replacing import replace_files
 
 FORMAT = "edged-backup"
 VERSION = 1
@@ -90,7 +95,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     if found != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     try:
-        write_atomically(output, data)
+        write_atomically(output, data, mode=0o600)
     except OSError as error:
         raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
     console.print(
@@ -100,14 +105,21 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
         highlight=False,
     )
     _print_left_out(taken, console)
+    if cell.config.password_hash:
+        console.print(
+            "it holds the hash of the status page's password: only its owner may read it (mode 600)",
+            markup=False,
+            highlight=False,
+        )
     return 0
 
 
 def restore(archive: Path, output: Path | None, console: Console, *, force: bool = False) -> int:
-    """Check an archive; with an output make it that folder, as a whole or not at all.
+    """Check an archive; with an output put its files into that folder, all of them or none.
 
-    force : an existing folder makes room and is kept beside it. Returns 0, or 1 when the
-    daemon would not start with what was restored. Raises `UserError`; then nothing has changed.
+    force : files of this cell that are there make room and are kept beside the folder; others stay as they
+    are. Returns 0, or 1 when the daemon would not start with what was restored. Raises `UserError`; then
+    nothing has changed.
     """
     taken = unpack(_read(archive), str(archive))
     console.print(
@@ -125,7 +137,7 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
         return 0
     kept = _put_in_place(taken, output, force=force)
     if kept is not None:
-        console.print(f"what was in {output} is in {kept} now", markup=False, highlight=False)
+        console.print(f"the cell's former files are in {kept} now", markup=False, highlight=False)
     return _tell_verdict(taken, output, console)
 
 
@@ -342,17 +354,74 @@ def _read(archive: Path) -> bytes:
 
 
 def _put_in_place(taken: Backup, output: Path, *, force: bool) -> Path | None:
-    """Make `output` the restored cell in one step; returns where a former folder is kept."""
+    """Let `output` hold the restored cell, in one step; returns where its former files are kept."""
     output = output.resolve()
     if output.exists() and not output.is_dir():
         raise UserError(f"{output}: exists and is no folder")
     if output.is_dir() and any(output.iterdir()) and not force:
-        raise UserError(f"{output}: is not empty; choose another folder, or --force to replace it")
+        raise UserError(
+            f"{output}: is not empty; choose another folder, or --force to replace this cell's files in it"
+        )
+    named = _named(taken.files[taken.config], f"{taken.config} of the backup")
     keep = _unused(output.with_name(f"{output.name}.before-restore"))
     try:
-        return keep if replace_folder(output, taken.files, keep) else None
+        replaced = _replaced(taken, output, named.get("cell.jobs", ""))
+        _leave_others_alone(taken, output, replaced)
+        private = {taken.config, named.get("zenoh.config_file", taken.config)}
+        return keep if replace_files(output, taken.files, replaced, keep, private=private) else None
     except OSError as error:
         raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+
+
+def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
+    """Names of what has to make room in the folder: members, links that lead there, and all former jobs."""
+    replaced = {name for name in taken.files if os.path.lexists(output / name)}
+    parents = {str(parent) for name in taken.files for parent in PurePosixPath(name).parents}
+    replaced |= {parent for parent in parents if (output / parent).is_symlink()}
+    if not _wrong_name(jobs) and (output / jobs).is_dir():
+        replaced |= {
+            file.relative_to(output).as_posix()
+            for file in (output / jobs).rglob("*")
+            if file.is_symlink() or not file.is_dir()
+        }
+    return replaced
+
+
+def _leave_others_alone(taken: Backup, output: Path, replaced: set[str]) -> None:
+    """Raise `UserError` where another cell of the folder stands on a file that would change."""
+    changed = [
+        (output / name).resolve()
+        for name in replaced | taken.files.keys()
+        if name != REGISTERS and not _is_same(output / name, taken.files.get(name))
+    ]
+    for other in sorted(output.glob("*.toml")):
+        if other.name == taken.config or not other.is_file():
+            continue
+        for place, name in _named(read_bytes(other, "a configuration"), str(other)).items():
+            used = (output / name).resolve()
+            if any(file.is_relative_to(used) for file in changed):
+                raise UserError(
+                    f"{output}: {place} of {other.name} is {name}, too, and would become another one; "
+                    "restore into another folder"
+                )
+
+
+def _is_same(file: Path, data: bytes | None) -> bool:
+    return data is not None and file.is_file() and read_bytes(file, "a file of the cell") == data
+
+
+def _named(text: bytes, place: str) -> dict[str, str]:
+    """What a configuration names, by dotted path. Raises `UserError` where that cannot be told."""
+    try:
+        document = tomllib.loads(text.decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UserError(f"{place}: what it stands on cannot be told: not TOML: {error}") from error
+    found = {}
+    for section, key in (("cell", "rig"), ("cell", "jobs"), ("zenoh", "config_file")):
+        table = document.get(section)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            found[f"{section}.{key}"] = table[key]
+    return found
 
 
 def _unused(path: Path) -> Path:

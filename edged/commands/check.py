@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from edged.app.cellfiles import read_cell
+from edged.app.cellfiles import exposed_secrets, read_cell
 from edged.errors import ConfigError
 
 
@@ -21,6 +21,7 @@ def check(path: Path, *, as_json: bool) -> int:
             sys.stderr.write(f"edged: {error}\n")
         return 2
     config, rig = cell.config, cell.rig
+    warnings = [str(secret) for secret in exposed_secrets(path, config)]
     jobs = [{"number": job.number, "name": job.name} for job in cell.jobs]
     if as_json:
         print(
@@ -29,6 +30,7 @@ def check(path: Path, *, as_json: bool) -> int:
                     "ok": True,
                     "file": str(path),
                     "problems": [],
+                    "warnings": warnings,
                     "cell": config.cell.name,
                     "fingerprint": cell.fingerprint,
                     "calibration": rig.calibration_id,
@@ -47,4 +49,6 @@ def check(path: Path, *, as_json: bool) -> int:
     print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"
     print(f"  cameras      {config.cameras.source}, {when}")
+    for warning in warnings:
+        print(f"  warning      {warning}")
     return 0

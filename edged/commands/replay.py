@@ -20,6 +20,7 @@ from edged.files import recording
 from edged.files.atomic import write_atomically
 from edged.files.jobs import job_folders, load_job
 from edged.files.rig import load_rig
+from edged.files.secrettext import without_secrets
 from edged.payload import Json, snapshot_to_json
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.covariance import moved_frame
@@ -182,6 +183,9 @@ def _export(files: list[Path], target: Path, report: Report) -> None:
             if setup.is_dir():
                 copy = recording.setup_folder(target, parts["fingerprint"])
                 shutil.copytree(setup, copy, dirs_exist_ok=True)
+                text = copy / "cell.toml"  # earlier versions recorded the password's hash in it
+                if text.is_file():
+                    write_atomically(text, without_secrets(text.read_bytes()))
         write_atomically(target / "report.json", json.dumps(report.to_json(), indent=1).encode())
     except OSError as error:
         raise FileFormatError(f"{target}: cannot be written: {error.strerror or error}") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.app.cellfiles import read_cell
+from edged.app.cellfiles import exposed_secrets, read_cell
 from edged.config import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict
@@ -35,6 +35,14 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
         rig = cell.rig
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield Check("configuration", Verdict.OK, jobs)
+    for secret in exposed_secrets(path, config):
+        yield Check(
+            "secrets",
+            Verdict.WARN,
+            f"{secret.place}: every user of this machine may read {secret.file}",
+            "a private key is theirs, a password's hash they can try guesses on",
+            secret.remedy,
+        )
     yield from look_at_machine(config)
     yield from look_at_ports(config)
     if config.cameras.source == "aravis":

@@ -15,21 +15,26 @@ from edged.errors import FileFormatError
 MAX_FILE_BYTES = 64 * 1024 * 1024  # a rig is kilobytes, a model is megabytes: more is a wrong file
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that after a power cut either the old or the new content is there."""
+def write_atomically(path: Path, data: bytes, *, mode: int = 0o644, group: int = -1) -> None:
+    """Write a file so that after a power cut either the old or the new content is there.
+
+    mode : other users read rigs; for a secret see `private.write_private`.  group : -1 for one's own.
+    """
     path = Path(path)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
+            if group != -1:
+                os.fchown(file.fileno(), -1, group)
+            os.fchmod(file.fileno(), mode)  # mkstemp makes it private
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)  # noqa: PTH101  (mkstemp makes it private; other users read rigs)
         Path(temporary).replace(path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-    _sync(path.parent)
+    sync(path.parent)
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
@@ -50,7 +55,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
         if in_use:
             if keep is not None and keep.exists():
                 shutil.rmtree(keep)
-            _exchange(draft, folder)
+            exchange(draft, folder)
         else:
             draft.replace(folder)
     except BaseException:
@@ -60,11 +65,11 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
         draft.rename(keep)
     elif in_use:
         shutil.rmtree(draft, ignore_errors=True)
-    _sync(folder.parent)
+    sync(folder.parent)
     return in_use
 
 
-def _exchange(one: Path, other: Path) -> None:
+def exchange(one: Path, other: Path) -> None:
     """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
 
     renameat2(2) with RENAME_EXCHANGE, of Linux. File systems of networks may not know it: there it is
@@ -86,7 +91,7 @@ def _exchange(one: Path, other: Path) -> None:
     aside.rename(one)
 
 
-def _sync(folder: Path) -> None:
+def sync(folder: Path) -> None:
     """Bring the names in a folder to the disc."""
     directory = os.open(folder, os.O_RDONLY)
     try:

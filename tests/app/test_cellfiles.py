@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -84,3 +85,64 @@ def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
     places = [problem.partition(":")[0] for problem in caught.value.problems]
     assert ["modbus.tls.key", "modbus.tls.authority", "web.key", "zenoh.config_file"] == places
     assert read_cell(config, elsewhere=True).config.cell.name == "demo"
+
+
+LAN, TLS = "tcp/0.0.0.0:7447", "tls/0.0.0.0:7447"
+MTLS = {"transport": {"link": {"tls": {"enable_mtls": True}}}}
+DENY = {"enabled": True, "default_permission": "deny", "rules": [], "subjects": [], "policies": []}
+
+
+@pytest.mark.parametrize(
+    ("own", "section", "expected"),
+    [
+        ({}, "", ""),
+        ({}, f'listen = ["{LAN}"]', f"zenoh: listen: over {LAN} "),
+        ({}, f'connect = ["{LAN}"]', f"zenoh: connect: over {LAN} "),
+        ({}, f'listen = ["{LAN}"]\ncommands = "refused"', ""),
+        ({}, f'listen = ["{LAN}"]\ncommands = "anyone"', ""),
+        ({"listen": {"endpoints": [LAN]}}, "", f"zenoh: listen: over {LAN} "),
+        ({"mode": "peer", "listen": {"endpoints": {"peer": [LAN]}}}, "", f"zenoh: listen: over {LAN} "),
+        ({"listen": {"endpoints": ["tcp/127.0.0.1:7447"]}}, f'listen = ["{LAN}"]', ""),
+        (MTLS, f'listen = ["{TLS}"]\nconnect = ["quic/fleet.example:7447"]', ""),
+        (MTLS, f'listen = ["{TLS}", "{LAN}"]', f"zenoh: listen: over {LAN} "),
+        ({"transport": {"link": {"tls": {}}}}, f'listen = ["{TLS}"]', f"zenoh: listen: over {TLS} "),
+        ({"access_control": DENY}, f'listen = ["{LAN}"]', ""),
+        ({"access_control": {**DENY, "enabled": False}}, f'listen = ["{LAN}"]', "zenoh: listen: "),
+        (
+            {"access_control": {**DENY, "default_permission": "allow"}},
+            f'listen = ["{LAN}"]',
+            "zenoh: listen: ",
+        ),
+        ({"scouting": {"multicast": {"enabled": True}}}, "", "zenoh: connect: over scouting/multicast "),
+        ({"lisen": 3}, "", "zenoh.config_file: "),
+    ],
+)
+def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
+    own: dict[str, object], section: str, expected: str, folder: Path
+) -> None:
+    """Certificates on both sides, or access control that denies what it does not name, for every endpoint
+    that others reach, wherever it is written."""
+    (folder / "zenoh.json5").write_text(json.dumps(own))
+    config = folder / "cell.toml"
+    head, _, tail = config.read_text().partition("[zenoh]\n")
+    rest = tail.partition("\n\n")[2]
+    config.write_text(f'{head}[zenoh]\nconfig_file = "zenoh.json5"\n{section}\n\n{rest}')
+
+    if not expected:
+        assert read_cell(config).config.zenoh.config_file == folder / "zenoh.json5"
+        return
+    with pytest.raises(ConfigError) as caught:
+        read_cell(config)
+    (problem,) = caught.value.problems
+    assert problem.startswith(expected)
+    assert "zenoh.json5" in problem
+
+
+@pytest.mark.parametrize("name", ["zenoh-acl-example.json5", "zenoh-router-example.json5"])
+def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
+    """They are the remedy that the message names."""
+    config, examples = folder / "cell.toml", Path(__file__).parents[2] / "config"
+    shutil.copy(examples / name, folder)
+    config.write_text(config.read_text().replace("[zenoh]", f'[zenoh]\nconfig_file = "{name}"'))
+
+    assert read_cell(config).config.zenoh.commands == "guarded"

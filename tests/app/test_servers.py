@@ -11,12 +11,13 @@ from typing import cast
 import pytest
 from certificates import make_certificates
 from smallcell import free_port
+from zenohcell import ask
 
 from edged.app.servers import Servers, wanted_servers
 from edged.app.status import Running
 from edged.config import Config, load
 from edged.domain import Command
-from edged.errors import ConfigError, ListenError
+from edged.errors import CommandRefused, ConfigError, ListenError
 
 HEAD = """
 [cell]
@@ -218,6 +219,34 @@ def test_a_changed_access_control_of_zenoh_is_taken_by_a_reload(tmp_path: Path) 
         own.write_text("{}")
     assert (False, True) == exchange_after(tmp_path, sections, writes(own, "{}"), port)
     assert (False, True) == exchange_after(tmp_path, sections, writes(own, "{"), port)
+
+
+@pytest.mark.parametrize(("commands", "expected"), [("refused", 0), ("guarded", 1), ("anyone", 1)])
+def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
+    commands: str, expected: int, tmp_path: Path
+) -> None:
+    """A trigger is answered with that reason, and nothing is measured."""
+    port, taken = free_port(), list[Command]()
+
+    class Taking:
+        def submit(self, command: Command) -> None:
+            taken.append(command)
+            raise CommandRefused("taken down")
+
+    section = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\ncommands = "{commands}"\n'
+
+    async def main() -> None:
+        servers = Servers(Taking(), _nothing_runs, lambda: b"", lambda: None)
+        await servers.start(config(tmp_path, f"[modbus]\nenabled = false\n{section}"))
+        try:
+            (reply,) = await ask(port, "edged/cell1/trigger?kind=change_job;job=2")
+        finally:
+            await servers.close()
+        refusals = ("this cell takes no commands over Zenoh", "taken down")
+        assert refusals[expected] == reply["document"]["error"]
+
+    asyncio.run(main())
+    assert expected == len(taken)
 
 
 def writes(file: Path, content: str) -> Callable[[], None]:

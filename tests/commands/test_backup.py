@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
+import shutil
 import tarfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,6 +25,7 @@ from edged.commands.backup import Backup, backup, pack, restore, unpack
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.config import load
 from edged.errors import ConfigError, FileFormatError, UserError
+from edged.passwords import hash_password
 from edged.sim.cell import VirtualCell, demo_part
 
 QUIET = Console(quiet=True)
@@ -101,22 +104,133 @@ def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> N
 
 
 def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_path: Path) -> None:
-    """Neither an archive nor a folder; with --force the folder is exchanged and the former one is kept."""
+    """Neither an archive nor a folder; with --force the cell's files are exchanged, the former ones kept."""
     with pytest.raises(UserError, match="--force"):
         backup(cell, archive[0], QUIET)
     assert archive[0].read_bytes() == archive[1]
     (tmp_path / "cell").mkdir()
-    (tmp_path / "cell" / "recording.zip").write_bytes(b"evidence")
+    (tmp_path / "cell" / "rig.json").write_bytes(b"former")
     with pytest.raises(UserError, match="--force"):
         restore(archive[0], tmp_path / "cell", QUIET)
-    assert {"recording.zip": b"evidence"} == contents(tmp_path / "cell")
+    assert {"rig.json": b"former"} == contents(tmp_path / "cell")
 
     assert 0 == restore(archive[0], tmp_path / "cell", QUIET, force=True)
+    restored = contents(tmp_path / "cell")
     assert 0 == restore(archive[0], tmp_path / "cell", QUIET, force=True)
 
-    assert {"recording.zip": b"evidence"} == contents(tmp_path / "cell.before-restore-1")
-    assert contents(tmp_path / "cell.before-restore-2") == contents(tmp_path / "cell")
+    assert {"rig.json": b"former"} == contents(tmp_path / "cell.before-restore-1")
+    assert restored == contents(tmp_path / "cell.before-restore-2") == contents(tmp_path / "cell")
     assert 3 == len(list(tmp_path.iterdir()))
+
+
+@pytest.fixture
+def house(cell: Path, tmp_path: Path) -> Path:
+    """A folder of two cells with rigs, jobs and keys of their own, and what else lies there."""
+    etc = tmp_path / "edged"
+    shutil.copytree(cell.parent, etc)
+    shutil.copytree(etc / "jobs", etc / "jobs-left")
+    shutil.copy(etc / "rig.json", etc / "rig-left.json")
+    left = cell.read_text().replace('"rig.json"', '"rig-left.json"').replace('"jobs"', '"jobs-left"')
+    (etc / "left.toml").write_text(left)
+    (etc / "tls").mkdir(mode=0o750)
+    (etc / "tls" / "left.key").write_text("key")
+    (etc / "tls" / "left.key").chmod(0o600)
+    (etc / "now").symlink_to("tls")
+    etc.chmod(0o775)
+    return etc
+
+
+def test_only_this_cells_files_make_room(archive: Archive, house: Path) -> None:
+    """Another cell of the folder, keys and links are the same files; jobs taught since are kept aside."""
+    shutil.copytree(house / "jobs" / "flange", house / "jobs" / "since")
+    (house / "rig.json").write_text("spoilt")
+    before = {file: file.lstat() for file in house.rglob("*")}
+
+    assert 0 == restore(archive[0], house, QUIET, force=True)
+
+    others = [
+        file
+        for file in before
+        if file.relative_to(house).parts[0] in ("left.toml", "rig-left.json", "jobs-left", "tls", "now")
+    ]
+    assert 8 <= len(others)
+    for file in others:
+        assert (before[file].st_mode, before[file].st_uid) == (file.lstat().st_mode, file.lstat().st_uid)
+        assert file.is_dir() or before[file].st_ino == file.lstat().st_ino
+    assert 0o775 == house.stat().st_mode & 0o777
+    assert not (house / "jobs" / "since").exists()
+    kept = contents(house.with_name("edged.before-restore-1"))
+    assert b"spoilt" == kept["rig.json"]
+    assert {"cell.toml", "rig.json", "jobs"} == {name.partition("/")[0] for name in kept}
+    assert {"jobs/since/job.toml", "jobs/since/shape.npz"} <= kept.keys()
+
+
+@pytest.mark.parametrize("shared", ['rig = "rig.json"', 'jobs = "jobs"', 'jobs = "."'])
+def test_what_another_cell_stands_on_is_not_changed(archive: Archive, house: Path, shared: str) -> None:
+    """Refused with its name; nothing has changed. The same content changes nothing, and is restored."""
+    key = shared.partition(" ")[0]
+    left = (house / "left.toml").read_text()
+    (house / "left.toml").write_text(re.sub(rf'(?m)^{key} = "[^"]*"', shared, left))
+    assert 0 == restore(archive[0], house, QUIET, force=True)
+
+    for name in ("rig.json", "jobs/flange/job.toml"):
+        with (house / name).open("a") as file:
+            file.write("\n")
+    before = contents(house)
+    with pytest.raises(UserError, match=rf"cell\.{key} of left\.toml is .*another folder"):
+        restore(archive[0], house, QUIET, force=True)
+    assert before == contents(house)
+
+
+def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, house: Path) -> None:
+    """The folder that it leads to stays as it was."""
+    elsewhere = house.with_name("elsewhere")
+    (house / "jobs").rename(elsewhere)
+    (house / "jobs").symlink_to(elsewhere)
+    (elsewhere / "note").write_text("mine")
+    before = contents(elsewhere)
+
+    assert 0 == restore(archive[0], house, QUIET, force=True)
+
+    assert before == contents(elsewhere)
+    assert not (house / "jobs").is_symlink()
+    assert (house.with_name("edged.before-restore-1") / "jobs").is_symlink()
+
+
+def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archive, house: Path) -> None:
+    """Its jobs may be said to be anywhere: only names of members count."""
+    taken = unpack(archive[1], "there")
+    toml = taken.files["cell.toml"].replace(b'jobs = "jobs"', b'jobs = "."')
+    hostile = house.with_name("hostile.tar.gz")
+    hostile.write_bytes(pack(replace(taken, files={**taken.files, "cell.toml": toml})))
+
+    assert 1 == restore(hostile, house, QUIET, force=True)
+
+    assert (house / "tls" / "left.key").is_file()
+    assert (house / "left.toml").is_file()
+
+
+def test_secrets_are_for_their_owner_alone(cell: Path, tmp_path: Path) -> None:
+    """An archive has mode 600 and says that it holds a hash; so has the configuration that comes out of it.
+
+    With the hash a restored cell works at once; other files are readable as before.
+    """
+    hashed = hash_password("correct horse")
+    here = Path(shutil.copytree(cell.parent, tmp_path / "etc"))
+    (here / "zenoh.json5").write_text("{}")
+    text = cell.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "zenoh.json5"')
+    (here / "cell.toml").write_text(text + f'\n[web]\npassword_hash = "{hashed}"\n')
+    output = io.StringIO()
+
+    assert 0 == backup(here / "cell.toml", tmp_path / "a.tar.gz", Console(file=output, width=1000))
+    assert "hash of the status page's password" in output.getvalue()
+    assert 0o600 == (tmp_path / "a.tar.gz").stat().st_mode & 0o777
+
+    assert 0 == restore(tmp_path / "a.tar.gz", tmp_path / "new", QUIET)
+    new = tmp_path / "new"
+    assert hashed == load(new / "cell.toml").password_hash
+    modes = {name: (new / name).stat().st_mode & 0o007 for name in ("cell.toml", "zenoh.json5", "rig.json")}
+    assert {"cell.toml": 0, "zenoh.json5": 0, "rig.json": 4} == modes
 
 
 def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) -> None:

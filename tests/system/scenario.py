@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import struct
 import subprocess
@@ -101,7 +102,14 @@ def runs_again(old_pid: int) -> bool:
 
 
 def becomes_ready() -> str:
-    """`systemctl start` returns when the daemon measures: the page says ready, the PLC gets a result."""
+    """`systemctl start` returns when the daemon measures: the page says ready, the PLC gets a result.
+
+    Of the configuration, which others may not read.
+    """
+    command("systemd-sysusers", "edged.conf")
+    for file in CELL.parent.glob("*.toml"):  # as tools/install writes it
+        shutil.chown(file, "root", "edged-config")
+        file.chmod(0o640)
     start_s = time.monotonic()
     command("systemctl", "start", "edged")
     took_s = time.monotonic() - start_s

@@ -47,6 +47,9 @@ def tree(folder: Path) -> None:
         drop_in = units / f"{name}.d" / "test.conf"
         drop_in.parent.mkdir()
         drop_in.write_text(DROP_IN)
+    groups = folder / "etc/sysusers.d"
+    groups.mkdir()
+    shutil.copy(ROOT / "systemd/edged-sysusers.conf", groups / "edged.conf")
     program = folder / "opt/edged/current/bin/edged"
     program.parent.mkdir(parents=True)
     program.write_text(PROGRAM)

@@ -14,6 +14,7 @@ import struct
 import termios
 import tty
 from collections.abc import Callable, Coroutine
+from datetime import UTC, datetime
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,11 @@ from typing import Any
 import pytest
 import serial
 from certificates import make_certificates
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
+from cryptography.x509.oid import NameOID
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from snapshots import make_snapshot
@@ -805,15 +811,70 @@ def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> No
 # --- TLS -------------------------------------------------------------------------------------------
 
 
-def test_the_role_is_read_from_its_extension() -> None:
-    """OID 1.3.6.1.4.1.50316.802.1, octet string, UTF8String; with and without "critical"; else none."""
-    oid = bytes.fromhex("060b2b060104018389 0c862201".replace(" ", ""))
-    value = bytes((0x04, 10, 0x0C, 8)) + b"operator"
-    assert "operator" == certificate_role(b"before" + oid + value + b"after")
-    assert "operator" == certificate_role(oid + bytes((1, 1, 0xFF)) + value)
-    assert certificate_role(b"no such extension") is None
-    assert certificate_role(oid + value[:-1]) is None
-    assert certificate_role(oid) is None
+ROLE = "1.3.6.1.4.1.50316.802.1"
+OWN_KEY = ec.generate_private_key(ec.SECP256R1())
+OPERATOR = bytes((0x0C, 8)) + b"operator"
+
+
+def certificate(
+    *extensions: tuple[str, bytes, bool],
+    public_key: CertificatePublicKeyTypes | None = None,
+) -> bytes:
+    """A certificate (DER) with these extensions: OID, value (DER), critical."""
+    now = datetime.now(UTC)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "client")])
+    builder = x509.CertificateBuilder(name, name, public_key or OWN_KEY.public_key(), 1, now, now)
+    for oid, value, critical in extensions:
+        extension = x509.UnrecognizedExtension(x509.ObjectIdentifier(oid), value)
+        builder = builder.add_extension(extension, critical)
+    return builder.sign(OWN_KEY, hashes.SHA256()).public_bytes(serialization.Encoding.DER)
+
+
+@pytest.mark.parametrize("critical", [False, True])
+def test_the_role_is_read_from_its_extension(critical: bool) -> None:
+    """OID 1.3.6.1.4.1.50316.802.1, a UTF8String; with and without "critical"."""
+    assert "operator" == certificate_role(certificate((ROLE, OPERATOR, critical)))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        b"",
+        OPERATOR[:1],
+        OPERATOR[:-1],
+        OPERATOR + b"x",
+        b"\x13\x08operator",
+        b"\x0c\x02\xff\xfe",
+        b"operator",
+    ],
+    ids=["empty", "tag alone", "cut", "more behind it", "PrintableString", "no UTF-8", "no DER"],
+)
+def test_an_extension_that_is_no_utf8string_is_no_role(value: bytes) -> None:
+    """Whatever else stands there gives no right."""
+    assert certificate_role(certificate((ROLE, value, False))) is None
+
+
+def test_the_roles_bytes_elsewhere_in_a_certificate_are_no_role() -> None:
+    """A public key or another extension that holds the extension's bytes does not make an operator."""
+    hidden = bytes.fromhex("060b2b0601040183890c862201040a") + OPERATOR
+    modulus = int.from_bytes(b"\xc1" + hidden + bytes(256 - 2 - len(hidden)) + b"\x01")
+    key = rsa.RSAPublicNumbers(65537, modulus).public_key()
+    forged = [
+        certificate(public_key=key),
+        certificate(("1.3.6.1.4.1.50316.802.2", hidden, False)),
+    ]
+
+    assert hidden in forged[0]
+    assert hidden in forged[1]
+    assert [None, None] == [certificate_role(der) for der in forged]
+    assert "viewer" == certificate_role(certificate((ROLE, b"\x0c\x06viewer", False), public_key=key))
+
+
+def test_what_is_no_certificate_has_no_role() -> None:
+    """Nothing at all, other bytes, and a certificate that ends too early."""
+    whole = certificate((ROLE, OPERATOR, False))
+
+    assert [None, None, None] == [certificate_role(der) for der in (b"", b"operator", whole[:-1])]
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")

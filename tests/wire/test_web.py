@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import threading
 from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -383,6 +384,143 @@ def test_guessing_is_slowed_down() -> None:
         assert await access.log_in("10.0.0.9", PASSWORD)
 
     run(test)
+
+
+def test_log_ins_at_once_cost_one_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a password is checked everybody else is told when to come again; nobody waits for a turn."""
+    hashed, started, may_end = list[str](), threading.Event(), threading.Event()
+
+    def slow(_: str, password: str) -> bool:
+        hashed.append(password)
+        started.set()
+        return may_end.wait(20) and password == PASSWORD
+
+    monkeypatch.setattr("edged.adapters.web.access.is_password", slow)
+
+    async def test() -> None:
+        access = Access(HASH)
+        first = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
+        try:
+            await asyncio.to_thread(started.wait, 20)
+            others = (access.log_in(f"10.0.{n // 200}.{n % 200}", PASSWORD) for n in range(1500))
+            refused = await asyncio.gather(*others, return_exceptions=True)
+            # who hangs up does not make room: the thread goes on
+            first.cancel()
+            await asyncio.wait({first})
+            with pytest.raises(TooManyAttempts):
+                await access.log_in("10.0.0.7", PASSWORD)
+        finally:
+            may_end.set()
+        assert [1.0] * 1500 == [error.wait_s for error in refused if isinstance(error, TooManyAttempts)]
+        assert ["guess"] == hashed
+
+    run(test)
+
+
+def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who breaks off each guess has spent it all the same: after five the sixth is not looked at."""
+    hashed = list[str]()
+    monkeypatch.setattr("edged.adapters.web.access.is_password", lambda _, password: hashed.append(password))
+
+    async def test() -> None:
+        access = Access(HASH, lambda: 0.0)
+        while len(hashed) < 6:
+            guess = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
+            await asyncio.sleep(0)
+            guess.cancel()
+            await asyncio.wait({guess})
+            refused = None if guess.cancelled() else guess.exception()
+            if isinstance(refused, TooManyAttempts) and refused.wait_s == 30.0:
+                break
+        assert 5 == len(hashed)
+
+    run(test)
+
+
+def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """429 with Retry-After in whole seconds, never 0; over the form and over HTTP Basic."""
+    monkeypatch.setattr("edged.adapters.web.access.is_password", lambda *_: False)
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+            basic = {"Authorization": "Basic " + b64encode(b"x:guess").decode()}
+            for _ in range(5):
+                async with session.get("/metrics", headers=basic) as answer:
+                    assert answer.status == 401
+            for answer in (
+                await session.get("/metrics", headers=basic),
+                await session.post("/login", data={"password": PASSWORD}),
+            ):
+                async with answer:
+                    assert answer.status == 429
+                    assert 1 <= int(answer.headers["Retry-After"]) <= 30
+
+    run(test)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"Cookie: edged_session=\xff",
+        b"Cookie: \xff\xfe=\xff; edged_session=\xed\xa0\x80",
+        b"Authorization: Basic \xff\xfe",
+        b"Authorization: Basic " + b64encode(b"x:\xff"),
+        b"Authorization: Basic =",
+        b"Authorization: \xff",
+    ],
+)
+def test_bytes_that_are_no_text_are_not_logged_in(header: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    """A cookie or a password of other bytes is a wrong one: 401 or 400, and no traceback in the log."""
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+            for path in (b"GET /status.json", b"POST /logout"):
+                head, _ = await answered(web.port, path, header)
+                assert head in (b"HTTP/1.1 401", b"HTTP/1.1 400"), head
+
+    run(test)
+    assert [] == [record.getMessage() for record in caplog.records if record.exc_info]
+
+
+@pytest.mark.parametrize(
+    ("content_type", "body"),
+    [
+        (b"application/x-www-form-urlencoded", b"password=%ff"),
+        (b"application/x-www-form-urlencoded", b"password=\xff"),
+        (b"application/x-www-form-urlencoded; charset=utf-7", b"password=+2AA-"),
+        (b"application/x-www-form-urlencoded; charset=no-such", b"password=x"),
+        (b"application/x-www-form-urlencoded", b"&" * 4000),
+        (b"multipart/form-data", b"--"),
+        (b"multipart/form-data; boundary=x", b"--x\r\n\r\n"),
+        (b"text/plain", b"password=x"),
+    ],
+)
+def test_a_form_of_other_bytes_is_a_wrong_password(
+    content_type: bytes, body: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever is sent to the form: back to the form, and no traceback in the log."""
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+            fields = b"Content-Type: " + content_type + b"\r\nContent-Length: %d" % len(body)
+            head, rest = await answered(web.port, b"POST /login", fields, body)
+            assert (b"HTTP/1.1 303", True) == (head, b"/login?wrong" in rest)
+
+    run(test)
+    assert [] == [record.getMessage() for record in caplog.records if record.exc_info]
+
+
+async def answered(port: int, request: bytes, header: bytes, body: bytes = b"") -> tuple[bytes, bytes]:
+    """Version and status of a raw request's answer, and the rest."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        head = request + b" HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n" + header
+        writer.write(head + b"\r\n\r\n" + body)
+        answer = await reader.read()
+    finally:
+        writer.close()
+        await writer.wait_closed()
+    return answer[:12], answer[12:]
 
 
 def test_a_session_ends_by_itself() -> None:

@@ -19,7 +19,7 @@ import pytest
 import zenoh
 from schema_check import load_schema, violations
 from snapshots import make_snapshot
-from zenohcell import READY, WAIT_S, Cell, Peer, free_port, ignore, is_message, peer
+from zenohcell import READY, WAIT_S, Cell, Peer, ask, free_port, ignore, is_message, peer
 
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, open_session, preview, ros2, session_config
 from edged.adapters.zenoh.worker import Worker
@@ -41,19 +41,6 @@ SCHEMA = load_schema()
 def listener(port: int) -> contextlib.AbstractContextManager[Peer]:
     """A process that listens to every cell at this port."""
     return peer("listen", mode="peer", listen__endpoints=[], connect__endpoints=[f"tcp/127.0.0.1:{port}"])
-
-
-async def ask(port: int, *selectors: str) -> list[dict[str, Any]]:
-    """Replies to queries of another process."""
-    config = {"mode": "client", "connect__endpoints": [f"tcp/127.0.0.1:{port}"]}
-
-    def run() -> list[dict[str, Any]]:
-        replies: list[dict[str, Any]] = []
-        with peer("get", *selectors, **config) as process:
-            process.line(lambda line: replies.append(line) is None and "done" in line)
-        return replies[:-1]
-
-    return await asyncio.to_thread(run)
 
 
 def python_threads() -> set[str]:

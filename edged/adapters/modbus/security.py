@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import ssl
 
+from cryptography import x509
+from cryptography.x509 import ObjectIdentifier
+
 from edged.adapters.modbus.settings import TlsSettings
 from edged.errors import ListenError
 
-# tag 6, length 11, then 1.3 as one byte and each further arc in base 128: 50316 is 3·128² + 9·128 + 12,
-# 802 is 6·128 + 34
-ROLE_OID = bytes((0x06, 0x0B, 0x2B, 6, 1, 4, 1, 0x83, 0x89, 0x0C, 0x86, 0x22, 1))
-UTF8_STRING, OCTET_STRING, BOOLEAN = 0x0C, 0x04, 0x01
+ROLE_OID = ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
+UTF8_STRING = 0x0C
+NO_ROLE = (
+    x509.ExtensionNotFound,
+    x509.DuplicateExtension,
+    x509.InvalidVersion,
+    x509.UnsupportedGeneralNameType,
+)
+"""What cryptography raises, besides `ValueError`, for a certificate that it cannot or will not read."""
 
 
 def server_context(settings: TlsSettings) -> ssl.SSLContext:
@@ -34,20 +42,23 @@ def server_context(settings: TlsSettings) -> ssl.SSLContext:
 
 
 def certificate_role(der: bytes) -> str | None:
-    """The role in a certificate (DER) whose signature TLS has already checked; None if it has none."""
-    start = der.find(ROLE_OID)
-    if start < 0:
+    """The role in a certificate (DER) whose signature TLS has already checked; None if it has none.
+
+    Only the extension counts: whoever asks for a certificate chooses its public key and name, byte by byte.
+    """
+    try:
+        extension = x509.load_der_x509_certificate(der).extensions.get_extension_for_oid(ROLE_OID)
+    except (ValueError, *NO_ROLE):
         return None
-    rest = der[start + len(ROLE_OID) :]
-    if rest[:2] == bytes((BOOLEAN, 1)):  # "critical" may stand between name and value
-        rest = rest[3:]
-    # roles are short: lengths of one byte are all there is
-    if len(rest) < 4 or rest[0] != OCTET_STRING or rest[2] != UTF8_STRING:
-        return None
-    size = rest[3]
-    if size >= 0x80 or rest[1] != size + 2 or len(rest) < 4 + size:
+    value = extension.value
+    return _utf8_string(value.value) if isinstance(value, x509.UnrecognizedExtension) else None
+
+
+def _utf8_string(der: bytes) -> str | None:
+    """The text of a UTF8String, and of nothing else; roles are short, so its length is one byte."""
+    if len(der) < 2 or der[0] != UTF8_STRING or der[1] >= 0x80 or der[1] != len(der) - 2:
         return None
     try:
-        return rest[4 : 4 + size].decode()
+        return der[2:].decode()
     except UnicodeDecodeError:
         return None

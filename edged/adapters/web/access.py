@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import binascii
 import hashlib
 import hmac
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -22,14 +22,16 @@ MAX_SESSIONS = 64
 FREE_ATTEMPTS = 5
 LOCKED_S = 30.0
 MAX_REMEMBERED = 1024
+BUSY_S = 1.0
+"""When to come again while another password is checked, which takes a few tenths of it."""
 
 
 class TooManyAttempts(Exception):
-    """Somebody guesses: `wait_s` until the next attempt."""
+    """Somebody guesses, or another password is being checked: `wait_s` until the next attempt."""
 
-    def __init__(self, wait_s: float) -> None:
+    def __init__(self, why: str, wait_s: float) -> None:
         self.wait_s = wait_s
-        super().__init__(f"wait {wait_s:.0f} s")
+        super().__init__(f"{why}, wait {math.ceil(wait_s)} s")
 
 
 class Access:
@@ -41,7 +43,7 @@ class Access:
         self._sessions: dict[str, float] = {}
         self._failures: dict[str, tuple[int, float]] = {}
         self._known = b""
-        self._verifying = asyncio.Lock()
+        self._check: asyncio.Future[bool] | None = None
 
     @property
     def is_open(self) -> bool:
@@ -75,7 +77,7 @@ class Access:
             return False
         try:
             _, _, password = base64.b64decode(value, validate=True).decode().partition(":")
-        except (binascii.Error, UnicodeDecodeError):
+        except ValueError:  # no ASCII, no base64, no UTF-8
             return False
         return await self._is_password(address, password)
 
@@ -86,19 +88,26 @@ class Access:
             return True
         count, locked_until_s = self._failures.get(address, (0, 0.0))
         if count >= FREE_ATTEMPTS and self._clock_s() < locked_until_s:
-            raise TooManyAttempts(locked_until_s - self._clock_s())
-        async with self._verifying:  # one at a time: guessing must not cost the cell its cores
-            good = await asyncio.to_thread(is_password, self._hash, password)
-        if good:
-            self._known = digest
-            self._failures.pop(address, None)
-            return True
-        while len(self._failures) >= MAX_REMEMBERED:
+            raise TooManyAttempts("too many wrong passwords", locked_until_s - self._clock_s())
+        # one at a time, and nobody queues: guessing must not cost the cell its cores, or its memory
+        if self._check is not None and not self._check.done():
+            raise TooManyAttempts("another password is being checked", BUSY_S)
+        self._note_failure(address, count + 1)  # before the check: who breaks it off has had it
+        self._check = asyncio.get_running_loop().run_in_executor(None, is_password, self._hash, password)
+        # its thread cannot be stopped: whoever hangs up, it is under way until it ends
+        if not await asyncio.shield(self._check):
+            return False
+        self._known = digest
+        self._failures.pop(address, None)
+        return True
+
+    def _note_failure(self, address: str, count: int) -> None:
+        while len(self._failures) >= MAX_REMEMBERED and address not in self._failures:
             del self._failures[next(iter(self._failures))]
-        self._failures[address] = (count + 1, self._clock_s() + LOCKED_S)
-        return False
+        self._failures[address] = (count, self._clock_s() + LOCKED_S)
 
 
 def _digest(cookie: str) -> str:
     """Sessions are kept by digest: comparing them tells nothing of the cookie."""
-    return hashlib.sha256(cookie.encode()).hexdigest()
+    # a header may hold any bytes, which aiohttp hands on as surrogates
+    return hashlib.sha256(cookie.encode("utf-8", "surrogateescape")).hexdigest()

@@ -10,6 +10,7 @@ import asyncio
 import ipaddress
 import json
 import logging
+import math
 import ssl
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from urllib.parse import parse_qs
 
 from aiohttp import web
 
@@ -171,8 +173,8 @@ class WebPublisher:
             error.headers.update(HEADERS)
             raise
         except TooManyAttempts as error:
-            response = web.Response(status=429, text=f"too many wrong passwords, {error}\n")
-            response.headers["Retry-After"] = f"{error.wait_s:.0f}"
+            response = web.Response(status=429, text=f"{error}\n")
+            response.headers["Retry-After"] = f"{math.ceil(error.wait_s)}"
         if not response.prepared:
             for name, value in HEADERS.items():
                 response.headers.setdefault(name, value)
@@ -225,8 +227,10 @@ class WebPublisher:
         return _text(self._html["login"], "text/html")
 
     async def _log_in(self, request: web.Request) -> web.Response:
-        form = await request.post()
-        cookie = await self._access.log_in(request.remote or "", str(form.get("password", "")))
+        # not `request.post()`: it fails on what a browser would not send, other character sets for example
+        form = parse_qs((await request.read()).decode("ascii", "replace"))
+        password = form.get("password", [""])[0]
+        cookie = await self._access.log_in(request.remote or "", password) if password else None
         if cookie is None:
             log.warning("status page: wrong password from %s", request.remote)
             raise web.HTTPSeeOther("/login?wrong")

@@ -179,7 +179,8 @@ def _xxh3_128(data: bytes) -> bytes:
         xxhash = import_module("xxhash")
     except ImportError:
         raise ConfigError(
-            "zenoh", ["ros2: needs the Python package xxhash: pip install 'edged[ros2]'"]
+            "zenoh",
+            ["ros2: needs the Python package xxhash: pip install --require-hashes -r requirements/ros2.txt"],
         ) from None
     digest: bytes = xxhash.xxh3_128_digest(data)
     return digest

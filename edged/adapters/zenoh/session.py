@@ -113,6 +113,51 @@ def named_files(config_file: Path) -> list[Path]:
     return [Path(name) for name in tls.values() if isinstance(name, str) and Path(name).is_file()]
 
 
+def secret_files(config_file: Path) -> list[Path]:
+    """Files with a private key or a password that Zenoh's own configuration names, or is.
+
+    Raises `ConfigError` for a file that Zenoh cannot read.
+    """
+    config = session_config(None, (), (), config_file)
+    tls, auth = (json.loads(config.get_json(key)) for key in (TLS, "transport/auth"))
+    named = [tls[f"{side}_private_key"] for side in SIDES]
+    named += [auth["usrpwd"]["dictionary_file"], auth["pubkey"]["private_key_file"]]
+    if auth["usrpwd"]["password"] or auth["pubkey"]["private_key_pem"]:
+        named.append(str(config_file))
+    return [Path(name) for name in dict.fromkeys(named) if name]
+
+
+def unguarded(
+    listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
+) -> list[tuple[str, str]]:
+    """Endpoints over which everybody who is there is let in: "listen" or "connect", and where.
+
+    None where access control denies by default, nor any with certificates on both sides. Discovery by
+    multicast connects to whoever answers. Raises `ConfigError` for a file that Zenoh cannot read.
+    """
+    config = session_config(None, listen, connect, config_file)
+    control = json.loads(config.get_json("access_control"))
+    if control["enabled"] and control["default_permission"] == "deny":
+        return []
+    mutual = json.loads(config.get_json(TLS))["enable_mtls"]
+    found = [
+        (side, endpoint)
+        for side in SIDES
+        for endpoint in _endpoints(json.loads(config.get_json(f"{side}/endpoints")))
+        if not (mutual and endpoint.startswith(("tls/", "quic/")))
+    ]
+    if json.loads(config.get_json("scouting/multicast/enabled")):
+        found.append(("connect", "scouting/multicast"))
+    return found
+
+
+def _endpoints(value: Any) -> list[str]:
+    """All of them, also where there is a list for each mode."""
+    if isinstance(value, dict):
+        value = [endpoint for endpoints in value.values() for endpoint in endpoints]
+    return list(value)
+
+
 def open_session(config: zenoh.Config) -> zenoh.Session:
     """Open a session. Raises `ListenError` that names the endpoints. Blocks: not for the event loop."""
     try:

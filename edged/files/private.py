@@ -1,0 +1,54 @@
+"""Files that hold a secret: who may read them, and how they are written."""
+
+from __future__ import annotations
+
+import grp
+import os
+import shlex
+from pathlib import Path
+
+from edged.files.atomic import write_atomically
+
+CONFIG_GROUP = "edged-config"
+"""The daemons' users are in it, and nobody else; tools/install makes it (systemd/edged-sysusers.conf)."""
+OTHERS = 0o007
+
+
+def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
+    """Write a file that others must not read. Raises `OSError`.
+
+    like : the file that it replaces. Where others cannot read that, its group keeps what it may do.
+    Otherwise, a file of root's is for the daemons too, and any other one for its owner alone; but where root
+    replaces one and there is no group of daemons, it stays readable: the daemon may be one of the others.
+    """
+    is_root, daemons = os.geteuid() == 0, _config_group()
+    found = like.stat() if like is not None and like.exists() else None
+    mode, group = 0o600, -1
+    if found is not None and (not found.st_mode & OTHERS or (is_root and daemons is None)):
+        mode, group = found.st_mode & 0o777, found.st_gid
+    elif is_root and daemons is not None:
+        mode, group = 0o640, daemons
+    write_atomically(path, data, mode=mode, group=group)
+
+
+def is_exposed(path: Path) -> bool:
+    """Whether every user of this machine may read the file; False for one that cannot be looked at."""
+    try:
+        return bool(path.stat().st_mode & 0o004)
+    except OSError:
+        return False
+
+
+def closing(path: Path) -> str:
+    """The command that keeps other users from reading it, but not the daemon."""
+    file = shlex.quote(str(path.resolve()))
+    if _config_group() is None:
+        return f"chmod 600 {file}"
+    return f"sudo chown root:{CONFIG_GROUP} {file}; sudo chmod 640 {file}"
+
+
+def _config_group() -> int | None:
+    try:
+        return grp.getgrnam(CONFIG_GROUP).gr_gid
+    except KeyError:
+        return None
