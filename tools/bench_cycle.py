@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Time the product's own cycle: rectify, find and measure, as the daemon runs it with a job as `teach` makes it.
+"""Time the product's own cycle: rectify, find and measure, with a job as `teach` makes it.
 
     tools/bench cycle [--scenes N] [--rounds N] [--large] [--json FILE] [--flame FILE.svg]
 
-The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of the
-demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search (pyramid
-and gradient of one). Each cycle is timed beside its own floor, on one core, and the ratio's median is
-printed: what else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
+The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
+the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
+(pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed: what
+else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
 --flame: where the time goes, drawn by py-spy.
 What jitters least are counts: of candidates followed, of fits, of steps; they guard the tests.
 """
@@ -49,11 +49,11 @@ LEVELS = 4
 LARGE = ((2448, 2048), (4096, 3000))
 APART_MM = 34.0
 COUNTED = {
-    "candidates followed": (search._Search, "_climb"),
+    "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
-    "fits on the finest level": (search._Search, "_finest"),
-    "steps of the joint fit": (planefit._State, "step"),
+    "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001
+    "steps of the joint fit": (planefit._State, "step"),  # noqa: SLF001
 }
 
 
@@ -222,18 +222,18 @@ def work_of(cell: Bench) -> dict[str, float]:
 def on_cores(count: int) -> Iterator[None]:
     """Run on so many of the machine's cores."""
     before = os.sched_getaffinity(0)
-    for thread in os.listdir("/proc/self/task"):  # those that wait for work, too
-        os.sched_setaffinity(int(thread), sorted(before)[:count])
+    for thread in Path("/proc/self/task").iterdir():  # those that wait for work, too
+        os.sched_setaffinity(int(thread.name), sorted(before)[:count])
     try:
         yield
     finally:
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setaffinity(int(thread), before)
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setaffinity(int(thread.name), before)
 
 
 def draw_flames(path: Path) -> None:
     """Run the cycles once more under py-spy."""
-    command = ["py-spy", "record", "--native", "--rate", "500", "--output", str(path), "--"]
+    command = ["py-spy", "record", "--rate", "100", "--output", str(path), "--"]
     again = [sys.executable, __file__, "--scenes", "8", "--rounds", "40", "--only-cycle"]
     subprocess.run([str(Path(sys.executable).with_name(command[0])), *command[1:], *again], check=True)
 
