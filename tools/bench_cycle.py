@@ -5,8 +5,8 @@
 
 The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
 the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
-(pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed: what
-else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
+(pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed:
+what else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
 --flame: where the time goes, drawn by py-spy.
 What jitters least are counts: of candidates followed, of fits, of steps; they guard the tests.
 """
