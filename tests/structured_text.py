@@ -14,6 +14,11 @@ from typing import Any
 from blark import transform as ast
 from blark.parse import parse_source_code
 
+LITERALS = {
+    "ANY_INT": {"INT", "DINT", "UINT", "UDINT"},
+    "ANY_HEX": {"INT", "DINT", "UINT", "UDINT", "WORD", "DWORD"},
+}
+"""Types that a literal may have: a decimal number is no bit string (IEC 61131-3, 6.3.2 and table 10)."""
 RANGES = {
     "INT": (-(2**15), 2**15 - 1),
     "DINT": (-(2**31), 2**31 - 1),
@@ -188,7 +193,7 @@ class Instance:
         return int(index)
 
     def evaluate(self, expression: Any) -> tuple[Any, str]:
-        """Value and type of an expression; a literal has the type "ANY_INT"."""
+        """Value and type of an expression; a literal has the type "ANY_INT", or "ANY_HEX"."""
         match expression:
             case ast.Duration():
                 seconds = float(expression.seconds or 0) + float(expression.milliseconds or 0) / 1000
@@ -196,7 +201,7 @@ class Instance:
             case ast.Boolean():
                 return str(expression.value).upper() == "TRUE", "BOOL"
             case ast.HexInteger():
-                return int(str(expression.value), 16), "ANY_INT"
+                return int(str(expression.value), 16), "ANY_HEX"
             case ast.Integer():
                 return int(str(expression.value)), "ANY_INT"
             case ast.SimpleVariable():
@@ -229,16 +234,18 @@ class Instance:
 
     def _call(self, name: str, parameters: Any) -> tuple[Any, str]:
         given = [self.evaluate(parameter.value) for parameter in parameters]
+        formal = [str(parameter.name.name) for parameter in parameters if parameter.name is not None]
         if name in ("SHL", "SHR"):
             (value, kind), (count, _) = given
             return (value << count) & 0xFFFFFFFF if name == "SHL" else value >> count, kind
         conversion = re.fullmatch(r"([A-Z]+)_TO_([A-Z]+)", name)
         if conversion is not None:
             ((value, kind),) = given
-            assert kind in (conversion[1], "ANY_INT"), f"{name} of {kind}"
+            assert kind == conversion[1], f"{name} of {kind}"
             return converted(value, conversion[2]), conversion[2]
         function = Instance(self.program, self.program.functions[name])
-        for parameter, (value, kind) in zip(function.inputs(), given, strict=True):
+        assert formal == function.inputs(), f"{name}({formal})"
+        for parameter, (value, kind) in zip(formal, given, strict=True):
             if isinstance(value, list):
                 assert len(value) == len(function.values[parameter])
             else:
@@ -260,7 +267,7 @@ class Instance:
 
 def checked(value: Any, kind: str, wanted: str, place: str) -> Any:
     """The value, if a variable of the wanted type can hold it."""
-    assert kind in (wanted, "ANY_INT"), f"{place}: {wanted} := {kind}"
+    assert kind == wanted or wanted in LITERALS.get(kind, ()), f"{place}: {wanted} := {kind}"
     if wanted in RANGES:
         low, high = RANGES[wanted]
         assert low <= value <= high, f"{place}: {value} does not fit {wanted}"
@@ -277,8 +284,9 @@ def converted(value: int, wanted: str) -> int:
 def operate(op: str, left: tuple[Any, str], right: tuple[Any, str]) -> tuple[Any, str]:
     """One binary operation; both sides must be of one type (or one of them a literal)."""
     (a, kind), (b, other) = left, right
-    assert kind == other or "ANY_INT" in (kind, other), f"{kind} {op} {other}"
-    kind = other if kind == "ANY_INT" else kind
+    fits = kind == other or other in LITERALS.get(kind, ()) or kind in LITERALS.get(other, ())
+    assert fits or {kind, other} <= LITERALS.keys(), f"{kind} {op} {other}"
+    kind = other if kind in LITERALS else kind
     if op in ("AND", "OR"):
         return (a & b) if op == "AND" else (a | b), kind
     compared = {"=": a == b, "<>": a != b, ">": a > b, "<": a < b, ">=": a >= b, "<=": a <= b}

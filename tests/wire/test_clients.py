@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import math
+import re
 import subprocess
 import sys
 import time
@@ -240,6 +241,51 @@ class Plc:
         self.scan()
 
 
+def test_structured_text_closes_every_statement() -> None:
+    """END_IF and END_FOR are ends of statements, END_STRUCT of a declaration: each has its semicolon."""
+    # IEC 61131-3, annex A: statement_list is a sequence of statement ';', and so are matiec's and TIA's
+    ends = re.findall(r"\bEND_(?:IF|FOR|CASE|WHILE|REPEAT|STRUCT)\b.?", render("st"))
+    assert ends
+    assert {"END_IF;", "END_FOR;", "END_STRUCT;"} == set(ends)
+
+
+def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
+    """What changes while the command runs is for the next one: command, job, time-out, flange."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        cell.slow_s = 0.3
+        plc.values |= {"xExecute": True, "uiCommand": 1, "uiJob": 2, "adiFlange": [1, 2, 3, 4, 5, -6]}
+        plc.scan()
+        sent = list(plc.values["awCommand"])
+        plc.values |= {"uiCommand": 2, "uiJob": 99, "adiFlange": [9] * 6, "tTimeout": 1}
+        plc.scan()
+        plc.scan()
+        kept = [0, 1, 2, *range(6, 19)]  # all but ACK_SEQ, the heartbeat and OPTIONS
+        assert [sent[i] for i in kept] == [plc.values["awCommand"][i] for i in kept]
+        assert [0, 1, 0xFFFF, 0xFFFA] == [*sent[6:8], *sent[16:18]]
+        plc.until("xBusy", False)
+        assert (True, 2) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["uiJOB"])
+
+
+def test_structured_text_answers_a_pulse_of_one_scan() -> None:
+    """xExecute may be gone long before the end: xDone, or xError, is up for one scan, with the result."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        for job, outcome in ((0, "xDone"), (99, "xError")):
+            plc.until("xReady")
+            plc.values |= {"xExecute": True, "uiJob": job}
+            plc.scan()
+            plc.values["xExecute"] = False
+            plc.until("xBusy", False)
+            assert (outcome, outcome == "xDone") == (
+                "xDone" if plc.values["xDone"] else "xError" if plc.values["xError"] else "neither",
+                plc.values["stResult"]["xValid"],
+            )
+            plc.scan()
+            assert (False, False) == (plc.values["xDone"], plc.values["xError"])
+            assert not plc.values["stResult"]["xValid"]
+        assert 1 == cell.head.captures
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_runs_the_handshake(order: Any) -> None:
@@ -393,7 +439,7 @@ def test_structured_text_takes_a_command_back_that_failed() -> None:
 def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
     changes: dict[str, Any], allowed: str
 ) -> None:
-    """xValid stays FALSE, though the cell says VALID, until the PLC's program allows it."""
+    """xValid stays FALSE, though the cell says VALID, unless the PLC's program allows it before and after."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, **changes)
     with cell, Plc(cell.port) as plc:
@@ -403,7 +449,14 @@ def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
         assert 10_000 == plc.values["stResult"]["diX"]
         plc.values[allowed] = True
         plc.scan()
+        assert not plc.values["stResult"]["xValid"], "a leave that came after the command"
+        plc.release()
+        plc.until("xReady")
+        plc.run()
         assert plc.values["stResult"]["xValid"]
+        plc.values[allowed] = False
+        plc.scan()
+        assert not plc.values["stResult"]["xValid"], "a leave that was taken back"
 
 
 def test_structured_text_notices_a_cell_that_stands_still() -> None:
