@@ -24,7 +24,7 @@ from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad
 from edged.vision.geometry.rigid import quaternion
 
 STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 217), "result": (300, 347)} | {
-    "ur": (400, 419),
+    "ur": (400, 425),
     "float": (500, 531),
     "target 0": (600, 619),
 }
@@ -104,7 +104,7 @@ def test_a_result_reads_back(order: reg.WordOrder) -> None:
     decoded = shown(snapshot, order=order)
     assert [10_000, 20_000, 200_000] == [decoded[axis] for axis in "XYZ"]
     assert [10_000, 20_000, 200_000] == [decoded[f"UR_{axis}"] for axis in "XYZ"]
-    assert [1000, -2000, 3000] == [decoded[f"UR_R{axis}"] for axis in "XYZ"]
+    assert [100_000, -200_000, 300_000] == [decoded[f"UR_R{axis}"] for axis in "XYZ"]
     expected = Rotation.from_matrix(target.rig_from_part[:3, :3]).as_euler("xyz", degrees=True)
     assert [round(angle * 1000) for angle in expected] == [decoded[axis] for axis in "ABC"]
     np.testing.assert_allclose([decoded[f"F_{axis}"] for axis in "ABC"], expected, rtol=1e-6)

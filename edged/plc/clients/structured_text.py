@@ -17,7 +17,8 @@ CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1
 
 def structured_text_source() -> str:
     """Types, functions and the function block `FB_EDGED`, as text."""
-    return "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+    text = "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+    return text.replace("µ", "u").replace("°", " degrees")  # compilers differ in what a source is encoded in
 
 
 def _header() -> str:
