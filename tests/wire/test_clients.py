@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import math
@@ -21,6 +22,7 @@ import structured_text
 import urscript
 from livecell import LiveCell
 from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
@@ -181,6 +183,101 @@ def test_the_python_client_says_that_the_cell_was_started_anew(client_module: Mo
             client.locate()
         client.read = real
         client.close()
+
+
+class OldClient(ModbusTcpClient):
+    """`ModbusTcpClient` of before pymodbus 3.10: the unit id is `slave`, and it knows no other name."""
+
+    def read_holding_registers(self, address: int, *, count: int = 1, slave: int = 1) -> Any:
+        """As it was."""
+        return super().read_holding_registers(address, count=count, device_id=slave)
+
+    def write_registers(self, address: int, values: list[int], *, slave: int = 1) -> Any:
+        """As it was."""
+        return super().write_registers(address, values, device_id=slave)
+
+
+def test_the_python_client_runs_on_pymodbus_of_before_3_10(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the unit id has another name; the client asks pymodbus which."""
+    monkeypatch.setattr("pymodbus.client.ModbusTcpClient", OldClient)
+    module = ModuleType("edged_cell_old")
+    monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look their module up
+    exec(compile(render("python"), "edged_cell.py", "exec"), module.__dict__)
+    with (
+        LiveCell(ModbusSettings(port=0, unit_id=7)) as cell,
+        module.EdgedCell("127.0.0.1", cell.port, unit_id=7) as client,
+    ):
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert client.locate().ok
+
+
+class Breaking:
+    """A pymodbus client whose requests fail in one way from a moment on."""
+
+    connected = True
+    socket = None
+
+    def __init__(self, failure: BaseException | Any) -> None:
+        self.failure = failure
+
+    def _fail(self, *_: Any, **__: Any) -> Any:
+        if isinstance(self.failure, BaseException):
+            raise self.failure
+        return self.failure
+
+    connect = close = read_holding_registers = write_registers = _fail
+
+
+class Short:
+    """An answer with fewer words than were asked for."""
+
+    registers: tuple[int, ...] = (1, 2)
+
+    def isError(self) -> bool:  # noqa: N802  (pymodbus's name)
+        """It says that it is none."""
+        return False
+
+
+FAILURES = [
+    ConnectionException("gone"),
+    ModbusIOException("no answer"),
+    ConnectionResetError("reset"),
+    struct.error("ushort format requires 0 <= number <= 65535"),
+]
+
+
+@pytest.mark.parametrize("failure", FAILURES, ids=lambda failure: type(failure).__name__)
+def test_the_python_client_has_one_exception_for_all_that_fails(
+    client_module: ModuleType, failure: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Connecting, reading, commanding: `CellError` with the cause, and `close` says nothing."""
+    client = client_module.EdgedCell("127.0.0.1", 1)
+    monkeypatch.setattr(client, "_client", Breaking(failure))
+    for action in (client.connect, client.status, client.locate, client.beat):
+        with pytest.raises(client_module.CellError) as caught:
+            action()
+        assert failure is caught.value.__cause__
+    client.close()
+
+
+def test_the_python_client_does_not_believe_half_an_answer(
+    client_module: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fewer words than were asked for: `CellError`, not an error of the decoder."""
+    client = client_module.EdgedCell("127.0.0.1", 1)
+    monkeypatch.setattr(client, "_client", Breaking(Short()))
+    with pytest.raises(client_module.CellError, match="2 words, expected 18"):
+        client.status()
+
+
+def test_the_python_client_never_hides_the_users_exception(client_module: ModuleType) -> None:
+    """The cell is gone when the `with` block ends with an error of the user's own: that one is seen."""
+    cell = LiveCell()
+    with pytest.raises(KeyError, match="mine"), contextlib.ExitStack() as stack:
+        stack.enter_context(cell)
+        with client_module.EdgedCell("127.0.0.1", cell.port, answer_s=0.2):
+            stack.close()
+            raise KeyError("mine")
 
 
 # --- structured text ---------------------------------------------------------------------------
