@@ -60,6 +60,11 @@ class ModbusPublisher:
         """How many are connected."""
         return self._cell.clients
 
+    @property
+    def refused_writers(self) -> tuple[str, ...]:
+        """Addresses that wrote and may not, since the start."""
+        return tuple(self._tcp.refused)
+
     async def start(self) -> None:
         """Listen. Raises `ListenError`; then nothing stays open."""
         await self._tcp.start()
