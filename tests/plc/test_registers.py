@@ -77,7 +77,9 @@ def test_every_listing_names_every_register() -> None:
     for block in reg.BLOCKS[:7]:
         for register in block.registers:
             assert f"| {register.address} | {register.name} |" in markdown
-    with pytest.raises(UserError, match="expected md, csv, json, st, urscript, python"):
+    with pytest.raises(
+        UserError, match="expected md, csv, json, st, plcopen, scl, urscript, python, twincat"
+    ):
         render("xml")
 
 

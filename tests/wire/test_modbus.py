@@ -545,7 +545,7 @@ def test_hostile_frames_leave_no_trace() -> None:
 
 
 def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
-    """Exception 1 for each write, from every connection; one line of the log, with a field for the address."""
+    """Exception 1 for each write, from every connection; one line of the log, with a field to search for."""
 
     async def test(rig: Rig) -> None:
         for write in (rig.client.write_registers(100, [1, 0, 1]), rig.client.write_register(102, 1)):

@@ -148,8 +148,7 @@ VAR_OUTPUT
     awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
 END_VAR
 VAR
-    iState : INT; (* 0 idle, 5 until the cell knows our CMD_SEQ, 10 waits for the answer, 20 waits for
-                     the result, 30 result in use, 40 failed *)
+    iState : INT; (* 0 idle; waits: 5 to be known, 10 for an answer, 20 for a result; 30 in use, 40 failed *)
     uiRunning : UINT;
     uiSequence : UINT;
     wBefore : WORD;
