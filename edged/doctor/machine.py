@@ -167,6 +167,8 @@ def look_at_ports(config: Config) -> Iterator[Check]:
     """The ports that the daemon will listen on."""
     if config.modbus.enabled:
         yield _port("Modbus port", config.modbus.host, config.modbus.port)
+        if config.modbus.socket is not None:
+            yield _port("socket port", config.modbus.host, config.modbus.socket.port)
         yield _writers(config)
     if config.web is not None:
         yield _port("status page port", config.web.host, config.web.port)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import logging
 import ssl
 from collections import Counter
 
@@ -22,10 +21,10 @@ from pymodbus.pdu import DecodePDU
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import WRITES, respond
+from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
 from edged.adapters.modbus.settings import Address, ModbusSettings, address_of, contains
 from edged.errors import ListenError
-from edged.logs import fields
 
 HEADER_BYTES = 7
 MAX_LENGTH = 254  # of unit id and PDU ("MODBUS Messaging on TCP/IP", 3.1.3: 260 bytes with the header)
@@ -34,7 +33,6 @@ TURN = 16  # requests answered before other connections and tasks get their turn
 WRITE_BUFFER_BYTES = 16 * 1024
 HANDSHAKE_S = 5.0
 SILENT_S = 3.0  # no PLC polls as slowly as that
-NAMED_PEERS = 64  # a network that is scanned from many addresses must not fill the log
 
 
 class TcpServer:
@@ -45,12 +43,13 @@ class TcpServer:
         settings: ModbusSettings,
         cell: CellRegisters,
         clients: itertools.count[int],
+        refusals: Refusals,
         context: ssl.SSLContext | None = None,
     ) -> None:
         self.settings = settings
         self.cell = cell
         self.log = LogLimit(__name__)
-        self.refused: dict[str, None] = {}  # addresses in their order: a set with one
+        self.refusals = refusals
         self._numbers = clients
         self._context = context
         self._connections: set[Connection] = set()
@@ -146,22 +145,6 @@ class TcpServer:
             self._connections.discard(connection)
             self.cell.clients -= 1
             self.cell.gone(connection.number)
-
-    def refuse_write(self, connection: Connection) -> None:
-        """Say once of each address that it wrote and may not: a PLC repeats it for ever."""
-        peer = str(connection.address)  # not as the socket writes it: ::ffff:192.168.10.2, fe80::1%eth0
-        if peer in self.refused or len(self.refused) >= NAMED_PEERS:
-            return
-        self.refused[peer] = None
-        why = "the role in its certificate is not in" if connection.is_known else "it is not in"
-        setting = "modbus.tls.writer_roles" if connection.is_known else "modbus.writers"
-        logging.getLogger(__name__).warning(
-            "modbus: %s wrote, and was refused with exception 1: %s %s (said once of each address)",
-            peer,
-            why,
-            setting,
-            extra=fields(refused_writer=peer),
-        )
 
     def _sweep_idle(self) -> None:
         loop = asyncio.get_running_loop()
@@ -298,7 +281,9 @@ class Connection(asyncio.Protocol):
         if unit in (settings.unit_id, 0, 255):
             response = respond(request, self._view, may_write=self._may_write)
             if request[0] in WRITES and not self._may_write:
-                self._server.refuse_write(self)
+                role = "the role in its certificate is not in modbus.tls.writer_roles"
+                why = role if self.is_known else "it is not in modbus.writers"
+                self._server.refusals.note(self.address, why)
         else:
             response = bytes((request[0] | 0x80, GATEWAY_NO_RESPONSE))
         self.active_s = self._loop.time()
