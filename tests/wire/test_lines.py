@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from livecell import LiveCell
 from pymodbus.client import ModbusTcpClient
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
-from edged.adapters.modbus.lines import LineStatus
+from edged.adapters.modbus.lines import LineStatus, parse
 from edged.plc.registers import Option
 from edged.robot.orientations import Brand, transform_of
 
@@ -68,8 +70,8 @@ def ready(cell: LiveCell) -> None:
 @pytest.mark.parametrize("brand", Brand)
 def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
     """Read as the controller reads it, it is the pose of the part: to 1 µm and 0.001° of the registers."""
-    settings = dataclasses.replace(KUKA, line=LineSettings(0, brand))
-    with LiveCell(settings) as cell, connected(cell) as robot:
+    changed = dataclasses.replace(KUKA, line=LineSettings(0, brand))
+    with LiveCell(changed) as cell, connected(cell) as robot:
         ready(cell)
         sequence, status, remaining, numbers = robot.ask("7,LOCATE,0")
         assert (7, 0, 0) == (sequence, status, remaining)
@@ -131,8 +133,8 @@ def test_a_line_that_came_twice_runs_once() -> None:
 
 def test_another_robots_number_is_not_answered_for_this_one() -> None:
     """Two robots use the same sequence: each gets a picture of its own."""
-    settings = dataclasses.replace(KUKA, owner_s=0.01)
-    with LiveCell(settings) as cell, connected(cell) as one, connected(cell) as other:
+    changed = dataclasses.replace(KUKA, owner_s=0.01)
+    with LiveCell(changed) as cell, connected(cell) as one, connected(cell) as other:
         ready(cell)
         assert 0 == one.ask("7,LOCATE,0")[1]
         time.sleep(0.05)
@@ -159,8 +161,8 @@ def test_one_client_writes_at_a_time() -> None:
 
 def test_who_is_not_listed_may_not_command() -> None:
     """Status 115 for every line, and the address is named."""
-    settings = dataclasses.replace(KUKA, writers=(ip_network("10.0.0.0/8"),))
-    with LiveCell(settings) as cell, connected(cell) as robot:
+    changed = dataclasses.replace(KUKA, writers=(ip_network("10.0.0.0/8"),))
+    with LiveCell(changed) as cell, connected(cell) as robot:
         assert (0, LineStatus.MAY_NOT_WRITE) == robot.ask("7,LOCATE,0")[:2]
         assert ("127.0.0.1",) == cell.server.refused_writers
         assert 0 == cell.head.captures
@@ -186,6 +188,26 @@ def test_what_is_no_request_is_answered_so(line: str) -> None:
         assert LineStatus.NOT_UNDERSTOOD == robot.ask(line)[1]
         ready(cell)
         assert 0 == robot.ask("8,LOCATE,0")[1]
+
+
+WORDS = st.sampled_from(
+    ["7", "LOCATE", "NEXT", "ACK", "0", "-1", "1e400", "nan", "inf", "1_0", " ", "\u0661", "9" * 90]
+)
+
+
+@given(
+    st.one_of(st.binary(max_size=256), st.lists(WORDS, max_size=12).map(lambda one: ",".join(one).encode()))
+)
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
+    """Every line is understood, its numbers fit registers, or refused as no request; no other error."""
+    for brand in Brand:
+        try:
+            request = parse(line, brand)
+        except (ValueError, OverflowError):
+            continue
+        assert 1 <= request.sequence <= 0xFFFF and 0 <= request.job <= 0xFFFF
+        assert request.flange is None or np.isfinite(request.flange).all()
 
 
 def test_a_flange_that_fits_no_register_is_no_request() -> None:
