@@ -226,6 +226,16 @@ class SerialSection(_Section):
     )
 
 
+class SocketSection(_Section):
+    """Lines of text over TCP for robots, on the same registers, networks and right to write."""
+
+    port: Port = Field(1503, description="TCP port; the address is that of the Modbus server")
+    brand: Literal["ur", "kuka", "fanuc", "yaskawa", "abb", "staubli", "kawasaki"] = Field(
+        description="how the robot's maker writes poses: convention and units"
+    )
+    allow_simulated: bool = Field(False, description="give poses of a virtual cell, too")
+
+
 class TlsSection(_Section):
     """Modbus/TCP Security: certificates on both sides, PEM files."""
 
@@ -286,12 +296,19 @@ class ModbusSection(_Section):
     )
     serial: SerialSection | None = Field(None, description="left out: no serial line")
     tls: TlsSection | None = Field(None, description="left out: plain Modbus/TCP")
+    socket: SocketSection | None = Field(None, description="left out: no lines of text for robots")
 
     @model_validator(mode="after")
     def _fits(self) -> ModbusSection:
         kept = sum(self.reserved.values())
         if kept > self.max_clients:
             raise ValueError(f"reserved: {kept} connections are kept, but max_clients is {self.max_clients}")
+        if self.socket is not None and self.tls is not None:
+            raise ValueError(
+                "socket speaks without TLS, and who may write would not be checked: not with tls"
+            )
+        if self.socket is not None and self.socket.port == self.port:
+            raise ValueError(f"port and socket.port are both {self.port}")
         return self
 
 
@@ -463,6 +480,13 @@ class Config(_Section):
         web, modbus = self.web, self.modbus
         if web is not None and modbus.enabled and web.port == modbus.port:
             raise ValueError(f"web.port and modbus.port are both {web.port}")
+        if (
+            web is not None
+            and modbus.enabled
+            and modbus.socket is not None
+            and web.port == modbus.socket.port
+        ):
+            raise ValueError(f"web.port and modbus.socket.port are both {web.port}")
         return self
 
     def secret_files(self) -> dict[str, Path]:

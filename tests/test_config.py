@@ -173,6 +173,20 @@ def test_modbus_times_and_reserved_connections_are_checked(tmp_path: Path) -> No
     assert any(line.startswith("modbus.reserved.the-plc") for line in found)
 
 
+def test_lines_for_robots_need_a_port_of_their_own_a_brand_and_no_tls(tmp_path: Path) -> None:
+    """Two servers on one port, a maker that is none, and a way past the certificates are mistakes."""
+    assert ["modbus: port and socket.port are both 1503"] == problems(
+        tmp_path, GOOD + '[modbus]\nport = 1503\n[modbus.socket]\nbrand = "ur"\n'
+    )
+    web = '[web]\nport = 1503\n[modbus.socket]\nbrand = "ur"\n'
+    assert any("web.port and modbus.socket.port" in line for line in problems(tmp_path, GOOD + web))
+    (brand,) = problems(tmp_path, GOOD + '[modbus.socket]\nbrand = "acme"\n')
+    assert brand.startswith("modbus.socket.brand")
+    tls = '[modbus.tls]\ncertificate = "a"\nkey = "b"\nauthority = "c"\n'
+    found = problems(tmp_path, GOOD + tls + '[modbus.socket]\nbrand = "ur"\n')
+    assert any("socket speaks without TLS" in line for line in found)
+
+
 def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
     """The same files in another folder are the same cell; another name of the rig is another setting."""
     (tmp_path / "moved").mkdir()

@@ -11,7 +11,8 @@ import re
 from typing import Any
 
 OPENS = re.compile(r"(def|if|while) .+:$")
-STATEMENT = re.compile(r"(return .+|(local |global )?\w+ = .+|\w+\(.*\))$")
+ELSE = re.compile(r"(elif .+|else):$")
+STATEMENT = re.compile(r"(return .+|(local |global )?\w+(\[\w+\])? = .+|\w+\(.*\))$")
 
 
 def translate(source: str) -> str:
@@ -26,6 +27,10 @@ def translate(source: str) -> str:
         if line == "end":
             depth -= 1
             assert depth >= 0, f"line {number}: end without a beginning"
+            continue
+        if ELSE.match(line):
+            assert len(raw) - len(raw.lstrip()) == 4 * (depth - 1), f"line {number}: indentation"
+            lines.append("    " * (depth - 1) + line)
             continue
         assert OPENS.match(line) or STATEMENT.match(line), f"line {number}: {line}"
         assert len(raw) - len(raw.lstrip()) == 4 * depth, f"line {number}: indentation"

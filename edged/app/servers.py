@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from edged.adapters.modbus import (
+    LineSettings,
     ModbusPublisher,
     ModbusSettings,
     SerialSettings,
@@ -24,7 +25,7 @@ from edged.app.status import Running, config_summary, facts, job_list, register_
 from edged.config import Config, ModbusSection, RecorderSection, WebSection, ZenohSection
 from edged.errors import EdgedError
 from edged.ports import Commander, Publisher
-from edged.robot.orientations import Convention
+from edged.robot.orientations import Brand, Convention
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +45,7 @@ class Wanted(NamedTuple):
         """The TCP port that it listens on; None where that is not all that it holds, or not known."""
         section = self.section
         if isinstance(section, ModbusSection):
-            return section.port if section.serial is None else None
+            return section.port if section.serial is None and section.socket is None else None
         return section.port if isinstance(section, WebSection) else None
 
 
@@ -214,7 +215,7 @@ def _lie_apart(one: Wanted, other: Wanted) -> bool:
 
 
 def _modbus_settings(section: ModbusSection) -> ModbusSettings:
-    serial, tls = section.serial, section.tls
+    serial, tls, line = section.serial, section.tls, section.socket
     return ModbusSettings(
         host=section.host,
         port=section.port,
@@ -241,6 +242,7 @@ def _modbus_settings(section: ModbusSection) -> ModbusSettings:
         tls=None
         if tls is None
         else TlsSettings(tls.certificate, tls.key, tls.authority, frozenset(tls.writer_roles)),
+        line=None if line is None else LineSettings(line.port, Brand(line.brand), line.allow_simulated),
     )
 
 

@@ -55,6 +55,10 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
     modbus, zenoh, recorder = (running.servers.get(name) for name in ("modbus", "zenoh", "recorder"))
     if isinstance(modbus, ModbusPublisher):
         groups["Modbus"] = {"port": modbus.port, "clients": modbus.clients}
+        if modbus.line_port:
+            groups["Modbus"]["lines for robots on"] = modbus.line_port
+        if modbus.refused_writers:
+            groups["Modbus"]["may not write, and tried"] = ", ".join(modbus.refused_writers)
     if zenoh is not None:
         groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
     if isinstance(recorder, Recorder):

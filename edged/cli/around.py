@@ -102,13 +102,17 @@ def sim(
 @app.command()
 def registers(
     format: Annotated[
-        str, typer.Option("--format", help="md, csv, json; sources: st, urscript, python")
+        str,
+        typer.Option("--format", help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python"),
     ] = "md",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="folder for the files of twincat")
+    ] = None,
 ) -> None:
     """Print the Modbus map or a client's source, generated from the schema that encodes it."""
     from edged.commands.registers import registers as command
 
-    raise typer.Exit(command(format))
+    raise typer.Exit(command(format, output))
 
 
 @app.command()

@@ -7,15 +7,41 @@ import io
 import json
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from edged.errors import UserError
-from edged.plc.clients import python_source, structured_text_source, urscript_source
+from edged.plc.clients import (
+    plcopen_source,
+    python_source,
+    scl_source,
+    structured_text_source,
+    twincat_files,
+    urscript_source,
+)
 from edged.plc.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
 
 
-def registers(fmt: str) -> int:
-    """Print the map, or a client's source. Raises `UserError` for another format."""
-    sys.stdout.write(render(fmt))
+def registers(fmt: str, folder: Path | None) -> int:
+    """Print the map, or a client's source; or write a client's files into a folder, and print their names.
+
+    Raises `UserError` for another format, for files without a folder, and for a folder without files.
+    """
+    writer = SEVERAL.get(fmt)
+    if (writer is None) != (folder is None):
+        needs = (
+            "is one file: print it into one with >" if writer is None else "is several files: --output FOLDER"
+        )
+        raise UserError(f"--format {fmt} {needs}")
+    if writer is None or folder is None:
+        sys.stdout.write(render(fmt))
+        return 0
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in writer().items():
+            (folder / name).write_text(text, encoding="utf-8")
+            print(folder / name)
+    except OSError as error:
+        raise UserError(f"--output {folder}: {error.strerror or error}") from error
     return 0
 
 
@@ -23,7 +49,7 @@ def render(fmt: str) -> str:
     """The map, or a client's source, as text that ends with a newline."""
     writer = FORMATS.get(fmt)
     if writer is None:
-        raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
+        raise UserError(f"--format {fmt}: expected {', '.join((*FORMATS, *SEVERAL))}")
     return writer()
 
 
@@ -101,6 +127,9 @@ FORMATS: dict[str, Callable[[], str]] = {
     "csv": _csv,
     "json": _json,
     "st": structured_text_source,
+    "plcopen": plcopen_source,
+    "scl": scl_source,
     "urscript": urscript_source,
     "python": python_source,
 }
+SEVERAL: dict[str, Callable[[], dict[str, str]]] = {"twincat": twincat_files}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import ipaddress
 import os
 import re
 import shutil
@@ -166,6 +167,9 @@ def look_at_ports(config: Config) -> Iterator[Check]:
     """The ports that the daemon will listen on."""
     if config.modbus.enabled:
         yield _port("Modbus port", config.modbus.host, config.modbus.port)
+        if config.modbus.socket is not None:
+            yield _port("socket port", config.modbus.host, config.modbus.socket.port)
+        yield _writers(config)
     if config.web is not None:
         yield _port("status page port", config.web.host, config.web.port)
     for endpoint in config.zenoh.listen if config.zenoh.enabled else ():
@@ -173,6 +177,26 @@ def look_at_ports(config: Config) -> Iterator[Check]:
         host, _, port = place.rpartition(":")
         if protocol in ("tcp", "tls") and port.isdigit():
             yield _port("Zenoh port", host.strip("[]"), int(port))
+
+
+def _writers(config: Config) -> Check:
+    """Who wrote and was refused, as the daemon's log says, and may still not write."""
+    name, tried = "Modbus writers", run("journalctl", "--no-pager", "-F", "EDGED_REFUSED_WRITER")
+    if tried is None:
+        return Check(name, Verdict.SKIP, "who was refused stands in the journal, which cannot be read here")
+    networks = [ipaddress.ip_network(one) for one in config.modbus.writers]
+    refused = [
+        peer for peer in tried.split() if not any(ipaddress.ip_address(peer) in one for one in networks)
+    ]
+    if not refused:
+        return Check(name, Verdict.OK, f"nobody else tried than {', '.join(map(str, networks)) or 'nobody'}")
+    return Check(
+        name,
+        Verdict.WARN,
+        f"{', '.join(sorted(refused))} wrote, and may not",
+        "each of its writes ends in exception 1 (illegal function); reading goes on",
+        f'if it is your PLC: [modbus] writers = [..., "{min(refused)}"] in cell.toml, then reload',
+    )
 
 
 def _port(name: str, host: str, port: int) -> Check:

@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, skew, wrapped
+from edged.vision.geometry.rigid import quaternion, rotation_matrix, rotation_vector, skew, wrapped
 
 SINGULAR = 1e-9
 """Below this sine (or cosine) the outer angles cannot be told apart in float64."""
@@ -210,6 +210,15 @@ _ROTATIONS: dict[Convention, Callable[[float, float, float], FloatArray]] = {
     Convention.KAWASAKI_OAT: matrix_oat,
     Convention.ABB_ZYX: matrix_zyx,
 }
+_CONVENTIONS = {
+    Brand.UR: Convention.UR_ROTATION_VECTOR,
+    Brand.KUKA: Convention.KUKA_ABC,
+    Brand.FANUC: Convention.FIXED_XYZ,
+    Brand.YASKAWA: Convention.FIXED_XYZ,
+    Brand.STAUBLI: Convention.STAUBLI_XYZ,
+    Brand.KAWASAKI: Convention.KAWASAKI_OAT,
+}
+"""Of the brands that write three angles."""
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.UR: (1000.0, 1.0, matrix_rotation_vector),
     Brand.KUKA: (1.0, math.pi / 180, matrix_zyx),
@@ -241,6 +250,21 @@ def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
     pose[:3, 3] = np.array(numbers[:3]) * to_mm
     pose[:3, :3] = reader(*(number * to_rad for number in numbers[3:]))
     return pose
+
+
+def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
+    """The numbers that the controller would show for a pose (4, 4) in mm: inverse of `transform_of`.
+
+    >>> pose_of(Brand.UR, transform_of(Brand.UR, (0.1, 0.2, 0.3, 0.0, 0.0, 1.5)))[2]
+    0.3
+    """
+    to_mm, to_rad, _ = _READERS[brand]
+    R = robot_from_part[:3, :3]
+    if brand is Brand.ABB:
+        angles: tuple[float, ...] = tuple(quaternion(R).tolist())
+    else:
+        angles = tuple(math.radians(angle) / to_rad for angle in ANGLES_DEG[_CONVENTIONS[brand]](R))
+    return (*(robot_from_part[:3, 3] / to_mm).tolist(), *angles)
 
 
 READINGS: dict[str, tuple[int, Callable[..., FloatArray]]] = {

@@ -100,6 +100,29 @@ def test_only_what_changed_is_exchanged(tmp_path: Path) -> None:
     assert ([True, True], ["modbus", "web"], 1) == exchanged(before, after, [modbus, web])
 
 
+def test_the_socket_of_robots_is_exchanged_with_the_registers_that_it_shows(tmp_path: Path) -> None:
+    """A reload for another brand, on the same port, and with Modbus on another: both listen again."""
+    first, second, lines = free_port(), free_port(), free_port()
+    socket_ = f"[modbus.socket]\nport = {lines}\nbrand = "
+    before = config(tmp_path, f'[zenoh]\nenabled = false\n[modbus]\nport = {first}\n{socket_}"kuka"\n')
+    after = config(tmp_path, f'[zenoh]\nenabled = false\n[modbus]\nport = {second}\n{socket_}"abb"\n')
+
+    assert ([False, True, True], ["modbus"], 1) == exchanged(before, after, [first, second, lines])
+
+
+def test_a_port_of_robots_that_cannot_be_opened_leaves_the_registers_as_they_were(tmp_path: Path) -> None:
+    """The Modbus server listens again where it did."""
+    modbus = free_port()
+    before = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        lines = f'[modbus.socket]\nport = {other.getsockname()[1]}\nbrand = "ur"\n'
+        after = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n{lines}")
+
+        taken, running, _ = exchanged(before, after, [modbus])
+
+    assert ([True], ["modbus"]) == (taken, running)
+
+
 def test_a_server_that_is_switched_off_is_closed(tmp_path: Path) -> None:
     """Its port is free."""
     modbus, web = free_port(), free_port()

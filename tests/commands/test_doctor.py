@@ -285,3 +285,23 @@ def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
     check = checks(path)["Modbus port"]
     assert check.verdict is Verdict.BAD
     assert "192.0.2.7 is no address of this machine" in check.finding
+
+
+@pytest.mark.parametrize(
+    "journal, verdict, finding",
+    [
+        (None, Verdict.SKIP, "journal"),
+        ("", Verdict.OK, "127.0.0.0/8"),
+        ("127.0.0.5\n", Verdict.OK, "127.0.0.0/8"),
+        ("127.0.0.5\n192.168.10.7\nfe80::1\n", Verdict.WARN, "192.168.10.7, fe80::1"),
+    ],
+)
+def test_who_wrote_and_may_not_is_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, journal: str | None, verdict: Verdict, finding: str
+) -> None:
+    """As the journal says, unless the configuration lists it by now; without a journal it says so."""
+    monkeypatch.setattr(machine, "run", lambda *_: journal)
+    (check,) = [one for one in machine.look_at_ports(load(folder / "cell.toml")) if "writers" in one.name]
+    assert verdict is check.verdict
+    assert finding in check.finding
+    assert ("192.168.10.7" in check.remedy) is (verdict is Verdict.WARN)

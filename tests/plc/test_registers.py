@@ -24,7 +24,7 @@ from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad
 from edged.vision.geometry.rigid import quaternion
 
 STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 217), "result": (300, 347)} | {
-    "ur": (400, 419),
+    "ur": (400, 425),
     "float": (500, 531),
     "target 0": (600, 619),
 }
@@ -77,7 +77,9 @@ def test_every_listing_names_every_register() -> None:
     for block in reg.BLOCKS[:7]:
         for register in block.registers:
             assert f"| {register.address} | {register.name} |" in markdown
-    with pytest.raises(UserError, match="expected md, csv, json, st, urscript, python"):
+    with pytest.raises(
+        UserError, match="expected md, csv, json, st, plcopen, scl, urscript, python, twincat"
+    ):
         render("xml")
 
 
@@ -104,7 +106,7 @@ def test_a_result_reads_back(order: reg.WordOrder) -> None:
     decoded = shown(snapshot, order=order)
     assert [10_000, 20_000, 200_000] == [decoded[axis] for axis in "XYZ"]
     assert [10_000, 20_000, 200_000] == [decoded[f"UR_{axis}"] for axis in "XYZ"]
-    assert [1000, -2000, 3000] == [decoded[f"UR_R{axis}"] for axis in "XYZ"]
+    assert [100_000, -200_000, 300_000] == [decoded[f"UR_R{axis}"] for axis in "XYZ"]
     expected = Rotation.from_matrix(target.rig_from_part[:3, :3]).as_euler("xyz", degrees=True)
     assert [round(angle * 1000) for angle in expected] == [decoded[axis] for axis in "ABC"]
     np.testing.assert_allclose([decoded[f"F_{axis}"] for axis in "ABC"], expected, rtol=1e-6)
@@ -228,6 +230,64 @@ def test_quarter_and_half_turns_give_the_rotation_back(convention: Convention, t
     sign = -90 if turn.startswith("-") else 90 * len(turn)
     R = np.round(Rotation.from_euler(turn[-1], sign, degrees=True).as_matrix())
     np.testing.assert_allclose(matrix_of(ANGLES_DEG[convention](R), convention), R, atol=1e-12)
+
+
+def normal_of(convention: Convention, a_deg: float, b_deg: float, c_deg: float) -> tuple[float, float, float]:
+    """The part's z axis, as docs/how-to/robot-frame.md tells a PLC to compute it."""
+    (ca, cb, cc), (sa, sb, sc) = (
+        np.cos(np.radians((a_deg, b_deg, c_deg))),
+        np.sin(np.radians((a_deg, b_deg, c_deg))),
+    )
+    match convention:
+        case Convention.KAWASAKI_OAT:
+            return ca * sb, sa * sb, cb
+        case Convention.FIXED_XYZ:
+            return cc * ca * sb + sc * sa, sc * ca * sb - cc * sa, ca * cb
+        case Convention.STAUBLI_XYZ:
+            return sb, -sa * cb, ca * cb
+        case _:
+            return ca * cc * sb + sa * sc, sa * cc * sb - ca * sc, cb * cc
+
+
+EULER = [convention for convention in Convention if convention is not Convention.UR_ROTATION_VECTOR]
+SINGULAR_AT = {Convention.KAWASAKI_OAT: ((0.0, 1), (180.0, -1))} | {
+    Convention.FIXED_XYZ: ((90.0, -1), (-90.0, 1)),
+    Convention.KUKA_ABC: ((90.0, -1), (-90.0, 1)),
+    Convention.ABB_ZYX: ((90.0, -1), (-90.0, 1)),
+    Convention.STAUBLI_XYZ: ((90.0, 1), (-90.0, -1)),
+}
+"""The second angle, and the sign of C in the sum that has a meaning there."""
+
+
+@pytest.mark.parametrize("convention", EULER)
+@given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_the_normal_of_the_manual_is_the_parts_z_axis(
+    convention: Convention, q: tuple[float, float, float, float]
+) -> None:
+    """Whatever the rotation, A, B, C give the part's z axis by the formula of the convention."""
+    R = Rotation.from_quat(q).as_matrix()
+    np.testing.assert_allclose(normal_of(convention, *ANGLES_DEG[convention](R)), R[:, 2], atol=2e-9)
+
+
+@pytest.mark.parametrize("convention", EULER)
+def test_near_the_singular_position_only_normal_and_sum_have_a_meaning(convention: Convention) -> None:
+    """Tilts of 0.01° about any axis: A jumps by more than 90° and its sigma grows, sum and normal stay."""
+    covariance = np.eye(3) * np.radians(0.01) ** 2
+    for b_deg, sign in SINGULAR_AT[convention]:
+        R = matrix_of((20.0, b_deg, 30.0), convention)
+        around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        turns = [Rotation.from_rotvec(np.radians(0.01) * np.array([np.cos(t), np.sin(t), 0])) for t in around]
+        # in the part's own frame for OAT, about fixed axes for the others: all round the singular position
+        tilted = [R @ turn.as_matrix() if b_deg in (0.0, 180.0) else turn.as_matrix() @ R for turn in turns]
+        angles = np.array([ANGLES_DEG[convention](one) for one in tilted])
+        spread = np.abs((angles[:, None, 0] - angles[None, :, 0] + 180) % 360 - 180)
+        assert spread.max() > 90
+        sums = (angles[:, 0] + sign * angles[:, 2] - (20.0 + sign * 30.0) + 180) % 360 - 180
+        np.testing.assert_allclose(sums, 0.0, atol=0.02)
+        normals = np.array([normal_of(convention, *one) for one in angles])
+        np.testing.assert_allclose(normals @ R[:, 2], 1.0, atol=1e-6)
+        assert max(sigma_angles_deg(tilted[1], covariance, convention)) > 30.0
 
 
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))

@@ -30,6 +30,7 @@ from edged.robot.orientations import (
     Brand,
     Convention,
     matrix_quaternion,
+    pose_of,
     rotation_vector_rad,
     transform_of,
 )
@@ -223,6 +224,7 @@ def test_what_a_brand_shows_is_read_back(brand: Brand, seed: int) -> None:
     pose = transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-900, 900, 3))
 
     assert np.allclose(transform_of(brand, shown(brand, pose)), pose, atol=1e-6)
+    assert np.allclose(transform_of(brand, pose_of(brand, pose)), pose, atol=1e-6)
 
 
 def test_brands_agree_with_an_independent_library() -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import math
+import re
+import struct
 import subprocess
 import sys
 import time
@@ -19,12 +22,13 @@ import structured_text
 import urscript
 from livecell import LiveCell
 from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.commands.registers import render
 from edged.domain import Reject
-from edged.plc.registers import ADDRESS, STATUS, Option
+from edged.plc.registers import ADDRESS, STATUS, UR, Option, crc16
 from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0
@@ -181,6 +185,101 @@ def test_the_python_client_says_that_the_cell_was_started_anew(client_module: Mo
         client.close()
 
 
+class OldClient(ModbusTcpClient):
+    """`ModbusTcpClient` of before pymodbus 3.10: the unit id is `slave`, and it knows no other name."""
+
+    def read_holding_registers(self, address: int, *, count: int = 1, slave: int = 1) -> Any:
+        """As it was."""
+        return super().read_holding_registers(address, count=count, device_id=slave)
+
+    def write_registers(self, address: int, values: list[int], *, slave: int = 1) -> Any:
+        """As it was."""
+        return super().write_registers(address, values, device_id=slave)
+
+
+def test_the_python_client_runs_on_pymodbus_of_before_3_10(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the unit id has another name; the client asks pymodbus which."""
+    monkeypatch.setattr("pymodbus.client.ModbusTcpClient", OldClient)
+    module = ModuleType("edged_cell_old")
+    monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look their module up
+    exec(compile(render("python"), "edged_cell.py", "exec"), module.__dict__)
+    with (
+        LiveCell(ModbusSettings(port=0, unit_id=7)) as cell,
+        module.EdgedCell("127.0.0.1", cell.port, unit_id=7) as client,
+    ):
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert client.locate().ok
+
+
+class Breaking:
+    """A pymodbus client whose requests fail in one way from a moment on."""
+
+    connected = True
+    socket = None
+
+    def __init__(self, failure: BaseException | Any) -> None:
+        self.failure = failure
+
+    def _fail(self, *_: Any, **__: Any) -> Any:
+        if isinstance(self.failure, BaseException):
+            raise self.failure
+        return self.failure
+
+    connect = close = read_holding_registers = write_registers = _fail
+
+
+class Short:
+    """An answer with fewer words than were asked for."""
+
+    registers: tuple[int, ...] = (1, 2)
+
+    def isError(self) -> bool:  # noqa: N802  (pymodbus's name)
+        """It says that it is none."""
+        return False
+
+
+FAILURES = [
+    ConnectionException("gone"),
+    ModbusIOException("no answer"),
+    ConnectionResetError("reset"),
+    struct.error("ushort format requires 0 <= number <= 65535"),
+]
+
+
+@pytest.mark.parametrize("failure", FAILURES, ids=lambda failure: type(failure).__name__)
+def test_the_python_client_has_one_exception_for_all_that_fails(
+    client_module: ModuleType, failure: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Connecting, reading, commanding: `CellError` with the cause, and `close` says nothing."""
+    client = client_module.EdgedCell("127.0.0.1", 1)
+    monkeypatch.setattr(client, "_client", Breaking(failure))
+    for action in (client.connect, client.status, client.locate, client.beat):
+        with pytest.raises(client_module.CellError) as caught:
+            action()
+        assert failure is caught.value.__cause__
+    client.close()
+
+
+def test_the_python_client_does_not_believe_half_an_answer(
+    client_module: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fewer words than were asked for: `CellError`, not an error of the decoder."""
+    client = client_module.EdgedCell("127.0.0.1", 1)
+    monkeypatch.setattr(client, "_client", Breaking(Short()))
+    with pytest.raises(client_module.CellError, match="2 words, expected 18"):
+        client.status()
+
+
+def test_the_python_client_never_hides_the_users_exception(client_module: ModuleType) -> None:
+    """The cell is gone when the `with` block ends with an error of the user's own: that one is seen."""
+    cell = LiveCell()
+    with pytest.raises(KeyError, match="mine"), contextlib.ExitStack() as stack:
+        stack.enter_context(cell)
+        with client_module.EdgedCell("127.0.0.1", cell.port, answer_s=0.2):
+            stack.close()
+            raise KeyError("mine")
+
+
 # --- structured text ---------------------------------------------------------------------------
 
 
@@ -238,6 +337,52 @@ class Plc:
         self.values["xExecute"] = False
         self.scan()
         self.scan()
+
+
+def test_structured_text_closes_every_statement() -> None:
+    """END_IF and END_FOR are ends of statements, END_STRUCT of a declaration: each has its semicolon."""
+    # IEC 61131-3, annex A: statement_list is a sequence of statement ';', and so are matiec's and TIA's
+    assert render("st").isascii(), "a source for compilers of any age and code page"
+    ends = re.findall(r"\bEND_(?:IF|FOR|CASE|WHILE|REPEAT|STRUCT)\b.?", render("st"))
+    assert ends
+    assert {"END_IF;", "END_FOR;", "END_STRUCT;"} == set(ends)
+
+
+def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
+    """What changes while the command runs is for the next one: command, job, time-out, flange."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        cell.slow_s = 0.3
+        plc.values |= {"xExecute": True, "uiCommand": 1, "uiJob": 2, "adiFlange": [1, 2, 3, 4, 5, -6]}
+        plc.scan()
+        sent = list(plc.values["awCommand"])
+        plc.values |= {"uiCommand": 2, "uiJob": 99, "adiFlange": [9] * 6, "tTimeout": 1}
+        plc.scan()
+        plc.scan()
+        kept = [0, 1, 2, *range(6, 19)]  # all but ACK_SEQ, the heartbeat and OPTIONS
+        assert [sent[i] for i in kept] == [plc.values["awCommand"][i] for i in kept]
+        assert [0, 1, 0xFFFF, 0xFFFA] == [*sent[6:8], *sent[16:18]]
+        plc.until("xBusy", False)
+        assert (True, 2) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["uiJOB"])
+
+
+def test_structured_text_answers_a_pulse_of_one_scan() -> None:
+    """xExecute may be gone long before the end: xDone, or xError, is up for one scan, with the result."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        for job, outcome in ((0, "xDone"), (99, "xError")):
+            plc.until("xReady")
+            plc.values |= {"xExecute": True, "uiJob": job}
+            plc.scan()
+            plc.values["xExecute"] = False
+            plc.until("xBusy", False)
+            assert (outcome, outcome == "xDone") == (
+                "xDone" if plc.values["xDone"] else "xError" if plc.values["xError"] else "neither",
+                plc.values["stResult"]["xValid"],
+            )
+            plc.scan()
+            assert (False, False) == (plc.values["xDone"], plc.values["xError"])
+            assert not plc.values["stResult"]["xValid"]
+        assert 1 == cell.head.captures
 
 
 @pytest.mark.slow
@@ -393,7 +538,7 @@ def test_structured_text_takes_a_command_back_that_failed() -> None:
 def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
     changes: dict[str, Any], allowed: str
 ) -> None:
-    """xValid stays FALSE, though the cell says VALID, until the PLC's program allows it."""
+    """xValid stays FALSE, though the cell says VALID, unless the PLC's program allows it before and after."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, **changes)
     with cell, Plc(cell.port) as plc:
@@ -403,7 +548,14 @@ def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
         assert 10_000 == plc.values["stResult"]["diX"]
         plc.values[allowed] = True
         plc.scan()
+        assert not plc.values["stResult"]["xValid"], "a leave that came after the command"
+        plc.release()
+        plc.until("xReady")
+        plc.run()
         assert plc.values["stResult"]["xValid"]
+        plc.values[allowed] = False
+        plc.scan()
+        assert not plc.values["stResult"]["xValid"], "a leave that was taken back"
 
 
 def test_structured_text_notices_a_cell_that_stands_still() -> None:
@@ -447,57 +599,100 @@ def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
 
 
 class Controller:
-    """The robot controller's Modbus client: every signal is a single word, read in its own request."""
+    """The robot controller's Modbus client, as PolyScope's Script Manual tells it.
+
+    Signals are read and written at their update frequency while the program sleeps, whether it asks or not,
+    and written for ever once they were set; a program sees what was read last.
+    """
 
     def __init__(self, port: int) -> None:
-        self._client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
+        self._port = port
+        self._inputs: dict[str, tuple[int, int, list[int]]] = {}
+        self._outputs: dict[str, tuple[int, int, list[int]]] = {}
+        self._frequencies: dict[str, int] = {}
+        self.connect()
+
+    def connect(self) -> None:
+        """A new connection, without a word to the program."""
+        self._client = ModbusTcpClient("127.0.0.1", port=self._port, timeout=2)
         assert self._client.connect()
-        self._signals: dict[str, tuple[int, int]] = {}
+        self.linked = True
 
     def builtins(self) -> dict[str, Any]:
         """What URScript calls."""
         return {
             "floor": math.floor,
-            "sleep": lambda seconds: time.sleep(seconds / 20),
+            "sleep": self._sleep,
+            "sync": lambda: None,
             "modbus_add_signal": self._add,
-            "modbus_set_signal_update_frequency": lambda name, _hz: self._signals[name],
-            "modbus_get_signal_status": self._get,
+            "modbus_set_signal_update_frequency": self._frequencies.__setitem__,
+            "modbus_set_signal_watchdog": lambda name, _s: self._frequencies[name],
+            "modbus_get_signal_status": lambda name, _secondary: list(self._inputs[name][2]),
             "modbus_set_output_register": self._set,
         }
 
-    def _add(self, ip: str, unit: int, address: int, kind: int, name: str) -> None:
-        assert ip == "192.168.10.20" and unit == 1 and kind in (2, 3)
-        assert name not in self._signals
-        self._signals[name] = (address, kind)
+    def _add(
+        self, ip: str, unit: int, address: int, kind: int, name: str, sequential: bool, count: int
+    ) -> None:
+        assert ("192.168.10.20", 1, False) == (ip, unit, sequential)
+        assert 1 <= len(name) <= 20 and 1 <= count <= 123
+        self._frequencies.pop(name, None)
+        if kind == 2:
+            self._inputs[name] = (address, count, [0] * count)
+        else:
+            assert kind == 16
+            self._outputs[name] = (address, count, [])
 
-    def _get(self, name: str, _secondary: bool) -> int:
-        address, _ = self._signals[name]
-        return int(self._client.read_input_registers(address, count=1).registers[0])
+    def _set(self, name: str, words: list[int], _secondary: bool) -> None:
+        address, count, _ = self._outputs[name]
+        assert len(words) == count and all(type(word) is int and 0 <= word <= 65535 for word in words)
+        self._outputs[name] = (address, count, list(words))
 
-    def _set(self, name: str, value: int, _secondary: bool) -> None:
-        address, kind = self._signals[name]
-        assert kind == 3 and 0 <= value <= 65535
-        assert not self._client.write_register(address, value).isError()
+    def _sleep(self, seconds: float) -> None:
+        time.sleep(seconds / 20)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Write and read each signal once."""
+        assert self._frequencies.keys() == self._inputs.keys() | self._outputs.keys(), "explicit frequencies"
+        if not self.linked:
+            return
+        for address, _, words in self._outputs.values():
+            if words:
+                assert not self._client.write_registers(address, words).isError()
+        for name, (address, count, _) in self._inputs.items():
+            words = self._client.read_input_registers(address, count=count).registers
+            self._inputs[name] = (address, count, words)
 
     def __enter__(self) -> Controller:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The line ends."""
         self._client.close()
+
+
+def started(controller: Controller) -> dict[str, Any]:
+    """The robot's program, after "Before Start"."""
+    robot = urscript.load(render("urscript"), controller.builtins())
+    robot["edged_setup"]("192.168.10.20")
+    return robot
 
 
 def test_urscript_locates_a_part() -> None:
     """Its functions, run as Python with the controller's Modbus calls: pose in m and rad, then errors."""
     with LiveCell() as cell, Controller(cell.port) as controller:
-        robot = urscript.load(render("urscript"), controller.builtins())
-        robot["edged_setup"]("192.168.10.20")
+        robot = started(controller)
         for x_mm in (10.0, -1234.567, 30.0):
             cell.targets = (make_target(x_mm=x_mm),)
             pose = robot["edged_locate"](0, 5.0)
             assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
             np.testing.assert_allclose(pose[:3], [x_mm * 1e-3, 0.020, 0.200], atol=1e-6)
             expected = rotation_vector(cell.targets[0].rig_from_part[:3, :3])
-            np.testing.assert_allclose(pose[3:], expected, atol=1e-4)
+            np.testing.assert_allclose(pose[3:], expected, atol=0.51e-6)
             robot["edged_acknowledge"]()
             assert not robot["edged_ok"]
         for targets, error in (((), 101), ((make_target(reject=Reject.TOLERANCE),), 101)):
@@ -517,14 +712,108 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, simulated=True)
     with cell, Controller(cell.port) as controller:
-        robot = urscript.load(render("urscript"), controller.builtins())
-        robot["edged_setup"]("192.168.10.20")
+        robot = started(controller)
         robot["edged_locate"](0, 5.0)
         assert (False, 103) == (robot["edged_ok"], robot["edged_error"])
         robot["edged_allow_simulated"] = True
         pose = robot["edged_locate"](0, 5.0)
         assert robot["edged_ok"]
         assert 0.010 == pytest.approx(pose[0])
+
+
+def test_urscript_never_uses_a_sequence_again() -> None:
+    """Not in a program that was started anew, nor after a command that was taken back."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        used = []
+        for _ in range(3):
+            robot = started(controller)
+            for timeout_s in (5.0, 0.02, 5.0):  # the second is given up before it was answered
+                robot["edged_locate"](0, timeout_s)
+                used.append(robot["edged_sequence"])
+        assert sorted(set(used)) == used
+        assert robot["edged_ok"]
+
+
+def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
+    """The first CMD_SEQ of a connection runs nothing: another one is written, measured once."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["edged_locate"](0, 5.0)
+        controller.close()
+        controller.connect()
+        robot["edged_locate"](0, 5.0)
+        assert (True, 2) == (robot["edged_ok"], cell.head.captures)
+
+
+def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
+    """edged_error 104 within a second of the program, and nothing runs when the link returns."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["edged_locate"](0, 5.0)
+        controller.linked = False
+        robot["edged_locate"](0, 5.0)
+        assert (False, 104) == (robot["edged_ok"], robot["edged_error"])
+        controller.linked = True
+        for _ in range(5):
+            controller.refresh()
+        assert 1 == cell.head.captures
+        robot["edged_locate"](0, 5.0)
+        assert (True, 2) == (robot["edged_ok"], cell.head.captures)
+
+
+def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
+    """A word that does not fit the CRC, and a result of another job than asked for, are no pose."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        controls = controller.builtins()["modbus_get_signal_status"]
+        place = {one.name: one.address - UR.address for one in UR.registers}
+
+        def changed(name: str, *, with_crc: bool) -> Callable[[str, bool], list[int]]:
+            def read(signal: str, secondary: bool) -> list[int]:
+                words = controls(signal, secondary)
+                words[place[name]] ^= 1
+                if with_crc:
+                    data = struct.pack(f">{len(words)}H", *words)[: 2 * place["UR_CRC16"]]
+                    words[place["UR_CRC16"]] = crc16(data)
+                return words
+
+            return read
+
+        for name, with_crc, error in (("UR_X", False, 106), ("UR_JOB", True, 107)):
+            robot["modbus_get_signal_status"] = changed(name, with_crc=with_crc)
+            pose = robot["edged_locate"](2, 1.0)
+            assert (False, error, (0,) * 6) == (robot["edged_ok"], robot["edged_error"], pose)
+        robot["modbus_get_signal_status"] = controls
+        robot["edged_locate"](2, 5.0)
+        assert robot["edged_ok"]
+
+
+def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
+    """While it waits: edged_error 105, and no pose of another life."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        cell.slow_s = 0.1
+        controls = controller.builtins()["modbus_get_signal_status"]
+        looks = []
+
+        def read(signal: str, secondary: bool) -> list[int]:
+            looks.append(signal)
+            words = controls(signal, secondary)
+            if len(looks) > 1:
+                words[next(one.address for one in UR.registers if one.name == "UR_START_EPOCH") - 400] ^= 1
+            return words
+
+        robot["modbus_get_signal_status"] = read
+        robot["edged_locate"](0, 5.0)
+        assert (False, 105) == (robot["edged_ok"], robot["edged_error"])
+
+
+def test_urscript_computes_the_crc_of_the_catalogue() -> None:
+    """As `crc16`, whose check value is the published one, on words of every kind."""
+    robot = urscript.load(render("urscript"), {"floor": math.floor, "sync": lambda: None})
+    words = [0, 65535, 1, 0x8000, 0x1234, 0xFEDC, *range(0, 65536, 3301)]
+    words = (words * 2)[: next(one.address for one in UR.registers if one.name == "UR_CRC16") - UR.address]
+    assert crc16(struct.pack(f">{len(words)}H", *words)) == robot["edged_crc"](words)
 
 
 def test_urscript_arithmetic_is_exact_at_the_ends_of_the_range() -> None:

@@ -37,6 +37,7 @@ from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
 from edged.errors import CommandRefused, ListenError
+from edged.logs import fields_of
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
 
@@ -541,6 +542,22 @@ def test_hostile_frames_leave_no_trace() -> None:
         assert 1 == (await rig.block(reg.STATUS))["CLIENTS"]
 
     serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
+
+
+def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Exception 1 for each write, from every connection; one line of the log, with a field to search for."""
+
+    async def test(rig: Rig) -> None:
+        for write in (rig.client.write_registers(100, [1, 0, 1]), rig.client.write_register(102, 1)):
+            answer = await write
+            assert 1 == answer.exception_code
+        assert not (await rig.client.read_holding_registers(300, count=48)).isError()
+        assert ("127.0.0.1",) == rig.server.refused_writers
+
+    serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
+    (line,) = [record for record in caplog.records if "refused" in record.message]
+    assert "127.0.0.1 wrote, and was refused with exception 1: it is not in modbus.writers" in line.message
+    assert {"refused_writer": "127.0.0.1"} == fields_of(line)
 
 
 def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:

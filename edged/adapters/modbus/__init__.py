@@ -2,6 +2,13 @@
 
 from edged.adapters.modbus.publisher import ModbusPublisher
 from edged.adapters.modbus.security import server_context
-from edged.adapters.modbus.settings import ModbusSettings, SerialSettings, TlsSettings
+from edged.adapters.modbus.settings import LineSettings, ModbusSettings, SerialSettings, TlsSettings
 
-__all__ = ["ModbusPublisher", "ModbusSettings", "SerialSettings", "TlsSettings", "server_context"]
+__all__ = [
+    "LineSettings",
+    "ModbusPublisher",
+    "ModbusSettings",
+    "SerialSettings",
+    "TlsSettings",
+    "server_context",
+]

@@ -59,9 +59,13 @@ COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
 UR_STATUS = tuple(
     (register.name.removeprefix("UR_"), 2 * register.address)
     for register in reg.UR.registers
-    if register.name.removeprefix("UR_") in ("STATUS_BITS", "DONE_SEQ", "HEARTBEAT")
+    if register.name.removeprefix("UR_") in reg.ADDRESS
+    and register.kind is reg.Kind.U16
+    and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name there, byte of the map."""
+UR_START = 2 * reg.UR.address
+UR_CRC = next(2 * register.address for register in reg.UR.registers if register.name == "UR_CRC16")
 
 DEFINED = bytes(
     any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
@@ -130,7 +134,7 @@ class CellRegisters:
         if result is not None:
             free = self._state.command_sequence == 0
             values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
-        values["START_EPOCH"] = self._epoch
+        values["START_EPOCH"] = values["UR_START_EPOCH"] = self._epoch
         for block in (reg.RESULT, reg.UR, reg.FLOAT):
             self._place(block, values)
         rows = len(result.payload.poses) if result is not None else 0
@@ -146,6 +150,8 @@ class CellRegisters:
     def _place_ur_status(self, status: dict[str, reg.Number]) -> None:
         for name, start in UR_STATUS:
             struct.pack_into(">H", self._image, start, int(status[name]))
+        crc = reg.crc16(self._image[UR_START:UR_CRC])
+        self._image[UR_CRC : UR_CRC + 2] = crc.to_bytes(2, "big")
 
     def _status_values(self, now_s: float, valid: bool) -> dict[str, reg.Number]:
         state, cell = self._state, self._cell
@@ -170,6 +176,7 @@ class CellRegisters:
             "OPEN_COMMANDS": len(state.open),
             "NACK_REASON": state.reason,
             "WRITE_OWNER": int(state.owner is not None),
+            "LAST_SEQ": state.ticket & hs.SEQUENCE_MASK,
             "START_EPOCH": self._epoch,
         }
 

@@ -38,7 +38,8 @@ ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_BUSY = 1, 2, 3, 6
 
 _DECODER = DecodePDU(is_server=True)
 
-_WRITES = {5, 6, 15, 16, 23}
+WRITES = frozenset((5, 6, 15, 16, 23))
+"""Functions that write."""
 _FIXED_LENGTH = {1: 5, 2: 5, 3: 5, 4: 5, 5: 5, 6: 5}
 _MAX_COUNT = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 
@@ -87,9 +88,9 @@ def respond(request: bytes, device: Device, *, may_write: bool) -> bytes:
 
 def _carry_out(request: bytes, device: Device, may_write: bool) -> bytes:
     function = request[0]
-    if function not in _FIXED_LENGTH and function not in _WRITES:
+    if function not in _FIXED_LENGTH and function not in WRITES:
         raise RequestRefused(ILLEGAL_FUNCTION)
-    if function in _WRITES and not may_write:
+    if function in WRITES and not may_write:
         raise RequestRefused(ILLEGAL_FUNCTION)
     _check_form(request)
     pdu = _DECODER.decode(request)

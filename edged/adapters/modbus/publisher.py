@@ -1,4 +1,4 @@
-"""The Modbus side of a cell: one set of registers, served over TCP and, if set, over a serial line."""
+"""The Modbus side of a cell: one set of registers, served over TCP, a serial line and as lines of text."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 
 from edged.adapters.modbus.cell import CellRegisters
+from edged.adapters.modbus.lines import LineServer
+from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.rtu import RtuServer
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
@@ -35,11 +37,22 @@ class ModbusPublisher:
         self._settings = settings
         self._cell = CellRegisters(settings, commander, clock_s)
         clients = itertools.count(1)
-        self._tcp = TcpServer(settings, self._cell, clients, context)
+        self._refusals = Refusals()
+        self._tcp = TcpServer(settings, self._cell, clients, self._refusals, context)
         serial = settings.serial
         self._rtu = (
             RtuServer(serial, settings.unit_id, self._cell, next(clients)) if serial is not None else None
         )
+
+        line = settings.line
+        self._lines = (
+            LineServer(settings, line, self._cell, clients, self._refusals) if line is not None else None
+        )
+
+    @property
+    def line_port(self) -> int:
+        """TCP port of the lines for robots; 0 when there are none."""
+        return self._lines.port if self._lines is not None else 0
 
     @property
     def port(self) -> int:
@@ -60,15 +73,22 @@ class ModbusPublisher:
         """How many are connected."""
         return self._cell.clients
 
+    @property
+    def refused_writers(self) -> tuple[str, ...]:
+        """Addresses that wrote and may not, since the start."""
+        return self._refusals.addresses
+
     async def start(self) -> None:
         """Listen. Raises `ListenError`; then nothing stays open."""
         await self._tcp.start()
-        if self._rtu is not None:
-            try:
+        try:
+            if self._rtu is not None:
                 self._rtu.start()
-            except BaseException:
-                await self.close()
-                raise
+            if self._lines is not None:
+                await self._lines.start()
+        except BaseException:
+            await self.close()
+            raise
 
     def announce(self, event: Event) -> None:
         """Take note of an event; readers see it from their next request on."""
@@ -78,4 +98,6 @@ class ModbusPublisher:
         """Drop every connection and leave nothing behind."""
         if self._rtu is not None:
             self._rtu.close()
+        if self._lines is not None:
+            await self._lines.close()
         await self._tcp.close()

@@ -10,7 +10,7 @@ from typing import Literal
 
 from edged.plc.handshake import Limits
 from edged.plc.registers import BLOCKS, WordOrder
-from edged.robot.orientations import Convention
+from edged.robot.orientations import Brand, Convention
 
 Network = IPv4Network | IPv6Network
 Address = IPv4Address | IPv6Address
@@ -52,6 +52,18 @@ class SerialSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class LineSettings:
+    """Lines of text for robots, on the same registers; host and networks are the server's.
+
+    brand : how poses are written. allow_simulated : poses of a virtual cell are given, too.
+    """
+
+    port: int
+    brand: Brand
+    allow_simulated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class ModbusSettings:
     """The server.
 
@@ -76,6 +88,7 @@ class ModbusSettings:
     writers: tuple[Network, ...] = LOOPBACK
     tls: TlsSettings | None = None
     serial: SerialSettings | None = None
+    line: LineSettings | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.base_address <= 0x10000 - MAP_END:

@@ -20,7 +20,8 @@ from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.loglimit import LogLimit
-from edged.adapters.modbus.pdu import respond
+from edged.adapters.modbus.pdu import WRITES, respond
+from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
 from edged.adapters.modbus.settings import Address, ModbusSettings, address_of, contains
 from edged.errors import ListenError
@@ -42,11 +43,13 @@ class TcpServer:
         settings: ModbusSettings,
         cell: CellRegisters,
         clients: itertools.count[int],
+        refusals: Refusals,
         context: ssl.SSLContext | None = None,
     ) -> None:
         self.settings = settings
         self.cell = cell
         self.log = LogLimit(__name__)
+        self.refusals = refusals
         self._numbers = clients
         self._context = context
         self._connections: set[Connection] = set()
@@ -277,6 +280,10 @@ class Connection(asyncio.Protocol):
         # 0 and 255 mean "the device at this address" ("MODBUS Messaging on TCP/IP", 4.4.1.2)
         if unit in (settings.unit_id, 0, 255):
             response = respond(request, self._view, may_write=self._may_write)
+            if request[0] in WRITES and not self._may_write:
+                role = "the role in its certificate is not in modbus.tls.writer_roles"
+                why = role if self.is_known else "it is not in modbus.writers"
+                self._server.refusals.note(self.address, why)
         else:
             response = bytes((request[0] | 0x80, GATEWAY_NO_RESPONSE))
         self.active_s = self._loop.time()

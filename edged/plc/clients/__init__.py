@@ -1,10 +1,21 @@
 """Sources for the programs at the other end, written from the schema of the registers.
 
-`structured_text` for PLCs (IEC 61131-3), `urscript` for Universal Robots, `python` for PCs.
+`structured_text` for PLCs (IEC 61131-3), and as files for TwinCAT (`twincat`), CODESYS and others (`plcopen`)
+and SIMATIC S7 (`scl`); `urscript` for Universal Robots, `python` for PCs.
 """
 
+from edged.plc.clients.plcopen import plcopen_source
 from edged.plc.clients.python import python_source
+from edged.plc.clients.scl import scl_source
 from edged.plc.clients.structured_text import structured_text_source
+from edged.plc.clients.twincat import twincat_files
 from edged.plc.clients.urscript import urscript_source
 
-__all__ = ["python_source", "structured_text_source", "urscript_source"]
+__all__ = [
+    "plcopen_source",
+    "python_source",
+    "scl_source",
+    "structured_text_source",
+    "twincat_files",
+    "urscript_source",
+]

@@ -1,4 +1,4 @@
-"""An edged cell over Modbus/TCP: the whole handshake, for PCs. Needs Python 3.10 and pymodbus 3.8 or later.
+"""An edged cell over Modbus/TCP: the whole handshake, for PCs. Needs Python 3.10 and pymodbus 3.8 to 3.16.
 
     with EdgedCell("192.168.10.20") as cell:
         result = cell.locate()
@@ -6,12 +6,13 @@
             print(result.values["X"] / 1000, "mm, sigma", result.values["SIGMA_X"] / 10, "um")
         cell.acknowledge(result)
 
-Not thread safe: one object for one thread.
+Whatever goes wrong is a `CellError`. Not thread safe: one object for one thread.
 """
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import socket
 import struct
 import time
@@ -42,11 +43,19 @@ FLAGS = {str(code.name): code.value for code in Flag}
 # </map>
 
 ROW_WORDS = 20
+# pymodbus calls the unit id `slave` before 3.10 and `device_id` since ("API changes 3.10.0")
+_NAMES = inspect.signature(ModbusTcpClient.read_holding_registers).parameters
+UNIT = "device_id" if "device_id" in _NAMES else "slave"
 WORDS = {"H": 1, "i": 2, "I": 2, "Q": 4, "f": 2}
+# some versions of pymodbus let OSError through; a number that no register holds is a struct.error
+FAILURES = (ModbusException, OSError, struct.error)
 
 
 class CellError(Exception):
-    """The cell cannot be used: not reachable, another device, another map, a refused request."""
+    """The cell cannot be used: not reachable, another device, another map, a refused request.
+
+    The root of all that is raised here; what pymodbus or the system said is its cause.
+    """
 
 
 class CommandRefused(CellError):
@@ -120,12 +129,16 @@ class EdgedCell:
 
     def connect(self) -> None:
         """Connect and check that it is an edged cell, the map is this one and the word order is right."""
-        if not self._client.connect():  # type: ignore[no-untyped-call]  # pymodbus says no type
+        try:
+            is_connected = self._client.connect()  # type: ignore[no-untyped-call]  # pymodbus says no type
+        except FAILURES as error:
+            raise CellError(f"the cell does not answer: {error}") from error
+        if not is_connected:
             raise CellError("the cell does not answer")
         try:
             self._check(self.read("constants"))
         except CellError:
-            self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
+            self._hang_up()
             raise
 
     def _check(self, constants: dict[str, float]) -> None:
@@ -137,12 +150,11 @@ class EdgedCell:
             raise CellError("32-bit values come in the other word order")
 
     def close(self) -> None:
-        """Give the right to write to others and hang up."""
+        """Give the right to write to others and hang up. Never raises: it often follows another error."""
         if self._client.connected:
-            self._client.write_register(
-                self._base + ADDRESS["OPTIONS"], OPTIONS["RELEASE"], device_id=self._unit_id
-            )
-        self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
+            with contextlib.suppress(CellError):
+                self._write(ADDRESS["OPTIONS"], [OPTIONS["RELEASE"]])
+        self._hang_up()
 
     # --- commands ------------------------------------------------------------------------------
 
@@ -196,14 +208,15 @@ class EdgedCell:
         """One block by name, in one request."""
         address, registers = BLOCKS[block]
         count = sum(WORDS[kind] for _, kind in registers)
+        unit: dict[str, Any] = {UNIT: self._unit_id}
         try:
-            answer = self._client.read_holding_registers(
-                self._base + address + shift, count=count, device_id=self._unit_id
-            )
-        except ModbusException as error:
+            answer = self._client.read_holding_registers(self._base + address + shift, count=count, **unit)
+        except FAILURES as error:
             raise CellError(f"reading {block}: {error}") from error
         if answer.isError():
             raise CellError(f"reading {block}: {answer}")
+        if len(answer.registers) != count:
+            raise CellError(f"reading {block}: {len(answer.registers)} words, expected {count}")
         low_first = self._low_first and block not in HIGH_FIRST
         return _decode(registers, list(answer.registers), low_first)
 
@@ -250,15 +263,15 @@ class EdgedCell:
         return tuple(rows)
 
     def _write(self, address: int, words: list[int]) -> None:
+        unit: dict[str, Any] = {UNIT: self._unit_id}
         try:
-            answer = self._client.write_registers(self._base + address, words, device_id=self._unit_id)
-        except ModbusException as error:
+            answer = self._client.write_registers(self._base + address, words, **unit)
+        except FAILURES as error:
             self._forget()
             raise CellError(f"writing {address}: {error}") from error
         if answer.isError():
-            raise CellError(
-                f"writing {address}: {answer} (exception 6: another client holds the right to write)"
-            )
+            reason = "exception 1: this address may not write; 6: another client holds the right to"
+            raise CellError(f"writing {address}: {answer} ({reason})")
 
     def _forget(self) -> None:
         """Hang up so that what was not sent is dropped: it must not arrive when the link returns."""
@@ -266,7 +279,11 @@ class EdgedCell:
         if line is not None:
             with contextlib.suppress(OSError):
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        with contextlib.suppress(*FAILURES):
+            self._client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
 
 
 def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first: bool) -> dict[str, float]:

@@ -17,7 +17,8 @@ CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1
 
 def structured_text_source() -> str:
     """Types, functions and the function block `FB_EDGED`, as text."""
-    return "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+    text = "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+    return text.replace("µ", "u").replace("°", " degrees")  # compilers differ in what a source is encoded in
 
 
 def _header() -> str:
@@ -36,15 +37,19 @@ def _fields(register: Register) -> list[tuple[str, str, str]]:
     offset = register.address - RESULT.address
     if register.kind is Kind.U64:
         halves = ("HIGH", "LOW")
-        first, second = (f"F_EDGED_UDINT_OF_64(awResult, {offset}, {i}, xLowWordFirst)" for i in (0, 1))
+        first, second = (
+            f"F_EDGED_UDINT_OF_64(awWords := awResult, iAt := {offset}, iHalf := {i}, "
+            "xLowWordFirst := xLowWordFirst)"
+            for i in (0, 1)
+        )
         names = [f"ud{register.name}_{half}" for half in halves]
         return [(names[0], "UDINT", first), (names[1], "UDINT", second)]
     prefix, kind = TYPES[register.kind]
     name = prefix + register.name
     if register.kind is Kind.U16:
         return [(name, kind, f"WORD_TO_UINT(awResult[{offset}])")]
-    words = f"awResult[{offset}], awResult[{offset + 1}]"
-    joined = f"F_EDGED_DWORD({words}, xLowWordFirst)"
+    words = f"wFirst := awResult[{offset}], wSecond := awResult[{offset + 1}]"
+    joined = f"F_EDGED_DWORD({words}, xLowWordFirst := xLowWordFirst)"
     return [(name, kind, f"DWORD_TO_{kind}({joined})")]
 
 
@@ -58,7 +63,7 @@ def _result_type() -> str:
         for name, kind, _ in _fields(register):
             unit = f"{register.unit}: " if register.unit else ""
             lines.append(f"    {name} : {kind}; (* {unit}{register.help} *)")
-    return "\n".join([*lines, "END_STRUCT", "END_TYPE", ""])
+    return "\n".join([*lines, "END_STRUCT;", "END_TYPE", ""])
 
 
 FUNCTIONS = """\
@@ -73,7 +78,7 @@ IF xLowWordFirst THEN
     F_EDGED_DWORD := SHL(WORD_TO_DWORD(wSecond), 16) OR WORD_TO_DWORD(wFirst);
 ELSE
     F_EDGED_DWORD := SHL(WORD_TO_DWORD(wFirst), 16) OR WORD_TO_DWORD(wSecond);
-END_IF
+END_IF;
 END_FUNCTION
 
 (* The sequence after this one: 1 to 65535, never 0. *)
@@ -85,7 +90,7 @@ IF uiSequence = 65535 THEN
     F_EDGED_NEXT := 1;
 ELSE
     F_EDGED_NEXT := uiSequence + 1;
-END_IF
+END_IF;
 END_FUNCTION
 
 (* Half of a 64-bit value at iAt: iHalf 0 is the upper, 1 the lower one. *)
@@ -103,8 +108,9 @@ IF xLowWordFirst THEN
     iFirst := iAt + 2 - 2 * iHalf;
 ELSE
     iFirst := iAt + 2 * iHalf;
-END_IF
-F_EDGED_UDINT_OF_64 := DWORD_TO_UDINT(F_EDGED_DWORD(awWords[iFirst], awWords[iFirst + 1], xLowWordFirst));
+END_IF;
+F_EDGED_UDINT_OF_64 := DWORD_TO_UDINT(F_EDGED_DWORD(wFirst := awWords[iFirst],
+    wSecond := awWords[iFirst + 1], xLowWordFirst := xLowWordFirst));
 END_FUNCTION
 """
 
@@ -142,8 +148,7 @@ VAR_OUTPUT
     awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
 END_VAR
 VAR
-    iState : INT; (* 0 idle, 5 until the cell knows our CMD_SEQ, 10 waits for the answer, 20 waits for
-                     the result, 30 result in use, 40 failed *)
+    iState : INT; (* 0 idle; waits: 5 to be known, 10 for an answer, 20 for a result; 30 in use, 40 failed *)
     uiRunning : UINT;
     uiSequence : UINT;
     wBefore : WORD;
@@ -159,6 +164,9 @@ VAR
     xFits : BOOL;
     xTaken : BOOL;
     xWasExecute : BOOL;
+    xRigFrame : BOOL;
+    xSimulated : BOOL;
+    tLimit : TIME;
     tonAnswer : TON;
     tonAlive : TON;
     tonBeat : TON;
@@ -175,42 +183,56 @@ xAlive := xLinkOk AND NOT tonAlive.Q;
 tonBeat(IN := NOT tonBeat.Q, PT := T#200MS);
 IF tonBeat.Q THEN
     IF wHeartbeat = 16#FFFF THEN
-        wHeartbeat := 1;
+        wHeartbeat := 16#1;
     ELSE
         wHeartbeat := UINT_TO_WORD(WORD_TO_UINT(wHeartbeat) + 1);
-    END_IF
-END_IF
+    END_IF;
+END_IF;
 awCommand[@O_CLIENT_HEARTBEAT@] := wHeartbeat;
 
 wBits := awStatus[@BITS@];
 (* after a start or a new connection the first CMD_SEQ runs nothing: that must be the one before *)
 xKnown := xAlive AND awStatus[@ECHO@] = awCommand[@O_CMD_SEQ@];
-xReady := xKnown AND iState = 0 AND (wBits AND @READY@) <> 0;
-tonAnswer(IN := iState = 5 OR iState = 10 OR iState = 20, PT := tTimeout);
+xReady := xKnown AND iState = 0 AND (wBits AND @READY@) <> 16#0;
+tonAnswer(IN := iState = 5 OR iState = 10 OR iState = 20, PT := tLimit);
 
+(* Everything that says what to do is taken here: what changes while the command runs is for the next one. *)
 IF iState = 0 AND xExecute AND NOT xWasExecute THEN
     uiRunning := uiCommand;
     awCommand[@O_COMMAND@] := UINT_TO_WORD(uiCommand);
     awCommand[@O_JOB@] := UINT_TO_WORD(uiJob);
-    awCommand[@O_ACK_SEQ@] := 0;
-    awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(TIME_TO_DWORD(tTimeout));
+    awCommand[@O_ACK_SEQ@] := 16#0;
+    tLimit := tTimeout;
+    awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(DINT_TO_DWORD(TIME_TO_DINT(tTimeout)));
     IF tTimeout > T#60S THEN
-        awCommand[@O_TIMEOUT@] := 60000;
-    END_IF
+        awCommand[@O_TIMEOUT@] := 16#EA60; (* 60000 ms; the register ends at 65535 *)
+    END_IF;
+    xRigFrame := xAllowRigFrame;
+    xSimulated := xAllowSimulated;
+    FOR i := 0 TO 5 DO
+        dwFlange := DINT_TO_DWORD(adiFlange[i]);
+        IF xLowWordFirst THEN
+            awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
+            awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
+        ELSE
+            awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
+            awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
+        END_IF;
+    END_FOR;
     uiError := 0;
     xExposureDone := FALSE;
     iState := 5;
-END_IF
+END_IF;
 
 IF iState = 5 AND xKnown THEN
     wBefore := awStatus[@ECHO@];
     wEpochFirst := awStatus[@EPOCH@];
     wEpochSecond := awStatus[@EPOCH@ + 1];
     xTaken := FALSE;
-    uiSequence := F_EDGED_NEXT(uiSequence);
+    uiSequence := F_EDGED_NEXT(uiSequence := uiSequence);
     awCommand[@O_CMD_SEQ@] := UINT_TO_WORD(uiSequence);
     iState := 10;
-END_IF
+END_IF;
 
 xSame := awStatus[@EPOCH@] = wEpochFirst AND awStatus[@EPOCH@ + 1] = wEpochSecond;
 xTaken := xTaken OR awStatus[@ECHO@] = UINT_TO_WORD(uiSequence);
@@ -235,26 +257,26 @@ IF iState = 5 OR iState = 10 OR iState = 20 OR iState = 30 THEN
     ELSIF tonAnswer.Q THEN
         uiError := 100;
         iState := 40;
-    END_IF
-END_IF
+    END_IF;
+END_IF;
 
 IF iState = 10 THEN
-    IF xTaken AND (wBits AND @EXPOSURE_DONE@) <> 0 THEN
+    IF xTaken AND (wBits AND @EXPOSURE_DONE@) <> 16#0 THEN
         xExposureDone := TRUE;
-    END_IF
-    IF xMine AND (wBits AND @NACK@) <> 0 AND awStatus[@REASON@] = @BASELINE@ THEN
+    END_IF;
+    IF xMine AND (wBits AND @NACK@) <> 16#0 AND awStatus[@REASON@] = @BASELINE@ THEN
         iState := 5; (* the connection is a new one: nothing ran, and now the cell knows our CMD_SEQ *)
-    ELSIF xMine AND (wBits AND @NACK@) <> 0 THEN
+    ELSIF xMine AND (wBits AND @NACK@) <> 16#0 THEN
         uiError := WORD_TO_UINT(awStatus[@REASON@]);
         iState := 40;
-    ELSIF xMine AND (wBits AND @ACK@) <> 0 THEN
+    ELSIF xMine AND (wBits AND @ACK@) <> 16#0 THEN
         IF uiRunning = @CHANGE_JOB@ THEN
             iState := 30; (* a job change has no result *)
         ELSE
             iState := 20;
-        END_IF
-    END_IF
-END_IF
+        END_IF;
+    END_IF;
+END_IF;
 
 (* Head, tail and epoch are read in one request: all are ours, or it is not our result. What may be used was
 always decoded in this scan: the result grows old, and a new command withdraws it. *)
@@ -263,38 +285,29 @@ xFits := awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UI
 stResult.xValid := FALSE;
 IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ THEN
 @DECODE@
-    stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 0
-        AND ((awResult[@FLAGS@] AND @ROBOT_FRAME@) <> 0 OR xAllowRigFrame)
-        AND ((awResult[@FLAGS@] AND @F_SIMULATED@) = 0 OR xAllowSimulated);
+    stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 16#0
+        AND ((awResult[@FLAGS@] AND @ROBOT_FRAME@) <> 16#0 OR (xRigFrame AND xAllowRigFrame))
+        AND ((awResult[@FLAGS@] AND @F_SIMULATED@) = 16#0 OR (xSimulated AND xAllowSimulated));
     xExposureDone := TRUE;
     iState := 30;
-END_IF
+END_IF;
 
 (* A command that failed must not run later: 0 is no command, whenever it arrives. *)
 IF NOT xAlive OR (iState = 40 AND uiError >= 100) THEN
-    awCommand[@O_CMD_SEQ@] := 0;
-END_IF
+    awCommand[@O_CMD_SEQ@] := 16#0;
+END_IF;
 
-IF (iState = 30 OR iState = 40) AND NOT xExecute THEN
+(* xDone and xError are up for a scan at least, also when xExecute was a pulse (PLCopen, "Creating PLCopen
+compliant libraries": Done, Error and Execute). *)
+IF (xDone OR xError) AND NOT xExecute THEN
     awCommand[@O_ACK_SEQ@] := UINT_TO_WORD(uiSequence);
     stResult.xValid := FALSE;
     iState := 0;
-END_IF
+END_IF;
 xBusy := iState = 5 OR iState = 10 OR iState = 20;
 xDone := iState = 30;
 xError := iState = 40;
 xWasExecute := xExecute;
-
-FOR i := 0 TO 5 DO
-    dwFlange := DINT_TO_DWORD(adiFlange[i]);
-    IF xLowWordFirst THEN
-        awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
-        awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
-    ELSE
-        awCommand[@FLANGE@ + 2 * i] := DWORD_TO_WORD(SHR(dwFlange, 16));
-        awCommand[@FLANGE@ + 1 + 2 * i] := DWORD_TO_WORD(dwFlange AND 16#FFFF);
-    END_IF
-END_FOR
 END_FUNCTION_BLOCK
 """
 
@@ -305,7 +318,7 @@ def _block() -> str:
         "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
         "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
-        "BASELINE": Reason.BASELINE.value,
+        "BASELINE": f"16#{Reason.BASELINE.value:04X}",
         "STATUS_LAST": STATUS.words - 1,
         "RESULT_LAST": RESULT.words - 1,
         "CONTROL_LAST": CONTROL_WORDS - 1,

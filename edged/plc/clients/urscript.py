@@ -1,23 +1,33 @@
-"""The robot's side in URScript, for Universal Robots: Modbus signals are single unsigned 16-bit words.
+"""The robot's side in URScript, for Universal Robots e-Series (PolyScope 5) and PolyScope X.
 
-A robot reads each of its signals in a request of its own, so words of two results could meet. They do
-not: a command empties the block before its result fills it, head and tail must both carry the command's
-sequence, and everything is read twice, a refresh apart, until it agrees.
+Two signals: the block ur, read in one request, so that its words always belong together, and the command
+block, written in one. What the controller's Modbus client does is in the "Script Manual" of PolyScope 5:
+`modbus_add_signal` (names of at most 20 characters, `register_count` to 123, type 16 writes by function 16),
+`modbus_set_signal_update_frequency`, `modbus_set_output_register`, `modbus_set_signal_watchdog`; CB3
+controllers know no `register_count`. It goes on writing the output for ever, also when no program runs: the
+command block is one of those that the first CMD_SEQ of a connection is for.
+
+There is no exclusive or for integers in URScript, hence the table; and no division that is certainly one of
+integers, hence `floor`.
 """
 
 from __future__ import annotations
 
 from edged.domain import CommandKind
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, MAP_VERSION, UR, Flag, Kind, StatusBit
+from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, Flag, StatusBit
 
 REFRESH_HZ = 50
-OUTPUTS = ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT")
+STALE_S = 1.0
+CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1
+"""COMMAND to TIMEOUT, in one write."""
+WATCHDOG_S = 10
+"""Beyond STALE_S: a lost link is an edged_error first, and only later stops the program (default: 2 s)."""
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 
 SCRIPT = """\
 # edged, map version @VERSION@: written by `edged registers --format urscript`.
-# Put this into the program's "Before Start"; then:
+# For PolyScope 5.x and later. Put this into the program's "Before Start"; then:
 #     edged_setup("192.168.10.20")
 #     target = edged_locate(0, 5.0)       # job 0: the active one; seconds
 #     if edged_ok:
@@ -27,23 +37,46 @@ SCRIPT = """\
 # The cell listens on port 502 (a robot's Modbus client knows no other). Positions are in m and rad in the
 # robot's base. edged_error: 0 none, a NACK_REASON (@REASONS@),
 # 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot, 103 a virtual cell
-# (set edged_allow_simulated to True to move by what it says).
+# (set edged_allow_simulated to True to move by what it says), 104 the cell's heartbeat stands still,
+# 105 the cell was started anew, or another client's command took the place of this one, 106 the CRC is
+# wrong, 107 another job was measured.
 
 global edged_ok = False
 global edged_error = 0
 global edged_sequence = 0
-global edged_beat = 0
 global edged_allow_simulated = False
+global edged_in = [@ZEROS_IN@]
+global edged_out = [@ZEROS_OUT@]
+# a exclusive or b of two numbers below 16 stands at 16 * a + b
+global edged_xor16 = [@XOR@]
+# CRC-16/MODBUS of the numbers below 16
+global edged_crc16 = [@CRC_TABLE@]
 
 def edged_setup(ip):
-@SIGNALS@
+    modbus_add_signal(ip, 1, @UR@, 2, "edged_in", False, @UR_WORDS@)
+    modbus_set_signal_update_frequency("edged_in", @HZ@)
+    modbus_set_signal_watchdog("edged_in", @WATCHDOG@)
+    modbus_add_signal(ip, 1, @COMMAND@, 16, "edged_out", False, @CONTROL_WORDS@)
+    modbus_set_signal_update_frequency("edged_out", @HZ@)
+    modbus_set_signal_watchdog("edged_out", @WATCHDOG@)
     sleep(@SETTLE@)
-    # one more than the cell has seen: after a restart no sequence is used again
-    edged_sequence = modbus_get_signal_status("edged_echo", False)
+    edged_in = modbus_get_signal_status("edged_in", False)
+    # after a restart of the program no sequence is used again
+    edged_sequence = edged_in[@LAST@]
+    edged_out[@O_CMD_SEQ@] = 0
+    edged_send()
+end
+
+def edged_send():
+    modbus_set_output_register("edged_out", edged_out, False)
+end
+
+def edged_mod(number, base):
+    return number - floor(number / base) * base
 end
 
 def edged_bit(word, weight):
-    return floor(word / weight) % 2 == 1
+    return edged_mod(floor(word / weight), 2) == 1
 end
 
 # Two words as a signed number.
@@ -54,112 +87,160 @@ def edged_signed(high, low):
     return high * 65536 + low
 end
 
+def edged_xor(one, other):
+    local a = one
+    local b = other
+    local weight = 1
+    local sum = 0
+    while weight < 65536:
+        sum = sum + weight * edged_xor16[16 * edged_mod(a, 16) + edged_mod(b, 16)]
+        a = floor(a / 16)
+        b = floor(b / 16)
+        weight = weight * 16
+    end
+    return sum
+end
+
+def edged_crc_step(crc, four):
+    return edged_xor(floor(crc / 16), edged_crc16[edged_xor16[16 * edged_mod(crc, 16) + four]])
+end
+
+# CRC-16/MODBUS of the words before the CRC, each high byte first, each byte low half first.
+def edged_crc(words):
+    local crc = 65535
+    local i = 0
+    while i < @CRC@:
+        crc = edged_crc_step(crc, edged_mod(floor(words[i] / 256), 16))
+        crc = edged_crc_step(crc, floor(words[i] / 4096))
+        crc = edged_crc_step(crc, edged_mod(words[i], 16))
+        crc = edged_crc_step(crc, edged_mod(floor(words[i] / 16), 16))
+        i = i + 1
+        # computation without a pause is stopped by the controller ("Thread scheduling")
+        sync()
+    end
+    return crc
+end
+
 # Once begun, call it more often than the cell's heartbeat_s: when it stops, coordinates are withdrawn.
 def edged_alive():
-    edged_beat = edged_beat % 65535 + 1
-    modbus_set_output_register("edged_out_CLIENT_HEARTBEAT", edged_beat, False)
-end
-
-def edged_words():
-    return [@WORDS@]
-end
-
-def edged_same(one, other):
-    local i = 0
-    while i < @COUNT@:
-        if one[i] != other[i]:
-            return False
-        end
-        i = i + 1
-    end
-    return True
+    edged_out[@O_BEAT@] = edged_mod(edged_out[@O_BEAT@], 65535) + 1
+    edged_send()
 end
 
 def edged_acknowledge():
-    modbus_set_output_register("edged_out_ACK_SEQ", edged_sequence, False)
+    edged_out[@O_ACK_SEQ@] = edged_sequence
+    edged_send()
     edged_ok = False
 end
 
-# Run a command and wait for its end. Returns True for ACK.
+# Taken back: it must not run when the link returns.
+def edged_fail(reason):
+    edged_error = reason
+    edged_out[@O_CMD_SEQ@] = 0
+    edged_send()
+    return False
+end
+
+# Run a command and wait for its end. Returns True for ACK; edged_in is then the picture that says so.
 def edged_run(command, job, timeout):
     local waited = 0.0
-    local bits = 0
+    local stale = 0.0
+    local beat = -1
+    local is_sent = False
+    local is_taken = False
+    local is_damaged = False
+    local first = 0
+    local second = 0
+    local before = 0
     edged_ok = False
     edged_error = 0
-    edged_sequence = edged_sequence % 65535 + 1
-    # after a restart or a new connection the first CMD_SEQ runs nothing: 0 never does
-    modbus_set_output_register("edged_out_CMD_SEQ", 0, False)
-    modbus_set_output_register("edged_out_ACK_SEQ", 0, False)
-    modbus_set_output_register("edged_out_COMMAND", command, False)
-    modbus_set_output_register("edged_out_JOB", job, False)
-    # each output is written in a request of its own: the one that starts the command goes last
-    sleep(@SETTLE@)
-    modbus_set_output_register("edged_out_CMD_SEQ", edged_sequence, False)
     while waited < timeout:
-        sleep(@STEP@)
-        waited = waited + @STEP@
-        if modbus_get_signal_status("edged_echo", False) == edged_sequence:
-            if modbus_get_signal_status("edged_UR_DONE_SEQ", False) == edged_sequence:
-                # the bits may be one refresh older than the number
-                sleep(@SETTLE@)
-                bits = modbus_get_signal_status("edged_UR_STATUS_BITS", False)
-                if edged_bit(bits, @ACK@):
-                    return True
+        edged_in = modbus_get_signal_status("edged_in", False)
+        if edged_in[@HEARTBEAT@] != beat:
+            beat = edged_in[@HEARTBEAT@]
+            stale = 0.0
+        end
+        if stale > @STALE@:
+            return edged_fail(104)
+        end
+        if not is_sent:
+            # after a start or a new connection the first CMD_SEQ runs nothing: that must be the one before
+            if edged_in[@ECHO@] == edged_out[@O_CMD_SEQ@]:
+                before = edged_in[@ECHO@]
+                first = edged_in[@EPOCH@]
+                second = edged_in[@EPOCH_LOW@]
+                edged_sequence = edged_mod(edged_sequence, 65535) + 1
+                edged_out[@O_COMMAND@] = command
+                edged_out[@O_JOB@] = job
+                edged_out[@O_ACK_SEQ@] = 0
+                edged_out[@O_TIMEOUT@] = floor(timeout * 1000)
+                if timeout > 60:
+                    edged_out[@O_TIMEOUT@] = 60000
                 end
-                if edged_bit(bits, @NACK@):
-                    edged_error = modbus_get_signal_status("edged_reason", False)
-                    return False
+                edged_out[@O_CMD_SEQ@] = edged_sequence
+                edged_send()
+                is_sent = True
+                is_taken = False
+            end
+        elif edged_in[@EPOCH@] != first or edged_in[@EPOCH_LOW@] != second:
+            return edged_fail(105)
+        elif edged_in[@ECHO@] != edged_sequence:
+            if is_taken or edged_in[@ECHO@] != before:
+                return edged_fail(105)
+            end
+        else:
+            is_taken = True
+            if edged_in[@DONE@] == edged_sequence:
+                if edged_in[@CRC@] != edged_crc(edged_in):
+                    is_damaged = True
+                elif edged_bit(edged_in[@BITS@], @ACK@):
+                    return True
+                elif edged_bit(edged_in[@BITS@], @NACK@):
+                    if edged_in[@REASON@] == @BASELINE@:
+                        # the connection is a new one: nothing ran, and now the cell knows our CMD_SEQ
+                        is_sent = False
+                    else:
+                        edged_error = edged_in[@REASON@]
+                        return False
+                    end
                 end
             end
         end
+        sleep(@STEP@)
+        waited = waited + @STEP@
+        stale = stale + @STEP@
     end
-    # taken back: it must not run when the link returns
-    modbus_set_output_register("edged_out_CMD_SEQ", 0, False)
-    edged_error = 100
-    return False
+    if is_damaged:
+        return edged_fail(106)
+    end
+    return edged_fail(100)
 end
 
 # Measure. Returns the pose; it may be used only if edged_ok is True.
 def edged_locate(job, timeout):
-    local tries = 0
-    local first = edged_words()
-    local second = edged_words()
     if edged_run(@LOCATE@, job, timeout):
-        while tries < 50:
-            sleep(@SETTLE@)
-            first = edged_words()
-            sleep(@SETTLE@)
-            second = edged_words()
-            if edged_same(first, second):
-                if first[@HEAD@] == edged_sequence and first[@TAIL@] == edged_sequence:
-                    return edged_pose(first)
-                end
-            end
-            tries = tries + 1
-        end
-        edged_error = 100
+        return edged_pose(edged_in, job)
     end
     return p[0, 0, 0, 0, 0, 0]
 end
 
-# The pose in a block of words that belong together; sets edged_ok.
-def edged_pose(words):
-    if not edged_bit(words[@FLAGS@], @VALID@):
+# The pose in a block of words; sets edged_ok.
+def edged_pose(words, job):
+    if words[@HEAD@] != edged_sequence or words[@TAIL@] != edged_sequence:
+        edged_error = 105
+    elif job != 0 and words[@JOB@] != job:
+        edged_error = 107
+    elif not edged_bit(words[@FLAGS@], @VALID@):
         edged_error = 101
-        return p[0, 0, 0, 0, 0, 0]
-    end
-    if not edged_bit(words[@FLAGS@], @ROBOT_FRAME@):
+    elif not edged_bit(words[@FLAGS@], @ROBOT_FRAME@):
         edged_error = 102
-        return p[0, 0, 0, 0, 0, 0]
+    elif edged_bit(words[@FLAGS@], @SIMULATED@) and not edged_allow_simulated:
+        edged_error = 103
+    else:
+        edged_ok = True
+        return p[@POSE@]
     end
-    if edged_bit(words[@FLAGS@], @SIMULATED@):
-        if not edged_allow_simulated:
-            edged_error = 103
-            return p[0, 0, 0, 0, 0, 0]
-        end
-    end
-    edged_ok = True
-    return p[@POSE@]
+    return p[0, 0, 0, 0, 0, 0]
 end
 """
 
@@ -173,58 +254,62 @@ def urscript_source() -> str:
 
 
 def _values() -> dict[str, str]:
-    names = [name for name, _ in _words()]
-    settle_s = 3 / REFRESH_HZ  # every signal has been read at least once in between
-    return {
-        "VERSION": str(MAP_VERSION),
+    numbers = {
+        "VERSION": MAP_VERSION,
+        "UR": UR.address,
+        "UR_WORDS": UR.words,
+        "COMMAND": COMMAND.address,
+        "CONTROL_WORDS": CONTROL_WORDS,
+        "HZ": REFRESH_HZ,
+        "WATCHDOG": WATCHDOG_S,
+        "HEAD": _at("SEQ_HEAD"),
+        "TAIL": _at("SEQ_TAIL"),
+        "FLAGS": _at("FLAGS"),
+        "JOB": _at("JOB"),
+        "BITS": _at("STATUS_BITS"),
+        "DONE": _at("DONE_SEQ"),
+        "HEARTBEAT": _at("HEARTBEAT"),
+        "ECHO": _at("CMD_SEQ_ECHO"),
+        "REASON": _at("NACK_REASON"),
+        "LAST": _at("LAST_SEQ"),
+        "EPOCH": _at("START_EPOCH"),
+        "EPOCH_LOW": _at("START_EPOCH") + 1,
+        "CRC": _at("CRC16"),
+        "LOCATE": CommandKind.LOCATE.value,
+        "BASELINE": Reason.BASELINE.value,
+        "VALID": Flag.VALID.value,
+        "ROBOT_FRAME": Flag.ROBOT_FRAME.value,
+        "SIMULATED": Flag.SIMULATED.value,
+        "ACK": StatusBit.ACK.value,
+        "NACK": StatusBit.NACK.value,
+        **{f"O_{name}": ADDRESS[name] - COMMAND.address for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ")},
+        "O_BEAT": ADDRESS["CLIENT_HEARTBEAT"] - COMMAND.address,
+        "O_TIMEOUT": ADDRESS["TIMEOUT"] - COMMAND.address,
+    }
+    return {name: str(value) for name, value in numbers.items()} | {
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
-        "SIGNALS": "\n".join(f"    {line}" for line in _signals()),
-        "SETTLE": f"{settle_s:g}",
+        "SETTLE": f"{5 / REFRESH_HZ:g}",
         "STEP": f"{1 / REFRESH_HZ:g}",
-        "WORDS": ", ".join(f'modbus_get_signal_status("edged_{name}", False)' for name in names),
-        "COUNT": str(len(names)),
-        "HEAD": str(names.index("UR_SEQ_HEAD")),
-        "TAIL": str(names.index("UR_SEQ_TAIL")),
-        "FLAGS": str(names.index("UR_FLAGS")),
-        "POSE": ", ".join(_pose_term(names, axis) for axis in AXES),
-        "LOCATE": str(CommandKind.LOCATE.value),
-        "VALID": str(Flag.VALID.value),
-        "ROBOT_FRAME": str(Flag.ROBOT_FRAME.value),
-        "SIMULATED": str(Flag.SIMULATED.value),
-        "ACK": str(StatusBit.ACK.value),
-        "NACK": str(StatusBit.NACK.value),
+        "STALE": f"{STALE_S:g}",
+        "ZEROS_IN": ", ".join(["0"] * UR.words),
+        "ZEROS_OUT": ", ".join(["0"] * CONTROL_WORDS),
+        "XOR": ", ".join(str(one ^ other) for one in range(16) for other in range(16)),
+        "CRC_TABLE": ", ".join(str(_crc_of_four(four)) for four in range(16)),
+        "POSE": ", ".join(_pose_term(axis) for axis in AXES),
     }
 
 
-def _words() -> list[tuple[str, int]]:
-    """Name and address of each word of the block that a pose needs."""
-    skipped = ("UR_STATUS_BITS", "UR_DONE_SEQ", "UR_HEARTBEAT")  # they change while a result stands
-    words: list[tuple[str, int]] = []
-    for register in UR.registers:
-        if register.kind is Kind.I32:
-            words += [(f"{register.name}_H", register.address), (f"{register.name}_L", register.address + 1)]
-        elif register.name not in skipped:
-            words.append((register.name, register.address))
-    return words
+def _at(name: str) -> int:
+    return next(one.address for one in UR.registers if one.name == f"UR_{name}") - UR.address
 
 
-def _signals() -> list[str]:
-    address = {register.name: register.address for register in UR.registers}
-    inputs = [
-        *_words(),
-        *((name, address[name]) for name in ("UR_STATUS_BITS", "UR_DONE_SEQ")),
-        ("echo", ADDRESS["CMD_SEQ_ECHO"]),
-        ("reason", ADDRESS["NACK_REASON"]),
-    ]
-    lines = []
-    for name, place in inputs:
-        lines.append(f'modbus_add_signal(ip, 1, {place}, 2, "edged_{name}")')
-        lines.append(f'modbus_set_signal_update_frequency("edged_{name}", {REFRESH_HZ})')
-    outputs = (f'modbus_add_signal(ip, 1, {ADDRESS[name]}, 3, "edged_out_{name}")' for name in OUTPUTS)
-    return [*lines, *outputs]
+def _crc_of_four(bits: int) -> int:
+    """Four steps of the reflected polynomial 0x8005 ("MODBUS over serial line", section 6.2.2)."""
+    for _ in range(4):
+        bits = (bits >> 1) ^ (0xA001 if bits & 1 else 0)
+    return bits
 
 
-def _pose_term(names: list[str], axis: str) -> str:
-    high = names.index(f"UR_{axis}_H")
-    scale = "1000000.0" if axis in "XYZ" else "10000.0"  # um to m, 0.1 mrad to rad
-    return f"edged_signed(words[{high}], words[{high + 1}]) / {scale}"
+def _pose_term(axis: str) -> str:
+    high = _at(axis)
+    return f"edged_signed(words[{high}], words[{high + 1}]) / 1000000.0"  # µm to m, µrad to rad

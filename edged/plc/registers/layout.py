@@ -132,7 +132,12 @@ STATUS = make_block(
             "8 first CMD_SEQ of a connection, or after a start or another client's: nothing ran",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
-        ("RESERVED_215", _U16, "", "0"),
+        (
+            "LAST_SEQ",
+            _U16,
+            "",
+            "the newest CMD_SEQ other than 0 since the start: a program that begins goes on after it",
+        ),
         ("START_EPOCH", _U32, "", "another number after each start of the daemon or of this server; never 0"),
     ],
 )
@@ -187,13 +192,18 @@ UR = make_block(
         ("UR_RESULT", _U16, "", "as RESULT"),
         *((f"UR_{axis}", _I32, "µm", "high word, low word; 32768, 0 when not VALID") for axis in "XYZ"),
         *(
-            (f"UR_R{axis}", _I32, "0.1 mrad", "rotation vector, high word, low word; 32768, 0 when not VALID")
+            (f"UR_R{axis}", _I32, "µrad", "rotation vector, high word, low word; 32768, 0 when not VALID")
             for axis in "XYZ"
         ),
         ("UR_JOB", _U16, "", "as JOB"),
         ("UR_STATUS_BITS", _U16, "bits", "as STATUS_BITS"),
         ("UR_DONE_SEQ", _U16, "", "as DONE_SEQ"),
         ("UR_HEARTBEAT", _U16, "0.1 s", "as HEARTBEAT"),
+        ("UR_CMD_SEQ_ECHO", _U16, "", "as CMD_SEQ_ECHO"),
+        ("UR_NACK_REASON", _U16, "", "as NACK_REASON"),
+        ("UR_LAST_SEQ", _U16, "", "as LAST_SEQ"),
+        ("UR_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("UR_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
         ("UR_SEQ_TAIL", _U16, "", "equals UR_SEQ_HEAD"),
     ],
     high_first=True,

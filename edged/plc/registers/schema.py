@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 MAGIC = 0x4544  # "ED"
-MAP_VERSION = 2
+MAP_VERSION = 3
 INT32_MIN = -(2**31)
 INT32_MAX = 2**31 - 1
 UINT16_MAX = 0xFFFF

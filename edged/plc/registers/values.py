@@ -35,7 +35,7 @@ class Pose:
     """One target in the units of the registers.
 
     exact : mm and degrees, X Y Z A B C. sigma : the same. integers : µm and 0.001°.
-    rotation_vector : 0.1 mrad. radius, depth and their sigmas in mm; NaN when there is no circle.
+    rotation_vector : µrad. radius, depth and their sigmas in mm; NaN when there is no circle.
     """
 
     exact: tuple[float, ...]
@@ -143,7 +143,7 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         exact=exact,
         sigma=sigma,
         integers=integers,
-        rotation_vector=tuple(round(value * 1e4) for value in rotation_vector_rad(R)),
+        rotation_vector=tuple(round(value * 1e6) for value in rotation_vector_rad(R)),
         radius_mm=radius_mm,
         sigma_radius_mm=circle.sigma_radius_mm if circle is not None else math.nan,
         depth_mm=depth_mm,

@@ -1,0 +1,359 @@
+"""Lines of ASCII over TCP, for robots that speak no Modbus: the same registers, said in another way.
+
+Responsible for: one request in a line, one answer in a line, poses as the robot's maker writes them. Not for
+what a command is, whose turn it is or how long a result is valid: each line becomes a write and reads of
+`CellRegisters`, as one more of its clients.
+
+    7,LOCATE,0                                           sequence, command, job
+    7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
+    7,0,2,412.300000,...,0.153000                        the answer, see `Answer`
+
+A line that came twice, because its answer was lost, is carried out once: the sequence is the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.adapters.modbus.cell import CellRegisters, ClientView
+from edged.adapters.modbus.loglimit import LogLimit
+from edged.adapters.modbus.pdu import RequestRefused
+from edged.adapters.modbus.refusals import Refusals
+from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
+from edged.domain import CommandKind, FloatArray
+from edged.errors import ListenError
+from edged.plc import registers as reg
+from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
+from edged.vision.geometry.rigid import transform
+
+MAX_LINE_BYTES = 256
+MAX_CLIENTS = 8
+TIMEOUT_S = 10.0
+"""Of a command; then the cell answers NACK, TIMEOUT."""
+POLL_S = 0.005
+SEND_S = 5.0
+"""A robot that does not read its answer for so long is hung up on."""
+UNKNOWN = -1.0
+
+
+class LineStatus(enum.IntEnum):
+    """Second field of an answer. 1 to 8: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
+
+    OK = 0
+    """Carried out; after LOCATE and NEXT: the pose may be used."""
+    NOT_VALID = 110
+    """Measured, but too old, or acknowledged."""
+    RIG_FRAME = 111
+    """The rig is not registered to the robot."""
+    SIMULATED = 112
+    """From a virtual cell, and `allow_simulated` is not set."""
+    TAKEN_OVER = 113
+    """Another client's command took the place of this one."""
+    NOT_YOUR_TURN = 114
+    """Another client holds the right to write."""
+    MAY_NOT_WRITE = 115
+    """The robot's address is not in `modbus.writers`."""
+    NOT_UNDERSTOOD = 116
+    """No request, or a number that is none."""
+    NO_FURTHER = 117
+    """NEXT, and there is no further target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is sent back; the pose is 0, sigmas and age are -1 where there are none.
+
+    remaining : targets that NEXT can still give. pose : as the brand writes it. sigma : of X, Y, Z in its
+    unit of length. age_s : since the exposure.
+    """
+
+    sequence: int
+    status: int
+    remaining: int = 0
+    pose: tuple[float, ...] = ()
+    sigma: tuple[float, ...] = (UNKNOWN,) * 3
+    age_s: float = UNKNOWN
+
+    def line(self, brand: Brand) -> bytes:
+        """As it is sent: always the same number of fields."""
+        pose = self.pose or (0.0,) * (7 if brand is Brand.ABB else 6)
+        numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
+        whole = (str(self.sequence), str(int(self.status)), str(self.remaining))
+        return (",".join((*whole, *numbers)) + "\n").encode()
+
+
+class _Refused(Exception):
+    """The request ends with this status."""
+
+    def __init__(self, status: int) -> None:
+        self.status = status
+        super().__init__(f"status {status}")
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A line that was understood. flange : robot_from_flange (4, 4) in mm, None when it was not said."""
+
+    sequence: int
+    command: str
+    job: int
+    flange: FloatArray | None
+
+
+def parse(line: bytes, brand: Brand) -> Request:
+    """Raises ValueError for what is no request."""
+    fields = [field.strip() for field in line.decode("ascii").split(",")]
+    if len(fields) < 2:
+        raise ValueError("expected a sequence and a command")
+    sequence, command = int(fields[0]), fields[1].upper()
+    job = int(fields[2]) if len(fields) > 2 else 0
+    if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
+        raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
+    if command not in (*CommandKind.__members__, "NEXT", "ACK"):
+        raise ValueError(f"no such command: {command}")
+    flange = transform_of(brand, tuple(float(field) for field in fields[3:])) if len(fields) > 3 else None
+    return Request(sequence, command, job, flange)
+
+
+class Robot:
+    """What one connection asks, and what it was given last."""
+
+    def __init__(self, view: ClientView, settings: ModbusSettings, line: LineSettings) -> None:
+        self._view = view
+        self._settings = settings
+        self._line = line
+        self._sequence = 0
+        self._row = 0
+
+    async def answer(self, line: bytes) -> Answer:
+        """Carry one line out. Never raises for what a robot sent."""
+        try:
+            request = parse(line, self._line.brand)
+        except (ValueError, OverflowError):
+            return Answer(0, LineStatus.NOT_UNDERSTOOD)
+        try:
+            return await self._carry_out(request)
+        except _Refused as refused:
+            return Answer(request.sequence, refused.status)
+        except RequestRefused:
+            return Answer(request.sequence, LineStatus.NOT_YOUR_TURN)
+        except OverflowError:  # a flange beyond what a register holds
+            return Answer(request.sequence, LineStatus.NOT_UNDERSTOOD)
+
+    async def _carry_out(self, request: Request) -> Answer:
+        if request.command == "ACK":
+            self._write("ACK_SEQ", [request.sequence])
+            return Answer(request.sequence, LineStatus.OK)
+        if request.command == "NEXT":
+            if self._sequence == 0:
+                raise _Refused(LineStatus.NO_FURTHER)
+            return self._target(request.sequence, self._row + 1)
+        await self._run(request)
+        self._row = 0
+        result = self._read(reg.RESULT)
+        code = int(result["RESULT"])
+        if request.command == "LOCATE":
+            if code != reg.ResultCode.OK:
+                raise _Refused(100 + code)
+            return self._target(request.sequence, 0)
+        if request.command == "VERIFY" and code != reg.ResultCode.VERIFIED:
+            raise _Refused(100 + code)
+        return Answer(request.sequence, LineStatus.OK)
+
+    async def _run(self, request: Request) -> None:
+        """Write the command, unless it is the one before again, and wait for its end."""
+        sequence = request.sequence
+        is_repeated = sequence == self._sequence and self._read(reg.STATUS)["CMD_SEQ_ECHO"] == sequence
+        if not is_repeated:
+            if self._read(reg.STATUS)["CMD_SEQ_ECHO"] == sequence:
+                self._write(
+                    "CMD_SEQ", [0]
+                )  # another client's number: what it was answered is no answer to us
+            self._write("COMMAND", self._command(request))
+            self._sequence = sequence
+        end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
+        while asyncio.get_running_loop().time() < end_s:
+            status = self._read(reg.STATUS)
+            if status["CMD_SEQ_ECHO"] != sequence:
+                raise _Refused(LineStatus.TAKEN_OVER)
+            if status["DONE_SEQ"] == sequence:
+                bits = int(status["STATUS_BITS"])
+                if bits & reg.StatusBit.NACK:
+                    raise _Refused(int(status["NACK_REASON"]))
+                if bits & reg.StatusBit.ACK:
+                    return
+            await asyncio.sleep(POLL_S)
+        raise _Refused(LineStatus.TAKEN_OVER)
+
+    def _command(self, request: Request) -> list[int]:
+        """The command block. ONCE: a line is sent on purpose, none of a block that is written for ever."""
+        values: dict[str, reg.Number] = {
+            "COMMAND": CommandKind[request.command],
+            "JOB": request.job,
+            "CMD_SEQ": request.sequence,
+            "OPTIONS": reg.Option.ONCE,
+            "TIMEOUT": round(TIMEOUT_S * 1000),
+            **{f"FLANGE_{axis}": 0 for axis in "XYZABC"},
+        }
+        if request.flange is not None:
+            angles = ANGLES_DEG[self._settings.convention](request.flange[:3, :3])
+            numbers = (*request.flange[:3, 3].tolist(), *angles)
+            pairs = zip("XYZABC", numbers, strict=True)
+            values |= {f"FLANGE_{axis}": round(number * 1000) for axis, number in pairs}
+        data = reg.encode(reg.COMMAND, values, self._settings.word_order)
+        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
+
+    def _target(self, sequence: int, first: int) -> Answer:
+        """The first row from `first` on that may be used."""
+        rows = [self._row_values(index) for index in range(first, len(reg.TABLE))]
+        usable = [
+            first + i
+            for i, row in enumerate(rows)
+            if row["SEQ"] == self._sequence and int(row["FLAGS"]) & reg.Flag.VALID
+        ]
+        if not usable:
+            raise _Refused(LineStatus.NOT_VALID if first == 0 else LineStatus.NO_FURTHER)
+        flags = int(rows[usable[0] - first]["FLAGS"])
+        if not flags & reg.Flag.ROBOT_FRAME:
+            raise _Refused(LineStatus.RIG_FRAME)
+        if flags & reg.Flag.SIMULATED and not self._line.allow_simulated:
+            raise _Refused(LineStatus.SIMULATED)
+        self._row = usable[0]
+        x, y, z, a, b, c = (float(rows[usable[0] - first][axis]) / 1000 for axis in "XYZABC")
+        robot_from_part = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
+        pose = pose_of(self._line.brand, robot_from_part)
+        age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
+        return Answer(sequence, LineStatus.OK, len(usable) - 1, pose, self._sigma(usable[0]), age_s)
+
+    def _sigma(self, row: int) -> tuple[float, ...]:
+        """Of X, Y, Z in the brand's unit; only the first target's are in the registers."""
+        if row != 0:
+            return (UNKNOWN,) * 3
+        result = self._read(reg.RESULT)
+        to_unit = 1e-7 if self._line.brand is Brand.UR else 1e-4  # from 0.1 µm
+        known = (float(result[f"SIGMA_{axis}"]) for axis in "XYZ")
+        return tuple(sigma * to_unit if sigma != reg.UINT16_MAX else UNKNOWN for sigma in known)
+
+    def _row_values(self, index: int) -> dict[str, reg.Number]:
+        prefix = f"T{index}_"
+        return {name.removeprefix(prefix): value for name, value in self._read(reg.TABLE[index]).items()}
+
+    def _read(self, block: reg.Block) -> dict[str, reg.Number]:
+        words = self._view.read(self._settings.base_address + block.address, block.words)
+        return reg.decode(block, words, self._settings.word_order)
+
+    def _write(self, name: str, words: list[int]) -> None:
+        self._view.write(self._settings.base_address + reg.ADDRESS[name], words)
+
+
+class LineServer:
+    """Accepts robots and keeps them within the limits."""
+
+    def __init__(
+        self,
+        settings: ModbusSettings,
+        line: LineSettings,
+        cell: CellRegisters,
+        clients: itertools.count[int],
+        refusals: Refusals,
+    ) -> None:
+        self._settings = settings
+        self._line = line
+        self._cell = cell
+        self._numbers = clients
+        self._refusals = refusals
+        self._log = LogLimit(__name__)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    @property
+    def port(self) -> int:
+        """Port that is listened on; 0 when closed."""
+        return int(self._server.sockets[0].getsockname()[1]) if self._server is not None else 0
+
+    async def start(self) -> None:
+        """Listen. Raises `ListenError`."""
+        try:
+            self._server = await asyncio.start_server(
+                self._accept, self._settings.host, self._line.port, limit=MAX_LINE_BYTES
+            )
+        except (OSError, OverflowError) as error:
+            place = f"{self._settings.host}:{self._line.port}"
+            why = getattr(error, "strerror", None) or str(error)
+            raise ListenError(f"modbus.socket: cannot listen on {place}: {why}") from error
+
+    async def close(self) -> None:
+        """Stop listening and hang up on every robot."""
+        if self._server is not None:
+            self._server.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._server is not None:
+            await self._server.wait_closed()
+            self._server = None
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.create_task(self._converse(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        number = next(self._numbers)
+        name = writer.get_extra_info("peername")
+        peer = str(name[0]) if name else "?"
+        try:
+            if self._admits(peer):
+                await self._serve(reader, writer, number, peer)
+        except (TimeoutError, OSError) as error:
+            self._log.warning("modbus.socket: %s is hung up on: %s", peer, str(error) or "it is silent")
+        finally:
+            self._cell.gone(number)
+            writer.close()
+            try:
+                async with asyncio.timeout(SEND_S):
+                    await writer.wait_closed()
+            except (TimeoutError, OSError):
+                writer.transport.abort()
+
+    def _admits(self, peer: str) -> bool:
+        settings = self._settings
+        if settings.readers and not contains((*settings.readers, *settings.writers), peer):
+            self._log.warning("modbus.socket: %s is not in the list of networks, closed", peer)
+            return False
+        if len(self._tasks) > MAX_CLIENTS:
+            self._log.warning("modbus.socket: %s closed, %d robots are connected", peer, MAX_CLIENTS)
+            return False
+        return True
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, number: int, peer: str
+    ) -> None:
+        robot = Robot(ClientView(self._cell, number), self._settings, self._line)
+        may_write = contains(self._settings.writers, peer)
+        while True:
+            async with asyncio.timeout(self._settings.idle_s):
+                line = await self._line_of(reader)
+            if not line.endswith(b"\n"):
+                return
+            if may_write:
+                answer = await robot.answer(line)
+            else:
+                self._refusals.note(address_of(peer), "it is not in modbus.writers")
+                answer = Answer(0, LineStatus.MAY_NOT_WRITE)
+            writer.write(answer.line(self._line.brand))
+            async with asyncio.timeout(SEND_S):
+                await writer.drain()
+
+    @staticmethod
+    async def _line_of(reader: asyncio.StreamReader) -> bytes:
+        """A line with its end; what came of one at the end of the connection. Raises ConnectionError."""
+        try:
+            return await reader.readline()
+        except ValueError as error:
+            raise ConnectionError(f"a line is longer than {MAX_LINE_BYTES} bytes") from error

@@ -1,0 +1,36 @@
+"""Who wrote and may not: said once of each address, however often it tries."""
+
+from __future__ import annotations
+
+import logging
+
+from edged.adapters.modbus.settings import Address
+from edged.logs import fields
+
+NAMED_PEERS = 64  # a network that is scanned from many addresses must not fill the log
+log = logging.getLogger(__name__)
+
+
+class Refusals:
+    """The addresses, in their order, since the start."""
+
+    def __init__(self) -> None:
+        self._named: dict[str, None] = {}
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Those that were named."""
+        return tuple(self._named)
+
+    def note(self, address: Address | None, why: str) -> None:
+        """Say it, unless it was said. why : "it is not in modbus.writers"."""
+        peer = str(address)  # not as the socket writes it: ::ffff:192.168.10.2, fe80::1%eth0
+        if peer in self._named or len(self._named) >= NAMED_PEERS:
+            return
+        self._named[peer] = None
+        log.warning(
+            "modbus: %s wrote, and was refused with exception 1: %s (said once of each address)",
+            peer,
+            why,
+            extra=fields(refused_writer=peer),
+        )

@@ -1,0 +1,82 @@
+"""Structured text taken apart: the same types, functions and blocks go into the files of several makers."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+COMMENT = re.compile(r"\(\*.*?\*\)", re.S)
+_TYPE = re.compile(r"^TYPE (?P<name>\w+) :\nSTRUCT\n(?P<fields>.*?)END_STRUCT;\nEND_TYPE$", re.M | re.S)
+_CODE = re.compile(
+    r"(?P<comment>(?:^\(\*(?:(?!\*\)).)*\*\)\n)?)"
+    r"^(?P<keyword>FUNCTION|FUNCTION_BLOCK) (?P<name>\w+)(?: : (?P<returns>\w+))?\n"
+    r"(?P<sections>(?:VAR\w*\n.*?END_VAR\n)+)(?P<body>.*?)END_(?P=keyword)$",
+    re.M | re.S,
+)
+_SECTION = re.compile(r"^(VAR\w*)\n(.*?)END_VAR\n", re.M | re.S)
+_VARIABLE = re.compile(r"^ *(\w+) : ([^;]*?)(?: := ([^;]*))?;(?: \(\* (.*) \*\))?$", re.M)
+_ARRAY = re.compile(r"ARRAY\[(\d+)\.\.(\d+)\] OF (\w+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One declaration. bounds : of an array, whose elements are of `type`; None for anything else."""
+
+    name: str
+    type: str
+    bounds: tuple[int, int] | None
+    initial: str
+    comment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """A data type with its fields."""
+
+    name: str
+    fields: tuple[Variable, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A function, or a function block (returns is ""); declaration : as it was written, without the body."""
+
+    keyword: str
+    name: str
+    returns: str
+    comment: str
+    declaration: str
+    sections: tuple[tuple[str, tuple[Variable, ...]], ...]
+    body: str
+
+
+def structures(source: str) -> tuple[Structure, ...]:
+    """Every data type of a source."""
+    return tuple(Structure(one["name"], _variables(one["fields"])) for one in _TYPE.finditer(source))
+
+
+def codes(source: str) -> tuple[Code, ...]:
+    """Every function and function block of a source."""
+    return tuple(
+        Code(
+            keyword=one["keyword"],
+            name=one["name"],
+            returns=one["returns"] or "",
+            comment=one["comment"].strip(),
+            declaration=f"{one['keyword']} {one['name']}"
+            + (f" : {one['returns']}" if one["returns"] else "")
+            + f"\n{one['sections']}",
+            sections=tuple((name, _variables(text)) for name, text in _SECTION.findall(one["sections"])),
+            body=one["body"],
+        )
+        for one in _CODE.finditer(source)
+    )
+
+
+def _variables(text: str) -> tuple[Variable, ...]:
+    found = []
+    for name, kind, initial, comment in _VARIABLE.findall(text):
+        array = _ARRAY.fullmatch(kind)
+        bounds = (int(array[1]), int(array[2])) if array else None
+        found.append(Variable(name, array[3] if array else kind, bounds, initial, comment))
+    return tuple(found)

@@ -1,0 +1,253 @@
+"""Lines of text for robots, over a socket, against a running cell: the same handshake as over Modbus."""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from ipaddress import ip_network
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from livecell import LiveCell
+from pymodbus.client import ModbusTcpClient
+from snapshots import make_target
+
+from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.adapters.modbus.lines import LineStatus, parse
+from edged.plc.registers import Option
+from edged.robot.orientations import Brand, transform_of
+
+KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
+
+
+class Robot:
+    """A robot with a socket."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15)
+        self.file = self.socket.makefile("rb")
+
+    def ask(self, line: str) -> tuple[int, int, int, list[float]]:
+        """Sequence, status, remaining, and the rest."""
+        self.socket.sendall(line.encode() + b"\n")
+        fields = self.file.readline().decode().rstrip("\n").split(",")
+        sequence, status, remaining = map(int, fields[:3])
+        return sequence, status, remaining, [float(field) for field in fields[3:]]
+
+    def ended(self) -> bool:
+        """Whether the cell has hung up."""
+        try:
+            return self.file.readline() == b""
+        except ConnectionResetError:
+            return True
+
+
+@contextmanager
+def connected(cell: LiveCell) -> Iterator[Robot]:
+    """A robot on the cell's socket."""
+    robot = Robot(cell.server.line_port)
+    try:
+        yield robot
+    finally:
+        robot.file.close()
+        robot.socket.close()
+
+
+def ready(cell: LiveCell) -> None:
+    """Wait until commands are carried out."""
+    deadline_s = time.monotonic() + 10
+    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("brand", Brand)
+def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
+    """Read as the controller reads it, it is the pose of the part: to 1 µm and 0.001° of the registers."""
+    changed = dataclasses.replace(KUKA, line=LineSettings(0, brand))
+    with LiveCell(changed) as cell, connected(cell) as robot:
+        ready(cell)
+        sequence, status, remaining, numbers = robot.ask("7,LOCATE,0")
+        assert (7, 0, 0) == (sequence, status, remaining)
+        size = 7 if brand is Brand.ABB else 6
+        pose = transform_of(brand, tuple(numbers[:size]))
+        expected = cell.targets[0].rig_from_part
+        np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=1.1e-3)
+        np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=5e-5)
+        unit = 1e-3 if brand is Brand.UR else 1.0
+        np.testing.assert_allclose(
+            numbers[size : size + 3], np.array(cell.targets[0].sigma_mm) * unit, atol=1e-4
+        )
+        assert 0 <= numbers[-1] < 15
+        assert size + 4 == len(numbers)
+
+
+def test_every_target_is_given_one_after_the_other() -> None:
+    """LOCATE gives the first and how many remain, NEXT the others without a new picture, then none."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        assert LineStatus.NO_FURTHER == robot.ask("1,NEXT")[1]
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        seen = [robot.ask(line) for line in ("5,LOCATE,1", "5,NEXT", "5,NEXT", "5,NEXT")]
+        assert [(5, 0, 2), (5, 0, 1), (5, 0, 0), (5, LineStatus.NO_FURTHER, 0)] == [one[:3] for one in seen]
+        assert [10.0, 20.0, 30.0] == [one[3][0] for one in seen[:3]]
+        assert 1 == cell.head.captures
+        assert (5, 0) == robot.ask("5,ACK")[:2]
+        assert LineStatus.NO_FURTHER == robot.ask("5,NEXT")[1]
+
+
+def test_commands_end_with_their_reasons() -> None:
+    """Jobs, verification, pictures; nothing found 102, unknown job 2, dead camera 6."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        for line, status in (
+            ("1,CHANGE_JOB,2", 0),
+            ("2, verify ,0", 0),
+            ("3,GRAB", 0),
+            ("4,LOCATE,99", 2),
+        ):
+            assert (int(line[0]), status) == robot.ask(line)[:2]
+        cell.targets = ()
+        assert (5, 102) == robot.ask("5,LOCATE,0")[:2]
+        assert (6, 102) == robot.ask("6,VERIFY,0")[:2]
+        cell.head.broken = True
+        assert (7, 6) == robot.ask("7,LOCATE,0")[:2]
+
+
+def test_a_line_that_came_twice_runs_once() -> None:
+    """The answer was lost, the robot repeats its request: the same answer, no other picture."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        first, again = robot.ask("9,LOCATE,0"), robot.ask("9,LOCATE,0")
+        assert (0, first[3][:6]) == (again[1], again[3][:6])
+        assert 1 == cell.head.captures
+        assert 0 == robot.ask("10,LOCATE,0")[1]
+        assert 2 == cell.head.captures
+
+
+def test_another_robots_number_is_not_answered_for_this_one() -> None:
+    """Two robots use the same sequence: each gets a picture of its own."""
+    changed = dataclasses.replace(KUKA, owner_s=0.01)
+    with LiveCell(changed) as cell, connected(cell) as one, connected(cell) as other:
+        ready(cell)
+        assert 0 == one.ask("7,LOCATE,0")[1]
+        time.sleep(0.05)
+        assert 0 == other.ask("7,LOCATE,0")[1]
+        assert 2 == cell.head.captures
+        assert LineStatus.NO_FURTHER == one.ask("7,NEXT")[1]
+
+
+def test_one_client_writes_at_a_time() -> None:
+    """While a PLC holds the right to write, a robot is told so; and the other way round."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        plc = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2)
+        assert plc.connect()
+        try:
+            assert not plc.write_registers(100, [1, 0, 3, 0, 0, int(Option.ONCE)]).isError()
+            assert (7, LineStatus.NOT_YOUR_TURN) == robot.ask("7,LOCATE,0")[:2]
+            assert not plc.write_register(105, int(Option.RELEASE)).isError()
+            assert 0 == robot.ask("8,LOCATE,0")[1]
+            assert 6 == plc.write_registers(100, [1, 0, 4]).exception_code
+        finally:
+            plc.close()
+
+
+def test_who_is_not_listed_may_not_command() -> None:
+    """Status 115 for every line, and the address is named."""
+    changed = dataclasses.replace(KUKA, writers=(ip_network("10.0.0.0/8"),))
+    with LiveCell(changed) as cell, connected(cell) as robot:
+        assert (0, LineStatus.MAY_NOT_WRITE) == robot.ask("7,LOCATE,0")[:2]
+        assert ("127.0.0.1",) == cell.server.refused_writers
+        assert 0 == cell.head.captures
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "x",
+        "7",
+        "0,LOCATE",
+        "65536,LOCATE",
+        "7,DANCE",
+        "7,LOCATE,-1",
+        "7,LOCATE,0,1,2,3",
+        "7,LOCATE,0,a,2,3,4,5,6",
+    ],
+)
+def test_what_is_no_request_is_answered_so(line: str) -> None:
+    """Status 116, and the connection goes on."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        assert LineStatus.NOT_UNDERSTOOD == robot.ask(line)[1]
+        ready(cell)
+        assert 0 == robot.ask("8,LOCATE,0")[1]
+
+
+WORDS = st.sampled_from(
+    ["7", "LOCATE", "NEXT", "ACK", "0", "-1", "1e400", "nan", "inf", "1_0", " ", "\u0661", "9" * 90]
+)
+
+
+@given(
+    st.one_of(st.binary(max_size=256), st.lists(WORDS, max_size=12).map(lambda one: ",".join(one).encode()))
+)
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
+    """Every line is understood, its numbers fit registers, or refused as no request; no other error."""
+    for brand in Brand:
+        try:
+            request = parse(line, brand)
+        except (ValueError, OverflowError):
+            continue
+        assert 1 <= request.sequence <= 0xFFFF and 0 <= request.job <= 0xFFFF
+        assert request.flange is None or np.isfinite(request.flange).all()
+
+
+def test_a_flange_that_fits_no_register_is_no_request() -> None:
+    """Beyond 2147 m: nothing is wrapped, nothing runs."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        assert (7, LineStatus.NOT_UNDERSTOOD) == robot.ask("7,LOCATE,0,3e6,0,0,0,0,0")[:2]
+        assert 0 == cell.head.captures
+
+
+@pytest.mark.parametrize(
+    "changes, status",
+    [({"robot_from_rig": None}, LineStatus.RIG_FRAME), ({"simulated": True}, LineStatus.SIMULATED)],
+)
+def test_no_robot_moves_by_what_no_robot_may_use(changes: dict[str, Any], status: int) -> None:
+    """No pose in the rig's frame; none of a virtual cell, unless the configuration allows it."""
+    for allowed in (False, True):
+        cell = LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, Brand.KUKA, allow_simulated=allowed)))
+        cell.setup = dataclasses.replace(cell.setup, **changes)
+        with cell, connected(cell) as robot:
+            ready(cell)
+            expected = 0 if allowed and status == LineStatus.SIMULATED else status
+            assert expected == robot.ask("7,LOCATE,0")[1]
+
+
+def test_who_is_silent_floods_or_is_one_too_many_is_hung_up_on() -> None:
+    """No line within `idle_s`, a line without an end, the ninth robot."""
+    with LiveCell(dataclasses.replace(KUKA, idle_s=0.3)) as cell, connected(cell) as silent:
+        assert silent.ended()
+        with connected(cell) as endless:
+            endless.socket.sendall(b"7" * 5000)
+            assert endless.ended()
+    with LiveCell(KUKA) as cell:
+        robots = [Robot(cell.server.line_port) for _ in range(8)]
+        try:
+            for robot in robots:
+                assert LineStatus.NOT_UNDERSTOOD == robot.ask("")[1]
+            with connected(cell) as ninth:
+                assert ninth.ended()
+        finally:
+            for robot in robots:
+                robot.file.close()
+                robot.socket.close()

@@ -1,0 +1,183 @@
+"""The files for TwinCAT, put together again and executed cycle by cycle against a running cell.
+
+FB_MBReadRegs and FB_MBWriteRegs are played by blocks that do what their manual says, over a real connection.
+"""
+
+from __future__ import annotations
+
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+import structured_text
+from livecell import LiveCell
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from snapshots import make_target
+
+from edged.plc.clients import twincat_files
+
+WAIT_S = 20.0
+CYCLES_BUSY = 3
+
+
+class Line:
+    """The way to the cell, shared by the blocks. linked : it can be reached."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.linked = True
+        self.busy: object = None
+        self._client: ModbusTcpClient | None = None
+
+    def client(self) -> ModbusTcpClient:
+        """Connected, or OSError."""
+        if not self.linked:
+            self.close()
+            raise OSError("no link")
+        if self._client is None:
+            self._client = ModbusTcpClient("127.0.0.1", port=self.port, timeout=2)
+            assert self._client.connect()
+        return self._client
+
+    def close(self) -> None:
+        """The connection ends."""
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+
+class Request:
+    """FB_MBReadRegs, FB_MBWriteRegs (TF6250): begins with the edge of bExecute, bBusy until the end."""
+
+    def __init__(self, line: Line, pointer: str) -> None:
+        self.fields: dict[str, tuple[Any, str]] = {}
+        self._line = line
+        self._pointer = pointer
+        self._inputs: dict[str, Any] = {"bExecute": False}
+        self._left = 0
+        self._sent: list[int] = []
+        self._say(busy=False)
+
+    def _say(self, *, busy: bool, error: int = 0) -> None:
+        self._line.busy = self if busy else None
+        self.fields = {"bBusy": (busy, "BOOL"), "bError": (error > 0, "BOOL"), "nErrId": (error, "UDINT")}
+
+    def call(self, given: Mapping[str, tuple[Any, Any]]) -> None:
+        """One cycle; inputs that are not given keep their values."""
+        was_executed = self._inputs["bExecute"]
+        self._inputs |= {name: value for name, (value, _) in given.items()}
+        if self._left:
+            assert self._inputs["bExecute"], "taken down before its end"
+            self._left -= 1
+            if not self._left:
+                self._finish()
+        elif self._inputs["bExecute"] and not was_executed:
+            assert self._line.busy is None, "two requests at once"
+            assert (1502, 0xFF) == (self._inputs["nTCPPort"], self._inputs["nUnitID"])
+            assert "192.168.10.20" == self._inputs["sIPAddr"]
+            assert self._inputs["cbLength"] == 2 * self._inputs["nQuantity"]
+            self._left, self._sent = CYCLES_BUSY, list(self._inputs[self._pointer])
+            self._say(busy=True)
+
+    def _finish(self) -> None:
+        buffer, address, count = (self._inputs[name] for name in (self._pointer, "nMBAddr", "nQuantity"))
+        try:
+            if self._pointer == "pDestAddr":
+                buffer[:] = self._line.client().read_holding_registers(address, count=count).registers
+            else:
+                assert self._sent == buffer, "data changed while it was being sent"
+                assert not self._line.client().write_registers(address, list(buffer)).isError()
+        except (ModbusException, OSError):
+            self._say(busy=False, error=1861)  # ADSERR_CLIENT_SYNCTIMEOUT
+        else:
+            self._say(busy=False)
+
+
+def source() -> str:
+    """Structured text of all files."""
+    parts = []
+    for text in twincat_files().values():
+        (element,) = ET.fromstring(text)
+        parts.append(element.findtext("Declaration") or "")
+        if element.tag == "POU":
+            keyword = "FUNCTION_BLOCK" if "FUNCTION_BLOCK" in parts[-1] else "FUNCTION"
+            parts.append(f"{element.findtext('Implementation/ST')}END_{keyword}\n")
+    return "".join(parts)
+
+
+class TwinCat:
+    """A PLC with `FB_EDGED_TC` in its task."""
+
+    def __init__(self, port: int) -> None:
+        self.line = Line(port)
+        library = {
+            "FB_MBReadRegs": lambda: Request(self.line, "pDestAddr"),
+            "FB_MBWriteRegs": lambda: Request(self.line, "pSrcAddr"),
+        }
+        program = structured_text.Program(source(), lambda: time.monotonic() * 1e3, library)
+        self.block = program.instance("FB_EDGED_TC")
+        self.values = self.block.values
+
+    def __enter__(self) -> TwinCat:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.line.close()
+
+    def until(self, name: str, value: Any = True) -> None:
+        """Cycles until an output has a value."""
+        deadline_s = time.monotonic() + WAIT_S
+        while self.values[name] != value:
+            assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
+            self.block.scan()
+
+    def run(self, **inputs: Any) -> None:
+        """A rising edge of xExecute, until the block is not busy any more."""
+        self.values |= inputs | {"xExecute": True}
+        self.block.scan()
+        assert self.values["xBusy"]
+        self.until("xBusy", False)
+
+    def release(self) -> None:
+        """The falling edge, until the cell knows."""
+        self.values["xExecute"] = False
+        for _ in range(40):
+            self.block.scan()
+
+
+def test_twincat_locates_a_part() -> None:
+    """One request after the other: two parts, then an unknown job."""
+    with LiveCell() as cell, TwinCat(cell.port) as plc:
+        for x_mm in (10.0, -12.5):
+            cell.targets = (make_target(x_mm=x_mm),)
+            plc.until("xReady")
+            plc.run()
+            result = plc.values["stResult"]
+            assert (True, True) == (plc.values["xDone"], result["xValid"])
+            assert (round(x_mm * 1000), 20_000, 200_000) == tuple(result[f"di{axis}"] for axis in "XYZ")
+            plc.release()
+            assert not plc.values["stResult"]["xValid"]
+        plc.until("xReady")
+        plc.run(uiJob=99)
+        assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
+        assert 2 == cell.head.captures
+
+
+def test_twincat_takes_a_command_back_when_the_link_is_down() -> None:
+    """uiError 101, the request's error; nothing runs when the link returns, and the next command does."""
+    with LiveCell() as cell, TwinCat(cell.port) as plc:
+        plc.until("xReady")
+        plc.line.linked = False
+        plc.run()
+        assert (True, 101, 1861) == tuple(plc.values[name] for name in ("xError", "uiError", "udErrorId"))
+        plc.line.linked = True
+        plc.until("xLinkOk")
+        for _ in range(60):
+            plc.block.scan()
+        assert 0 == cell.head.captures
+        plc.release()
+        plc.until("xReady")
+        plc.run()
+        assert (True, 1) == (plc.values["stResult"]["xValid"], cell.head.captures)
