@@ -63,6 +63,9 @@ PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.
 CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
 """By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
 of it both cameras do not have in common."""
+SOFT_PX, SOFT_SHIFT_PX = 1.1, 0.15
+"""Blur from which an edge is one with what lies beside it (`operatorwidth` tells it up to 1.2), and by how
+much that moves it: by a tenth of the blur, as of something with a tenth of the contrast."""
 ROW_SIGMA_PX = 0.3
 """How far the rows of both images may lie apart, before anything was measured."""
 RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
@@ -282,13 +285,14 @@ class _Edges:
 
     offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
     shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
-    saturated surface.
+    saturated surface.  soft (2, N) bool : of a curve that is blurred.
     """
 
     offset_px: FloatArray
     base: FloatArray
     bias_px: FloatArray
     clipped: Flags
+    soft: Flags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,8 +417,8 @@ class _State:
         row, row_shift, row_variance = len(solution.delta) - 1, math.nan, math.nan
         if final:
             row_shift, row_variance = float(solution.delta[row]), float(solution.covariance[row, row])
-        if final and edges.clipped.any():
-            by_cause = propagate(samples, solution, pairs.rows_of(*self._clipping(edges, starts)))
+        if final and (edges.clipped.any() or edges.soft.any()):
+            by_cause = propagate(samples, solution, pairs.rows_of(*self._poor_light(edges, sides, starts)))
             by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
             row_variance += float(by_cause[row] @ by_cause[row])
             known = by_edges
@@ -457,7 +461,9 @@ class _State:
         widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
         nothing = np.zeros((starts[-1], 0))
 
-        def side(number: int) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray, Flags]:
+        def side(
+            number: int,
+        ) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray, tuple[Flags, Flags]]:
             seen = project_outline(self.rig, SIDES[number], self.face, outline)
             image = self.images[number]
             edges = edges_at_widths(image, seen.pixels, seen.normals, reach, signs, widths, fine)
@@ -469,24 +475,41 @@ class _State:
                 # the centre of the bend by blur² x curvature / 2
                 blur2_px2 = np.repeat(chosen.blur2_px2, counts)
                 offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
-            return seen, offsets, chosen.base, chosen.bias_px, edges.clipped
+            soft = np.repeat(chosen.blur2_px2 >= SOFT_PX**2, counts)
+            return seen, offsets, chosen.base, chosen.bias_px, (edges.clipped, soft)
 
         # side by side only what takes long enough: handing it over costs as much as a coarse step
         both = for_both(side) if final else (side(0), side(1))
-        (left, *of_left, clipped_left), (right, *of_right, clipped_right) = both
+        (left, *of_left, poor_left), (right, *of_right, poor_right) = both
         offsets, base, bias = (np.stack(pair) for pair in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         base = np.where(np.repeat(few, counts), 0.0, base)
-        return (left, right), _Edges(offsets, base, bias, np.stack([clipped_left, clipped_right]))
+        return (left, right), _Edges(
+            offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
+        )
 
-    def _clipping(self, edges: _Edges, starts: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """(N, 2) for each camera: by how much a saturated sensor moves the edges, one sigma, px.
+    def _poor_light(
+        self,
+        edges: _Edges,
+        sides: tuple[ProjectedOutline, ProjectedOutline],
+        starts: npt.NDArray[np.int64],
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
 
-        All of them towards the dark, in both cameras much alike: they see one light.
+        A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
+        A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
+        in each camera by itself. Along the rows that is a depth.
         """
         towards = -np.repeat([float(curve.polarity) for curve in self.curves], np.diff(starts))
         left, right = CLIPPED_PX * towards * edges.clipped
-        return np.column_stack([left, CLIPPED_APART * left]), np.column_stack([right, -CLIPPED_APART * right])
+        (soft_left, soft_right), none = (
+            (SOFT_SHIFT_PX * seen.normals[:, 0] * soft for seen, soft in zip(sides, edges.soft, strict=True)),
+            np.zeros(len(towards)),
+        )
+        return (
+            np.column_stack([left, CLIPPED_APART * left, soft_left, none]),
+            np.column_stack([right, -CLIPPED_APART * right, none, soft_right]),
+        )
 
     def _with_row_shift(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
@@ -136,6 +137,19 @@ def test_too_much_light_moves_every_edge_alike() -> None:
     circle, clear = target.circles[0], whole().circles[0]
     assert abs(circle.radius_mm - here.job.reference_circle.radius_mm) < 4 * circle.sigma_radius_mm
     assert circle.sigma_radius_mm > 2 * clear.sigma_radius_mm
+
+
+@pytest.mark.parametrize("soft", [(True, True), (False, True)])
+def test_blur_is_in_the_sigma_of_the_depth(soft: tuple[bool, bool]) -> None:
+    """Out of focus, in one camera or in both, an edge is one with what lies beside it, nobody knows how far."""
+    here = cell("disc")
+    left, right = (
+        np.asarray(cv2.GaussianBlur(image, (0, 0), 1.8), np.uint8) if blurred else image
+        for image, blurred in zip(here.see(pose()), soft, strict=True)
+    )
+    target = only(seen(here.job, left, right))
+    assert chi2(target, here.true_pose(pose())[:3, 3]) < HONEST
+    assert target.sigma_mm[2] > 3 * whole().sigma_mm[2]
 
 
 def test_noise_is_no_mismatch_of_rows() -> None:
