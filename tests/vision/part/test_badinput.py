@@ -141,7 +141,7 @@ def test_too_much_light_moves_every_edge_alike() -> None:
 
 @pytest.mark.parametrize("soft", [(True, True), (False, True)])
 def test_blur_is_in_the_sigma_of_the_depth(soft: tuple[bool, bool]) -> None:
-    """Out of focus, in one camera or in both, an edge is one with what lies beside it, nobody knows how far."""
+    """Out of focus, in one camera or in both, an edge is one with what lies beside it; none knows how far."""
     here = cell("disc")
     left, right = (
         np.asarray(cv2.GaussianBlur(image, (0, 0), 1.8), np.uint8) if blurred else image
