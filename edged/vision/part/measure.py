@@ -28,6 +28,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import match_in_raw
+from edged.vision.part.secondview import is_contradicted
 from edged.vision.part.sizes import measure_sizes, place
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
@@ -57,7 +58,10 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
         return result
     if any(spec.kind == "flatness" for spec in job.measurements):
         result = with_flatness(result, images, job)
-    return replace(result, target=judged(job, images.rectification, result.target, result.evidence))
+    target = judged(job, images.rectification, result.target, result.evidence)
+    if target.reject is Reject.NONE and is_contradicted(images, job, match, target):
+        target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
+    return replace(result, target=target)
 
 
 # --- parts with circles ----------------------------------------------------------------------------
@@ -66,7 +70,7 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
 def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
-    alone = _circles_tell_rotation(job)
+    alone = _circles_tell_rotation(job, {circle.name for circle in measured.target.circles})
     if (not alone and (job.edges or job.slots)) or _sizes_need_all(job):
         fit = _fit_beside(images, job, measured)
     target = measured.target
@@ -86,8 +90,8 @@ def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     return replace(measured, target=target, fits=measured.fits + beside)
 
 
-def _circles_tell_rotation(job: Job) -> bool:
-    """Whether one circle at least lies so far from the reference that it says how the part is turned.
+def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
+    """Whether one circle that was found lies so far from the reference that it says how the part is turned.
 
     Holes do that better than outer edges, whose side walls one of the cameras sees.
     """
@@ -95,6 +99,7 @@ def _circles_tell_rotation(job: Job) -> bool:
     return any(
         float(np.linalg.norm(circle.centre_mm - reference.centre_mm)) > CONCENTRIC * reference.radius_mm
         for circle in job.circles
+        if circle.name in found
     )
 
 

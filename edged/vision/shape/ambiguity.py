@@ -131,11 +131,26 @@ def look(
     expected, normals = level.points[chosen], level.normals[chosen]
     placed = np.empty((len(expected), 4))
     refine.place(expected, normals, pose, placed)
+    scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
+    return look_at(image, model, placed, sign, chosen, scale)
+
+
+def look_at(
+    image: Image,
+    model: ShapeModel,
+    placed: FloatArray,
+    sign: int,
+    points: npt.NDArray[Any] | slice,
+    scale: float,
+) -> Sight:
+    """Look for the model's edges, or those of `points`, where they are placed (N, 4): x, y, nx, ny.
+
+    scale : of the image's px to the model's.
+    """
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], REACH_PX, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
-    scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
-    return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[chosen], scale * gap_px(model))
+    return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model))
 
 
 def surroundings(sight: Sight, min_contrast: float) -> Surroundings:

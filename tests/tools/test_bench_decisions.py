@@ -1,0 +1,58 @@
+"""Decisions about a part's rotation: both cameras must show what decides."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from cells import frame_pair, pose
+
+from edged.domain import Image, Reject
+from edged.pipeline import locate
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import bench_decisions
+
+LOOK = "plain"
+
+
+@cache
+def taught() -> bench_decisions.Taught:
+    """A disc with a bore, four holes and one slot: but for the slot it looks the same every 90 degrees."""
+    design = next(one for one in bench_decisions.DESIGNS if one.name == "slot disc")
+    return bench_decisions.teach_design(design, LOOK, 1)
+
+
+def seen(turn_deg: float) -> tuple[Image, Image]:
+    """The part, turned, in both cameras."""
+    part = bench_decisions.made(taught().design, LOOK)
+    world = bench_decisions.world(LOOK, np.random.default_rng(5), (part, pose(turn_deg=turn_deg)))
+    left, right = (view.radiance(world) for view in bench_decisions.views().values())
+    rng = np.random.default_rng(6)
+    return bench_decisions.exposed(left, 1.0, rng), bench_decisions.exposed(right, 1.0, rng)
+
+
+def rejects(left: Image, right: Image) -> list[Reject]:
+    """Why each part that was found is no good."""
+    return [target.reject for target in locate(frame_pair(left, right), taught().job, taught().rig).targets]
+
+
+def test_both_cameras_must_show_what_decides() -> None:
+    """All circles agree, and the right camera shows the slot elsewhere: in doubt, as with a bar's edge."""
+    (left, right), (_, turned) = seen(20.0), seen(110.0)
+    assert [Reject.NONE] == rejects(left, right)
+    assert [Reject.AMBIGUOUS_ROTATION] == rejects(left, turned)
+
+
+def test_one_camera_decides_where_the_other_sees_nothing() -> None:
+    """What is hidden on the right, whichever half of the part, speaks for no rotation there."""
+    left, right = seen(20.0)
+    middle = round(float(taught().rig.rig.right.project(np.array([[0.0, 0.0, 205.0]]))[0, 1]))
+    noise = np.clip(np.random.default_rng(7).normal(128, 60, right.shape), 0, 255).astype(np.uint8)
+    for rows in (slice(None, middle), slice(middle, None)):
+        covered = right.copy()
+        covered[rows] = noise[rows]
+        assert Reject.AMBIGUOUS_ROTATION not in rejects(left, covered)
