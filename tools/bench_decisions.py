@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Which decisions about a part's rotation are wrong, and how steady they are: rendered parts of known pose.
 
-    tools/bench decisions [--draws N] [--parts NAME,...] [--seed K] [--json FILE] [--list]
+    tools/bench decisions [--draws N] [--parts NAME,...] [--seed K] [--degrade KIND] [--json FILE] [--list]
 
 Each part has one distinguishing detail (see `distinguished`) and a plain, brushed or turned face, or is dark
 on a bright table. It is taught by `teach` and found by the whole pipeline in stereo pairs of the demo's rig
@@ -41,6 +41,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from cells import PLACE_MM, frame_pair, pose, region_around, small_rig
 from distinguished import DESIGNS, Design, without_holes
+from imperfections import KINDS
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Target
 from edged.errors import EdgedError, TeachError
@@ -169,12 +170,25 @@ def world(look: str, rng: np.random.Generator, *placed: tuple[Part, FloatArray])
     return Scene(table, tuple(Placed(part, where) for part, where in placed), light)
 
 
-def teach_design(design: Design, look: str, seed: int) -> Taught:
-    """Teach a part that lies flat and whole."""
+def changed(kind: str | None, left: Image, right: Image, seed: tuple[int, ...]) -> tuple[Image, Image]:
+    """The pair as an imperfect camera sees it (see `imperfections`)."""
+    if kind is None:
+        return left, right
+    rng = np.random.default_rng(seed)
+    change = KINDS[kind].change
+    return change(left, "left", rng), change(right, "right", rng)
+
+
+def teach_design(design: Design, look: str, seed: int, kind: str | None = None) -> Taught:
+    """Teach a part that lies flat and whole.
+
+    kind : of imperfection, if it was there already.
+    """
     rng = np.random.default_rng((seed, 1))
     part, where = made(design, look), pose()
     scene = world(look, rng, (part, where))
     left, right = (exposed(view.radiance(scene), 1.0, rng) for view in views().values())
+    left, right = changed(kind, left, right, (seed, 2))
     rig = prepare(jittered(small_rig(), rng))
     region = region_around(rig.rig, where[:3, 3], design.radius_mm + 0.6)
     job = teach(left, right, rig.rectification, region, "part")
@@ -348,14 +362,15 @@ def decision(taught: Taught, scene: Drawn, outcome: Outcome) -> tuple[str, list[
     return first, errors
 
 
-def run_part(index: int, look: str, scenes: int, seed: int) -> Row:
+def run_part(index: int, look: str, scenes: int, seed: int, kind: str | None = None) -> Row:
     """All scenes of one part on one surface."""
     cv2.setNumThreads(1)
     design = DESIGNS[index]
     row = Row(design.name, look)
     number = (seed, index, LOOKS.index(look))
     try:
-        taught = teach_design(design, look, seed * 1000 + index * 10 + LOOKS.index(look))
+        before = kind if kind is not None and KINDS[kind].everywhere else None
+        taught = teach_design(design, look, seed * 1000 + index * 10 + LOOKS.index(look), before)
     except EdgedError as error:
         row.wrong.append(f"not taught: {error}")
         return row
@@ -368,6 +383,7 @@ def run_part(index: int, look: str, scenes: int, seed: int) -> Row:
         for draw in range(DRAWS_PER_SCENE):
             noise = np.random.default_rng((*number, k, draw))
             left, right = (exposed(side, scene.gain, noise) for side in (scene.left, scene.right))
+            left, right = changed(kind, left, right, (*number, k, draw, 1))
             start = time.thread_time()
             outcome = locate(frame_pair(left, right), taught.job, taught.rig)
             spent += time.thread_time() - start
@@ -434,6 +450,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     parser.add_argument("--list", action="store_true", help="print every silent error and refusal")
+    parser.add_argument("--degrade", choices=sorted(KINDS), help="as an imperfect camera sees it")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     wanted = options.parts.split(",") if options.parts else [design.name for design in DESIGNS]
@@ -443,7 +460,9 @@ def main() -> int:
     tasks = [(i, look) for i, design in enumerate(DESIGNS) if design.name in wanted for look in LOOKS]
     scenes = max(1, math.ceil(options.draws / (DRAWS_PER_SCENE * len(tasks))))
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        running = [pool.submit(run_part, index, look, scenes, options.seed) for index, look in tasks]
+        running = [
+            pool.submit(run_part, index, look, scenes, options.seed, options.degrade) for index, look in tasks
+        ]
         rows = []
         for one in running:
             rows.append(one.result())
