@@ -352,7 +352,7 @@ class ZenohSection(_Section):
         "json", description="of all messages: the same fields, in CBOR fewer bytes"
     )
     trigger_timeout_s: float = Field(
-        5.0, gt=0, le=3600, description="how long a trigger waits for its result"
+        5.0, gt=0, le=60, description="how long a trigger waits for its result that does not say so itself"
     )
     ros2_domain_id: int | None = Field(
         None, ge=0, le=232, description="publish poses for ROS 2 (rmw_zenoh) too"
