@@ -32,12 +32,11 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from snapshots import make_snapshot
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
 from edged.errors import CommandRefused, ListenError
-from edged.logs import fields_of
+from edged.logs import LogLimit, fields_of
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
 

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.ages import ExposureClock
@@ -31,6 +30,7 @@ from edged.domain import (
     Snapshot,
 )
 from edged.errors import CommandRefused
+from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.ports import Commander

@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
 from edged.domain import CommandKind, FloatArray
 from edged.errors import ListenError
+from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform

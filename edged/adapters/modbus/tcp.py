@@ -19,12 +19,12 @@ from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import WRITES, respond
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
 from edged.adapters.modbus.settings import Address, ModbusSettings, address_of, contains
 from edged.errors import ListenError
+from edged.logs import LogLimit
 
 HEADER_BYTES = 7
 MAX_LENGTH = 254  # of unit id and PDU ("MODBUS Messaging on TCP/IP", 3.1.3: 260 bytes with the header)
