@@ -524,12 +524,23 @@ def load(path: Path) -> Config:
     not opened here; `edged check` and the daemon do that.
     """
     path = Path(path)
+    return config_of(read(path), path)
+
+
+def read(path: Path) -> bytes:
+    """What is in a configuration file. Raises `ConfigError`."""
     try:
         if path.stat().st_size > MAX_CONFIG_BYTES:
             raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
-        data = tomllib.loads(path.read_bytes().decode("utf-8"))
+        return path.read_bytes()
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+
+
+def config_of(content: bytes, path: Path) -> Config:
+    """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
+    try:
+        data = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
     except tomllib.TOMLDecodeError as error:
