@@ -408,7 +408,9 @@ class RecorderSection(_Section):
     keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
     keep_bad: int = Field(500, ge=0, le=1_000_000, description="others: no target, low quality, faults")
     max_mib: int = Field(2000, ge=1, le=100_000_000, description="of all recordings")
-    max_age_days: float = Field(30.0, gt=0, le=36_500, description="older ones are removed")
+    max_age_days: float = Field(
+        30.0, gt=0, le=36_500, description="older ones are removed; a gap counts a tenth of it at most"
+    )
     min_free_mib: int = Field(
         1000, ge=0, le=100_000_000, description="of the disk, which is never filled further"
     )
