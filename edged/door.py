@@ -211,8 +211,9 @@ class Door:
                 ssl=self._context,
                 ssl_handshake_timeout=None if self._context is None else HANDSHAKE_S,
             )
-        except OSError:  # no handshake with this one: `ssl.SSLError` is one, too
-            pass
+        except OSError as error:  # no handshake with this one: `ssl.SSLError` is one, too
+            # its frames and a future hold each other, and the handshake's buffers of 256 KiB with them
+            error.__traceback__ = None
         finally:
             if not guest.is_in:
                 self.ended(guest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import os
 import pty
 import random
@@ -13,6 +14,7 @@ import ssl
 import struct
 import termios
 import tty
+from asyncio.sslproto import SSLProtocol
 from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from ipaddress import ip_address, ip_network
@@ -29,6 +31,7 @@ from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKey
 from cryptography.x509.oid import NameOID
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
+from scriptedhead import until
 from snapshots import make_snapshot
 
 from edged import door
@@ -1005,6 +1008,57 @@ def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
         assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.9")
 
     serve_tls(settings, test)
+
+
+@pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
+def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
+    """Its buffers, 256 KiB, go with it, without a search for garbage; so do those of a PLC that leaves."""
+
+    async def test(server: ModbusPublisher) -> None:
+        for _ in range(5):
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+            writer.write(sent)
+            if not sent:
+                writer.write_eof()
+            assert await ended(reader)
+            writer.close()
+            del reader, writer
+        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.1")
+        await until(lambda: not server.clients)
+        for _ in range(3):  # the loop's own last references
+            await asyncio.sleep(0)
+        sessions = [one for one in gc.get_objects() if type(one) is SSLProtocol]
+        assert [] == [one for one in sessions if one._server_side]  # noqa: SLF001  (asyncio tells it nowhere else)
+
+    gc.collect()
+    gc.disable()
+    try:
+        serve_tls(ModbusSettings(port=0, tls=tls), test)
+    finally:
+        gc.enable()
+
+
+def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent connection of whoever has more than the newcomer makes room, also where both may write."""
+    monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+
+    async def test(rig: Rig) -> None:
+        many = [await raw(rig) for _ in range(3)]
+        async with asyncio.timeout(WAIT_S):
+            while True:
+                assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+                plc = await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=("127.0.0.9", 0))
+                plc[1].write(frame(struct.pack(">BHH", 3, 0, 1)))
+                with contextlib.suppress(ConnectionError):
+                    if await plc[0].read(100):
+                        break
+                plc[1].close()
+        assert await ended(many[0][0])
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for _, writer in (*many, plc):
+            writer.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=4))
 
 
 def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:

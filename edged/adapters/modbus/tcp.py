@@ -135,14 +135,23 @@ class TcpServer:
     def _make_room(self, newcomer: Guest, *, is_known: bool) -> bool:
         """Whoever has not shown yet who it is makes room: the one of them that came first.
 
-        A known PLC also displaces the stranger that is idle longest, or else a silent connection of its own:
-        a PLC that loses power leaves connections behind that look alive, and it must get in again.
+        A known PLC also displaces the stranger that is idle longest, or else a silent connection. Its own:
+        what a PLC leaves behind that loses power looks alive. Or one of whoever has many.
         """
         guests, writers = self._guests, self.settings.writers
         strangers = [guest for guest in guests if not contains(writers, guest.peer)]
         own = [guest for guest in guests if is_known and guest.peer == newcomer.peer]
         nameless = [guest for guest in (*strangers, *own) if not guest.is_in]
-        silent = [guest for guest in own if guest.active_s <= newcomer.active_s - SILENT_S]
+        count = Counter(guest.peer for guest in guests)
+
+        def may_go(guest: Guest) -> bool:
+            address = address_of(guest.peer)
+            kept = self.settings.reserved.get(address, 0) if address is not None else 0
+            return guest.peer == newcomer.peer or count[guest.peer] > max(count[newcomer.peer] + 1, kept)
+
+        silent = [
+            guest for guest in guests if guest.active_s <= newcomer.active_s - SILENT_S and may_go(guest)
+        ]
         rest = strangers or silent if is_known else []
         displaced = min(nameless or rest, key=lambda guest: guest.active_s, default=None)
         if displaced is None:
