@@ -59,12 +59,21 @@ class LogLimit:
 
     def warning(self, message: str, *arguments: object) -> None:
         """Log, or count."""
+        self._tell(logging.WARNING, message, arguments, None)
+
+    def error(self, message: str, *arguments: object, exc_info: BaseException | bool) -> None:
+        """The same for what went wrong, with its trace."""
+        self._tell(logging.ERROR, message, arguments, exc_info)
+
+    def _tell(
+        self, level: int, message: str, arguments: tuple[object, ...], exc_info: BaseException | bool | None
+    ) -> None:
         now_s = self._clock_s()
         if now_s < self._next_s:
             self._held += 1
             return
         held = f" ({self._held} more lines like this were held back)" if self._held else ""
-        self._log.warning(message + held, *arguments, stacklevel=2)
+        self._log.log(level, message + held, *arguments, exc_info=exc_info, stacklevel=3)
         self._next_s, self._held = now_s + self._period_s, 0
 
 

@@ -70,10 +70,10 @@ def measure(web: WebPublisher | Page, cycle: int, status: Status = Status.OK, er
 
 @asynccontextmanager
 async def served(
-    settings: WebSettings | None = None, facts: Mapping[str, Mapping[str, Any]] | None = None
+    settings: WebSettings | None = None, asked: Sources | None = None
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A page on a free port, and a browser's session with it."""
-    web = WebPublisher("cell<1>", settings or WebSettings(port=0), sources(facts))
+    web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources())
     await web.start()
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
@@ -676,7 +676,7 @@ def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(server, "PERIOD_S", 0.0)
 
     async def test() -> None:
-        async with served(facts={"Modbus": {"text": "x" * 1_000_000}}) as (web, _):
+        async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
             _, writer = await connect(web)
             writer.transport.pause_reading()
             writer.write(b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
@@ -732,6 +732,39 @@ def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture
     (record,) = caplog.records
     assert "127.0.0.1 sent what is no HTTP" in record.getMessage()
     assert record.exc_info is None
+
+
+def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture) -> None:
+    """Whatever request makes the page or its library fail: not one trace for each."""
+
+    async def test() -> None:
+        broken = replace(sources(), metrics=lambda: 1 / 0)
+        async with served(asked=broken) as (_, session):
+            for _ in range(5):
+                async with session.get("/metrics") as answer:
+                    assert answer.status == 500
+
+    run(test)
+    (record,) = caplog.records
+    assert isinstance(record.exc_info[1], ZeroDivisionError)
+
+
+def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCaptureFixture) -> None:
+    """It is no fault of the page."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            _, writer = await connect(web)
+            writer.write(b"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 99\r\n\r\npass")
+            await writer.drain()
+            async with session.get("/health") as answer:  # by then the form is being read
+                assert answer.status == 200
+            writer.transport.abort()
+            async with session.get("/health") as answer:
+                assert answer.status == 200
+
+    run(test)
+    assert [] == caplog.messages
 
 
 @pytest.mark.parametrize(

@@ -95,19 +95,22 @@ class _Viewer:
 
 
 class _ServerLog(logging.LoggerAdapter[logging.Logger]):
-    """aiohttp's log: who sends what is no HTTP is one line, and no trace of the parser's insides."""
+    """aiohttp's log of requests that went wrong: strangers can make as many of them as they like.
+
+    What is no HTTP is one line, without the parser's insides; who leaves in the middle is none.
+    """
 
     def __init__(self) -> None:
         super().__init__(log, None)
-        self._limit = LogLimit(__name__)
+        self._limit, self._traces = LogLimit(__name__), LogLimit(__name__)
 
-    def exception(self, msg: object, *args: object, exc_info: Any = True, **more: Any) -> None:
+    def exception(self, msg: object, *args: object, exc_info: Any = True, **_more: Any) -> None:
         """Log what went wrong with a request."""
         if isinstance(exc_info, HttpProcessingError | web.RequestPayloadError):
             peer = args[0] if args else "somebody"
             self._limit.warning("status page: %s sent what is no HTTP, closed", peer)
-        else:
-            super().exception(msg, *args, exc_info=exc_info, **more)
+        elif not isinstance(exc_info, ConnectionError):
+            self._traces.error(str(msg), *args, exc_info=exc_info)
 
 
 class WebPublisher:
