@@ -13,6 +13,7 @@ import pytest
 from annotated_types import Le
 from snapshots import make_snapshot
 
+from edged.adapters.modbus import lines
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import server
 from edged.adapters.zenoh import session
@@ -231,7 +232,7 @@ def test_strangers_cannot_take_every_descriptor(unit_file):
         limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
     )
     zenoh = 3 * session.MAX_SESSIONS + session.ACCEPT_PENDING
-    assert modbus + server.MAX_GUESTS + zenoh + 400 <= 1024
+    assert modbus + lines.MAX_CLIENTS + server.MAX_GUESTS + zenoh + 400 <= 1024
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):

@@ -271,8 +271,9 @@ class Connection(asyncio.Protocol):
             response = respond(request, self._view, may_write=self._may_write)
             if request[0] in WRITES and not self._may_write:
                 role = "the role in its certificate is not in modbus.tls.writer_roles"
-                why = role if self.is_known else "it is not in modbus.writers"
-                self._server.refusals.note(self.address, why)
+                is_known = contains(settings.writers, self.guest.peer)
+                why = role if is_known else "it is not in modbus.writers"
+                self._server.refusals.note(address_of(self.guest.peer), why)
         else:
             response = bytes((request[0] | 0x80, GATEWAY_NO_RESPONSE))
         self.guest.touch()
