@@ -352,7 +352,7 @@ class ZenohSection(_Section):
         "json", description="of all messages: the same fields, in CBOR fewer bytes"
     )
     trigger_timeout_s: float = Field(
-        5.0, gt=0, le=3600, description="how long a trigger waits for its result"
+        5.0, gt=0, le=60, description="how long a trigger waits for its result that does not say so itself"
     )
     ros2_domain_id: int | None = Field(
         None, ge=0, le=232, description="publish poses for ROS 2 (rmw_zenoh) too"
@@ -408,7 +408,9 @@ class RecorderSection(_Section):
     keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
     keep_bad: int = Field(500, ge=0, le=1_000_000, description="others: no target, low quality, faults")
     max_mib: int = Field(2000, ge=1, le=100_000_000, description="of all recordings")
-    max_age_days: float = Field(30.0, gt=0, le=36_500, description="older ones are removed")
+    max_age_days: float = Field(
+        30.0, gt=0, le=36_500, description="older ones are removed; a gap counts a tenth of it at most"
+    )
     min_free_mib: int = Field(
         1000, ge=0, le=100_000_000, description="of the disk, which is never filled further"
     )
@@ -524,12 +526,23 @@ def load(path: Path) -> Config:
     not opened here; `edged check` and the daemon do that.
     """
     path = Path(path)
+    return config_of(read(path), path)
+
+
+def read(path: Path) -> bytes:
+    """What is in a configuration file. Raises `ConfigError`."""
     try:
         if path.stat().st_size > MAX_CONFIG_BYTES:
             raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
-        data = tomllib.loads(path.read_bytes().decode("utf-8"))
+        return path.read_bytes()
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+
+
+def config_of(content: bytes, path: Path) -> Config:
+    """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
+    try:
+        data = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
     except tomllib.TOMLDecodeError as error:

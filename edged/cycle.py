@@ -20,6 +20,7 @@ from typing import Protocol
 
 from edged.capture.tasks import cancel_and_await
 from edged.domain import (
+    PLC_SOURCE,
     Calibrated,
     CellPhase,
     CellState,
@@ -46,7 +47,7 @@ from edged.robot.covariance import moved_frame
 log = logging.getLogger(__name__)
 
 QUEUE_LENGTH = 8
-"""Commands that wait; one more is refused (the PLC sees OVERRUN)."""
+"""Commands of the PLC that wait, and as many of all others; one more is refused (the PLC sees OVERRUN)."""
 
 IDLE_CHECK_S = 1.0
 """Waiting for commands, look after the cameras this often: a dead one must show before the PLC asks."""
@@ -113,6 +114,28 @@ class Setup:
     listens: bool = False
 
 
+class _Waiting:
+    """Commands that wait. The PLC's go first and have places of their own: nobody else can fill them."""
+
+    def __init__(self) -> None:
+        self._plc: deque[Command] = deque()
+        self._others: deque[Command] = deque()
+
+    def __len__(self) -> int:
+        return len(self._plc) + len(self._others)
+
+    def add(self, command: Command) -> None:
+        """Queue a command behind those of its kind. Raises `CommandRefused` when their places are taken."""
+        queue = self._plc if command.source == PLC_SOURCE else self._others
+        if len(queue) >= QUEUE_LENGTH:
+            raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
+        queue.append(command)
+
+    def take(self) -> Command:
+        """The next one; `IndexError` when none waits."""
+        return (self._plc or self._others).popleft()
+
+
 class Cycle:
     """The measuring loop of one cell; also the `Commander` of its publishers."""
 
@@ -122,7 +145,7 @@ class Cycle:
         self._active = setup.jobs[setup.active_job]
         self._utc_ns = utc_ns
         self._publishers: tuple[Publisher, ...] = ()
-        self._commands: deque[Command] = deque()
+        self._commands = _Waiting()
         self._wake = asyncio.Event()
         self.stopping = asyncio.Event()
         self._number = 0
@@ -172,10 +195,11 @@ class Cycle:
             raise CommandRefused("the daemon is stopping")
         if problem := self._problem(command):
             raise CommandRefused(problem)
-        if len(self._commands) >= QUEUE_LENGTH:
+        try:
+            self._commands.add(command)
+        except CommandRefused:
             self._missed += 1
-            raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
-        self._commands.append(command)
+            raise
         self._wake.set()
 
     def _problem(self, command: Command) -> str:
@@ -202,7 +226,7 @@ class Cycle:
                 if self._pending is not None:
                     await self._apply(*self._pending)
                 elif self._commands:
-                    await self._serve(self._commands.popleft())
+                    await self._serve(self._commands.take())
                 elif self._setup.listens:
                     await self._listen()
                 else:
@@ -210,7 +234,7 @@ class Cycle:
         finally:
             self._tell_state(CellPhase.STOPPING)
             while self._commands:
-                self._announce(CommandFailed(self._commands.popleft(), "the daemon is stopping"))
+                self._announce(CommandFailed(self._commands.take(), "the daemon is stopping"))
             await self._head.close()
             self._vision.shutdown()
 
@@ -243,8 +267,9 @@ class Cycle:
 
     def _check_waiting(self, gone: LoadedJob | None) -> None:
         """Fail the waiting commands that this setup cannot carry out. gone : the job that was active."""
-        waiting, self._commands = self._commands, deque()
-        for command in waiting:
+        waiting, self._commands = self._commands, _Waiting()
+        while waiting:
+            command = waiting.take()
             problem = self._problem(command)
             if command.kind is CommandKind.CHANGE_JOB and not problem:
                 gone = None  # whoever comes after it means the job that it makes active
@@ -253,7 +278,7 @@ class Cycle:
             if problem:
                 self._announce(CommandFailed(command, problem))
             else:
-                self._commands.append(command)
+                self._commands.add(command)
 
     async def _tick_or_wait(self, due_s: float) -> float:
         """Measure when the tick is due, else wait until something happens; returns the next tick.

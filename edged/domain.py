@@ -297,11 +297,15 @@ class CommandKind(enum.IntEnum):
     """Measure and say OK or NOK, without coordinates."""
 
 
+PLC_SOURCE = "modbus"
+"""Source of the commands of whoever holds the right to write registers; nobody else's go before them."""
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
     """A request to measure, or to change the job.
 
-    source : who asks ("modbus", "zenoh", ...); sequence : that source's own number.
+    source : who asks (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
     job : job number, 0 for the active one.
     robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
     """

@@ -14,6 +14,7 @@ from scriptedhead import Ear, Head, until
 
 from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
+    PLC_SOURCE,
     CellPhase,
     CellState,
     Command,
@@ -123,6 +124,34 @@ def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
     ear, _ = drive(make_setup(locate=slow), script)
 
     assert list(range(QUEUE_LENGTH + 1)) == [shot.command.sequence for shot in ear.snapshots()]
+
+
+def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
+    """Others fill their places and are refused; the PLC's eight are taken all the same, and go first."""
+    release = threading.Event()
+
+    def slow(pair, lap):
+        release.wait(5)
+        return Outcome(Status.NO_TARGET)
+
+    async def script(cycle, ear, head):
+        cycle.submit(locate_command(0))
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        for sequence in range(1, QUEUE_LENGTH + 1):
+            cycle.submit(Command(CommandKind.LOCATE, "zenoh", sequence))
+        with pytest.raises(CommandRefused, match="wait already"):
+            cycle.submit(Command(CommandKind.LOCATE, "zenoh", 99))
+        for sequence in range(1, QUEUE_LENGTH + 1):
+            cycle.submit(Command(CommandKind.LOCATE, PLC_SOURCE, sequence))
+        with pytest.raises(CommandRefused, match="wait already"):
+            cycle.submit(Command(CommandKind.LOCATE, PLC_SOURCE, 99))
+        release.set()
+        await until(lambda: len(ear.snapshots()) == 2 * QUEUE_LENGTH + 1)
+
+    ear, _ = drive(make_setup(locate=slow), script)
+
+    sources = ["test", *[PLC_SOURCE] * QUEUE_LENGTH, *["zenoh"] * QUEUE_LENGTH]
+    assert sources == [shot.command.source for shot in ear.snapshots()]
 
 
 def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:

@@ -17,7 +17,16 @@ from livecell import LiveCell
 from wire.test_wrong import Plc
 
 from edged.adapters.journal import JournalHandler, encode, set_up_logging
-from edged.logs import RELAPSE_S, FaultLog, cycle_number, fields
+from edged.logs import (
+    MAX_REPEATED,
+    RELAPSE_S,
+    REPEATS,
+    REPEATS_S,
+    FaultLog,
+    RepeatLimit,
+    cycle_number,
+    fields,
+)
 from edged.plc.registers import STATUS
 
 
@@ -235,3 +244,73 @@ def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCapture
     assert "camera left: unplugged" in told[0].getMessage()
     assert 104 == told[0].edged["fault"]
     assert 5 < told[1].edged["failures"]
+
+
+class Repeating:
+    """A logger behind a `RepeatLimit` whose clock stands until it is moved."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.lines: list[str] = []
+        handler = logging.Handler()
+        handler.emit = self.write
+        self.limit = RepeatLimit(self.write, lambda: self.now_s)
+        handler.addFilter(self.limit)
+        self.log = logging.Logger("edged.test")
+        self.log.addHandler(handler)
+
+    def write(self, record: logging.LogRecord) -> None:
+        """Keep a line."""
+        self.lines.append(record.getMessage())
+
+
+def test_what_repeats_itself_is_held_back_and_counted() -> None:
+    """A million lines of a library become ten and one that says how many; other lines are not touched."""
+    repeating = Repeating()
+    for number in range(1000):
+        repeating.log.error("no descriptor for %d\nsocket: %d", number, number)
+        if number == 500:
+            repeating.log.error("a camera is gone")
+    repeating.now_s = REPEATS_S
+    repeating.log.info("all is well")
+
+    flood = [f"no descriptor for {number}\nsocket: {number}" for number in range(REPEATS)]
+    told = f"no descriptor for {REPEATS} ({1000 - REPEATS} more lines like this were held back)"
+    assert [*flood, "a camera is gone", told, "all is well"] == repeating.lines
+
+
+def test_the_count_is_said_at_the_end_when_nothing_else_is_logged() -> None:
+    """A process that ends in a flood still says how many lines there were, once."""
+    repeating = Repeating()
+    for number in range(REPEATS + 2):
+        repeating.log.error("%s", f"door {number // 20} is stuck")
+    for _ in range(2):
+        repeating.limit.tell()
+
+    told = "door 0 is stuck (2 more lines like this were held back)"
+    assert [*["door 0 is stuck"] * REPEATS, told] == repeating.lines
+
+
+def test_messages_that_are_all_different_fill_no_memory() -> None:
+    """Whoever makes each line another one is not held back, but only so many are remembered."""
+    repeating = Repeating()
+    for number in range(3 * MAX_REPEATED):
+        repeating.log.error("%s", f"line {number}")
+
+    assert 3 * MAX_REPEATED == len(repeating.lines)
+    assert MAX_REPEATED == len(repeating.limit)
+
+
+@pytest.mark.usefixtures("own_root")
+def test_the_log_of_the_daemon_holds_back_what_repeats_itself(capfd: pytest.CaptureFixture[str]) -> None:
+    """Lines of libraries too; one more line says how many."""
+    set_up_logging(environment={})
+    for _ in range(3 * REPEATS):
+        logging.getLogger("asyncio").error("socket.accept() out of system resource")
+    (limit,) = logging.root.handlers[0].filters
+    assert isinstance(limit, RepeatLimit)
+    limit.tell()
+
+    *_, last = lines = capfd.readouterr().err.splitlines()
+    assert REPEATS + 1 == len(lines)
+    assert last.endswith(f"out of system resource ({2 * REPEATS} more lines like this were held back)")

@@ -12,16 +12,18 @@ Source: systemd.io/JOURNAL_NATIVE_PROTOCOL, systemd.exec(5) on JOURNAL_STREAM.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import socket
 import struct
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from edged import __version__
-from edged.logs import fields_of
+from edged.logs import RepeatLimit, fields_of
 
 SOCKET = Path("/run/systemd/journal/socket")
 MAX_VALUE_BYTES = 32_768
@@ -55,10 +57,23 @@ def set_up_logging(
             handler = JournalHandler(journal, cell)
         except OSError:  # the socket is not in this container: lines with their priority do
             handler.setFormatter(_PrefixFormatter("%(name)s: %(message)s"))
+    limit = RepeatLimit(partial(_emit, handler))
+    handler.addFilter(limit)
+    # what is held back when the process ends is said before `logging` closes its handlers
+    atexit.register(limit.tell)
     for old in tuple(logging.root.handlers):
         logging.root.removeHandler(old)
         old.close()
     logging.basicConfig(level=level, handlers=[handler])
+
+
+def _emit(handler: logging.Handler, record: logging.LogRecord) -> None:
+    """Write a line past the handler's filters."""
+    handler.acquire()
+    try:
+        handler.emit(record)
+    finally:
+        handler.release()
 
 
 def priority(level: int) -> int:

@@ -3,6 +3,9 @@
 Everything that touches the disk happens in one thread of its own with a short queue. When the disk is
 slower than the cell, good cycles are left out before bad ones; when it is full or broken the cell goes on
 measuring, and the log says so once. A fault that lasts, or comes and goes, is recorded once.
+
+A clock that is set must not delete evidence: the age of a recording is counted from one recording to the
+next, and no gap between two counts more than `MAX_GAP` of the limit.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
 from edged.errors import ImageError
@@ -28,6 +32,9 @@ log = logging.getLogger(__name__)
 QUEUE_GOOD = 2
 """So many waiting writes, and a good cycle is left out: it would only delay the bad one that follows."""
 QUEUE_BAD = 8
+MAX_GAP = 0.1
+"""Of `max_age_days`. A weekend counts in full; a clock a month ahead, or a month's rest, as three days."""
+DAY_S = 86400.0
 MIB = 1024 * 1024
 
 
@@ -36,6 +43,7 @@ class RecorderSettings:
     """How much is kept; whatever is exceeded first removes the oldest good cycle, then the oldest bad one.
 
     keep_good, keep_bad : cycles.  min_free_mib : of the disk, which is never filled further.
+    max_age_days : as long as the cell runs; a gap counts a tenth of it at most.
     """
 
     folder: Path
@@ -44,6 +52,14 @@ class RecorderSettings:
     max_mib: int = 2000
     max_age_days: float = 30.0
     min_free_mib: int = 1000
+
+
+class _Kept(NamedTuple):
+    """A recording on disk. at_s : when, on the clock that ages are counted on."""
+
+    entry: recording.Entry
+    size: int
+    at_s: float
 
 
 @dataclass(slots=True)
@@ -80,9 +96,11 @@ class Recorder:
         self._exposed: tuple[int, FramePair] | None = None
         self._faults = FaultMemory(monotonic_s)
         # of the writer's thread alone
-        self._kept: dict[bool, deque[tuple[recording.Entry, int]]] = {True: deque(), False: deque()}
+        self._kept: dict[bool, deque[_Kept]] = {True: deque(), False: deque()}
         self._kept_bytes = 0
         self._next = 0
+        self._age_s = 0.0  # the clock that ages are counted on, and what the other one said last
+        self._seen: datetime | None = None
         self._has_stock = False
 
     async def start(self) -> None:
@@ -144,24 +162,25 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
         if removed := recording.sweep(folder):
             log.warning("%s: removed %d unfinished file(s) of an earlier run", folder, removed)
-        self._kept, self._kept_bytes = {True: deque(), False: deque()}, 0
+        self._kept, self._kept_bytes, self._seen = {True: deque(), False: deque()}, 0, None
         for entry in recording.entries(folder):
             self._keep(entry)
             self._next = max(self._next, entry.index + 1)
         self._has_stock = True
+        self._see(self._now())
         self._make_room(0)
         self._forget_setups(recording.setups(folder))
 
     def _write(self, snapshot: Snapshot, pair: FramePair | None, files: Mapping[str, bytes]) -> None:
         if not self._has_stock:  # the disk was not there at the start: what is on it counts, too
             self._take_stock()
-        settings = self._settings
+        settings, now = self._settings, self._now()
+        self._see(now)
         size = 0 if pair is None else pair.left.image.nbytes + pair.right.image.nbytes
         if not self._make_room(size):
             raise OSError(0, f"less than {settings.min_free_mib} MiB are free, and nothing is left to remove")
         if files:
             recording.save_setup(settings.folder, snapshot.fingerprint, files)
-        now = datetime.fromtimestamp(self._utc_ns() / 1e9, UTC)
         entry = recording.save(settings.folder, self._next, now, snapshot, pair)
         self._next += 1
         self._keep(entry)
@@ -171,11 +190,11 @@ class Recorder:
     def _make_room(self, size: int) -> bool:
         """Remove what exceeds the limits; False when the disk is too full even so."""
         settings = self._settings
-        oldest = datetime.fromtimestamp(self._utc_ns() / 1e9 - settings.max_age_days * 86400, UTC)
+        oldest_s = self._age_s - settings.max_age_days * DAY_S
         good, bad = self._kept[True], self._kept[False]
         removed = set()
         for ring, limit in ((good, settings.keep_good), (bad, settings.keep_bad)):
-            while ring and (len(ring) > limit or ring[0][0].recorded < oldest):
+            while ring and (len(ring) > limit or ring[0].at_s < oldest_s):
                 removed.add(self._remove_oldest(ring))
         while (good or bad) and self._too_much(size):
             removed.add(self._remove_oldest(good or bad))
@@ -190,13 +209,23 @@ class Recorder:
     def _free_mib(self, size: int) -> float:
         return (shutil.disk_usage(self._settings.folder).free - size) / MIB
 
+    def _now(self) -> datetime:
+        return datetime.fromtimestamp(self._utc_ns() / 1e9, UTC)
+
+    def _see(self, utc: datetime) -> None:
+        """Let ages grow by what the clock went on since it was looked at last, but not by a leap."""
+        gap_s = 0.0 if self._seen is None else (utc - self._seen).total_seconds()
+        self._age_s += min(max(gap_s, 0.0), MAX_GAP * self._settings.max_age_days * DAY_S)
+        self._seen = utc
+
     def _keep(self, entry: recording.Entry) -> None:
+        self._see(entry.recorded)
         size = entry.path.stat().st_size
-        self._kept[entry.status == Status.OK].append((entry, size))
+        self._kept[entry.status == Status.OK].append(_Kept(entry, size, self._age_s))
         self._kept_bytes += size
 
-    def _remove_oldest(self, ring: deque[tuple[recording.Entry, int]]) -> str:
-        entry, size = ring[0]
+    def _remove_oldest(self, ring: deque[_Kept]) -> str:
+        entry, size, _ = ring[0]
         entry.path.unlink(missing_ok=True)  # may fail: then it still counts
         ring.popleft()
         self._kept_bytes -= size
@@ -206,6 +235,6 @@ class Recorder:
         """A setup goes with the last recording that stands on it."""
         if not fingerprints:
             return
-        used = {entry.fingerprint for ring in self._kept.values() for entry, _ in ring}
+        used = {entry.fingerprint for ring in self._kept.values() for entry, _, _ in ring}
         for fingerprint in fingerprints - used - {self._setup()[0]}:
             shutil.rmtree(recording.setup_folder(self._settings.folder, fingerprint), ignore_errors=True)

@@ -13,11 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from edged.config import Config, load
+from edged.config import Config, config_of, read
 from edged.errors import ConfigError, UserError
-from edged.files.jobs import job_folders, load_job
+from edged.files.atomic import read_bytes
+from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.private import closing, is_exposed
-from edged.files.rig import load_rig
+from edged.files.rig import rig_of
 from edged.files.secrettext import without_secrets
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
@@ -45,26 +46,23 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
 
     elsewhere : on a machine that it need not run on; certificates and keys may be missing.
     """
-    config = load(path)
+    # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
+    text = read(path)
+    config = config_of(text, path)
     problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
+    files: dict[str, bytes] = {}
     rig = rectification = None
     try:
-        rig = load_rig(config.cell.rig)
+        files["rig.json"] = read_bytes(config.cell.rig, "a rig")
+        rig = rig_of(files["rig.json"], config.cell.rig)
         rectification = make_rectification(rig)
     except UserError as error:
         problems.append(f"cell.rig: {error}")
-    jobs = _load_jobs(config, problems)
+    jobs = _load_jobs(config, files, problems)
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
-    try:
-        files = {"rig.json": config.cell.rig.read_bytes()}
-        for folder in job_folders(config.cell.jobs):
-            for name in ("job.toml", "shape.npz"):
-                files[f"jobs/{folder.name}/{name}"] = (folder / name).read_bytes()
-        contents = {**files, "cell.toml": without_secrets(path.read_bytes())}
-    except OSError as error:  # it was there a moment ago
-        raise ConfigError(str(path), [f"{error.filename}: cannot be read: {error.strerror}"]) from error
     identity = fingerprint(config, files)
+    contents = {**files, "cell.toml": without_secrets(text)}
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
 
 
@@ -110,7 +108,7 @@ def _unguarded(config: Config) -> list[str]:
     return []
 
 
-def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
+def _load_jobs(config: Config, files: dict[str, bytes], problems: list[str]) -> list[Job]:
     folder = config.cell.jobs
     if not folder.is_dir():
         problems.append(f"cell.jobs: {folder}: no such folder")
@@ -123,7 +121,8 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         return []
     for entry in entries:
         try:
-            job = load_job(entry)
+            read_files = read_job(entry)
+            job = job_of(read_files, entry)
         except UserError as error:
             problems.append(f"cell.jobs: {error}")
             continue
@@ -131,6 +130,7 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         if twin is not None:
             problems.append(f"cell.jobs: {job.name} and {twin.name} both have the number {job.number}")
         jobs.append(job)
+        files |= {f"jobs/{entry.name}/{name}": data for name, data in read_files.items()}
     names = [job.name for job in jobs]
     if config.cell.job not in names:
         problems.append(

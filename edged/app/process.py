@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import resource
 import signal
 import sys
 from collections.abc import Callable
@@ -16,10 +17,18 @@ SWITCH_INTERVAL_S = 0.0005
 """Python code in the vision thread yields to the PLC's request this often (default: 5 ms)."""
 
 
+DESCRIPTORS = 4096
+"""As in the systemd units; a shell's usual 1024 is what all servers may take together, and little more."""
+
+
 def set_up_process(level: int = logging.INFO) -> None:
     """Log from here on, and let the event loop have its turns; before anything is loaded."""
     set_up_logging(level=level)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = DESCRIPTORS if most == resource.RLIM_INFINITY else min(DESCRIPTORS, most)
+    if allowed != resource.RLIM_INFINITY and allowed < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 def log_as(cell: str) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.errors import FileFormatError
-from edged.files.atomic import MAX_FILE_BYTES, read_bytes
+from edged.files.atomic import MAX_FILE_BYTES
 
 
 def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
@@ -27,10 +27,11 @@ def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]])
     return buffer.getvalue()
 
 
-def load_arrays(path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
-    """Read a file of `pack_arrays`; damage, another kind or version is a `FileFormatError`."""
-    path = Path(path)
-    data = read_bytes(path, f"a {kind}")
+def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
+    """What `pack_arrays` packed; damage, another kind or version is a `FileFormatError`.
+
+    path : where it was read, for messages.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(member.file_size for member in archive.infolist())

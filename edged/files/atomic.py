@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from edged.errors import FileFormatError
@@ -102,10 +102,46 @@ def sync(folder: Path) -> None:
 
 def read_bytes(path: Path, what: str) -> bytes:
     """Read a file of sane size, or raise `FileFormatError` that names it."""
+    return _read(path, what, None)
+
+
+def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, bytes]:
+    """Files of a folder by their name, all of them as they were before a `replace_folder`, or all after it.
+
+    The folder is opened once: a replacement exchanges its name, and leaves alone what is open. Raises
+    `FileFormatError` that names the file.
+    """
+    while True:
+        try:
+            opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError as error:
+            raise FileFormatError(f"{folder}: cannot read {what}: {error.strerror or error}") from error
+        try:
+            return {name: _read(folder / name, what, opened) for name in names}
+        except FileFormatError:
+            if _is_named(folder, opened):
+                raise
+            # replaced, and what it was has been removed meanwhile: read what is there now
+        finally:
+            os.close(opened)
+
+
+def _is_named(folder: Path, opened: int) -> bool:
+    """Whether a folder's name still means the one that is open."""
     try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
-        return path.read_bytes()
+        return os.path.samestat(os.stat(folder), os.fstat(opened))  # noqa: PTH116  (fstat has no path)
+    except OSError:
+        return True  # it is gone altogether
+
+
+def _read(path: Path, what: str, folder: int | None) -> bytes:
+    """A file; of an open folder the one of that name in it."""
+    try:
+        handle = os.open(path if folder is None else path.name, os.O_RDONLY | os.O_CLOEXEC, dir_fd=folder)
+        with os.fdopen(handle, "rb") as file:
+            size = os.fstat(handle).st_size
+            if size > MAX_FILE_BYTES:
+                raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
+            return file.read()
     except OSError as error:
         raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error

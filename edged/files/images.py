@@ -14,12 +14,16 @@ from edged.errors import ImageError
 def load_image(path: Path) -> Image:
     """Read an 8-bit grey image (H, W) uint8; colour files are converted when all channels agree.
 
-    Raises `ImageError` for what is no image, has another depth, or is really coloured.
+    Raises `ImageError` for what cannot be read or is no image, has another depth, or is really coloured.
     """
     path = Path(path)
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
-    return decode_image(path.read_bytes(), str(path))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return decode_image(data, str(path))
 
 
 def decode_image(data: bytes, place: str) -> Image:

@@ -97,8 +97,8 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
         for side, frame in frames.items():
-            archive.writestr(f"{side}.png", _png(frame.image))
-        archive.writestr("recording.json", json.dumps(document, allow_nan=False, indent=1))
+            archive.writestr(_member(f"{side}.png"), _png(frame.image))
+        archive.writestr(_member("recording.json"), json.dumps(document, allow_nan=False, indent=1))
     return buffer.getvalue()
 
 
@@ -147,7 +147,10 @@ def entries(folder: Path) -> list[Entry]:
     found = []
     for path in (folder / "cycles").glob("*.zip"):
         if parts := NAME.fullmatch(path.name):
-            recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
+            try:
+                recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
+            except ValueError:  # a date that does not exist: somebody else named it
+                continue
             found.append(Entry(path, int(parts["index"]), recorded, parts["status"], parts["fingerprint"]))
     return sorted(found, key=lambda entry: entry.index)
 
@@ -178,6 +181,13 @@ def sweep(folder: Path) -> int:
         else:
             path.unlink(missing_ok=True)
     return len(left)
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    """A member without a date: ZIP knows none before 1980, and a PC without battery begins in 1970."""
+    member = zipfile.ZipInfo(name)
+    member.external_attr = 0o644 << 16
+    return member
 
 
 def _png(image: Image) -> bytes:

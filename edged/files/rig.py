@@ -67,9 +67,13 @@ def keep_old_rig(path: Path) -> Path | None:
 
 def load_rig(path: Path) -> StereoRig:
     """Read a rig; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
-    path = Path(path)
+    return rig_of(read_bytes(Path(path), "a rig"), Path(path))
+
+
+def rig_of(data: bytes, path: Path) -> StereoRig:
+    """The rig in a file that was read; raises as `load_rig`. path : where, for messages."""
     try:
-        document = json.loads(read_bytes(path, "a rig"))
+        document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON: {error}") from error
     if not isinstance(document, dict) or document.get("format") != RIG_FORMAT:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import time
 import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -152,22 +153,78 @@ def test_numbers_go_on_after_a_restart_with_an_earlier_clock(tmp_path: Path) -> 
 
 
 def test_what_is_too_old_goes(tmp_path: Path) -> None:
-    """Also the setup that nothing stands on any more."""
+    """After as many days as the limit says; also the setup that nothing stands on any more."""
+    run_events(recorder(tmp_path, max_age_days=2), cycles(Status.OK))
     clock = [START_NS]
-    one = recorder(tmp_path, clock, max_age_days=2)
     other = Recorder(
         RecorderSettings(tmp_path, max_age_days=2, min_free_mib=0),
         lambda: ("11111111", {"rig.json": b""}),
-        lambda: START_NS + 3 * DAY_NS,
+        lambda: clock[0],
     )
-    run_events(one, cycles(Status.OK))
-    assert recording.setup_folder(tmp_path, FINGERPRINT).is_dir()
 
-    run_events(other, [replace(make_snapshot(), fingerprint="11111111")])
+    def events() -> Iterator[Event]:
+        for _ in range(11):
+            clock[0] += DAY_NS // 5
+            yield replace(make_snapshot(), fingerprint="11111111")
+            kept.append(recording.entries(tmp_path)[0].index)
 
-    assert [entry.index for entry in recording.entries(tmp_path)] == [1]
+    kept: list[int] = []
+    run_events(other, events())
+
+    assert [0] * 10 == kept[:10]
+    assert [*range(1, 12)] == [entry.index for entry in recording.entries(tmp_path)]
     assert not recording.setup_folder(tmp_path, FINGERPRINT).exists()
     assert (recording.setup_folder(tmp_path, "11111111") / "rig.json").is_file()
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("days", [31, 3650, -3650])
+def test_a_clock_that_is_set_deletes_nothing(tmp_path: Path, days: int, restarted: bool) -> None:
+    """A month ahead, ten years, or back, and right again; also when the daemon starts with it."""
+    clock = [START_NS]
+
+    def events() -> Iterator[Event]:
+        yield from cycles(Status.OK, Status.LOW_QUALITY)
+        for wrong_ns in (days * DAY_NS, 0):
+            clock[0] = START_NS + wrong_ns
+            yield from cycles(Status.OK)
+
+    if restarted:
+        pending = list(events())
+        for wrong_ns, some in ((0, pending[:4]), (days * DAY_NS, pending[4:6]), (0, pending[6:])):
+            clock[0] = START_NS + wrong_ns
+            run_events(recorder(tmp_path, clock, max_age_days=30), some)
+    else:
+        run_events(recorder(tmp_path, clock, max_age_days=30), events())
+
+    assert [0, 1, 2, 3] == [entry.index for entry in recording.entries(tmp_path)]
+
+
+@pytest.mark.parametrize("year", [1970, 1979, 2120])
+def test_any_clock_can_record(tmp_path: Path, year: int) -> None:
+    """A PC without battery begins in 1970; ZIP begins in 1980 and ends in 2107."""
+    now = [int(datetime(year, 1, 1, tzinfo=UTC).timestamp()) * 10**9]
+    writer = recorder(tmp_path, now)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(time, "time", lambda: now[0] / 1e9)
+        patch.setattr(time, "localtime", lambda _now=None: time.gmtime(now[0] / 1e9))
+        run_events(writer, cycles(Status.OK))
+
+    (entry,) = recording.entries(tmp_path)
+    assert year == entry.recorded.year
+    assert recording.load(entry.path).pair is not None
+    assert "" == writer.figures.problem
+
+
+def test_a_file_with_a_date_that_does_not_exist_is_no_recording(tmp_path: Path) -> None:
+    """Somebody else put it there; the recorder starts all the same, and leaves it alone."""
+    (tmp_path / "cycles").mkdir()
+    foreign = tmp_path / "cycles" / "000000007_20261345T000000.000000Z_OK_0badcafe.zip"
+    foreign.write_bytes(b"")
+    run_events(recorder(tmp_path), cycles(Status.OK))
+
+    assert [0] == [entry.index for entry in recording.entries(tmp_path)]
+    assert foreign.is_file()
 
 
 def test_a_fault_that_lasts_or_flutters_is_recorded_once(tmp_path: Path) -> None:

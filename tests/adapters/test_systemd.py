@@ -10,9 +10,15 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from annotated_types import Le
 from snapshots import make_snapshot
 
+from edged.adapters.modbus import lines
 from edged.adapters.systemd import SystemdNotifier
+from edged.adapters.web import server
+from edged.adapters.zenoh import session
+from edged.app.process import DESCRIPTORS
+from edged.config import ModbusSection
 from edged.domain import CellPhase, CellState, Event, Idle
 
 UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"
@@ -217,6 +223,16 @@ def test_the_template_is_the_unit_with_names() -> None:
     ):
         template = template.replace(named, plain)
     assert single[single.index("[Unit]") :] == template[template.index("[Unit]") :]
+
+
+def test_strangers_cannot_take_every_descriptor(unit_file):
+    """The unit grants what the daemon asks for; all servers, full, leave 400 of a shell's 1024."""
+    assert f"LimitNOFILE={DESCRIPTORS}" in unit_file.read_text().splitlines()
+    modbus = next(
+        limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
+    )
+    zenoh = 3 * session.MAX_SESSIONS + session.ACCEPT_PENDING
+    assert modbus + lines.MAX_CLIENTS + server.MAX_GUESTS + zenoh + 400 <= 1024
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
+from edged.config import load
 from edged.domain import CommandKind
+from edged.errors import ConfigError
 
 
 def test_each_trigger_is_answered_once_by_its_own_command() -> None:
@@ -24,3 +32,18 @@ def test_a_command_of_the_publisher_before_a_reload_answers_nobody() -> None:
     assert old == new
     assert None is after.take(old)
     assert "new" == after.take(new)
+
+
+def test_the_longest_wait_that_may_be_configured_is_accepted(tmp_path: Path) -> None:
+    """What `edged check` lets pass is not refused with each trigger; more is a mistake in the file."""
+    text = (
+        '[cell]\nname = "c"\nrig = "r"\njobs = "j"\njob = "f"\n'
+        '[cameras]\nsource = "virtual"\n[zenoh]\ntrigger_timeout_s = '
+    )
+    path = tmp_path / "cell.toml"
+    path.write_text(f"{text}{MAX_TIMEOUT_S}")
+    longest_s = load(path).zenoh.trigger_timeout_s
+    assert MAX_TIMEOUT_S == parse_trigger(zenoh.Parameters(""), longest_s).timeout_s
+    path.write_text(f"{text}{MAX_TIMEOUT_S + 0.1}")
+    with pytest.raises(ConfigError, match="trigger_timeout_s"):
+        load(path)

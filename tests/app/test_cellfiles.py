@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
+from edged.app import cellfiles
 from edged.app.cellfiles import read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.errors import ConfigError
+from edged.files.jobs import job_of
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.part.job import Job
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +152,26 @@ def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
     config.write_text(config.read_text().replace("[zenoh]", f'[zenoh]\nconfig_file = "{name}"'))
 
     assert read_cell(config).config.zenoh.commands == "guarded"
+
+
+def test_what_is_recorded_is_what_is_measured_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything is replaced as soon as it was read once: what counts is what was read."""
+    before = read_cell(folder / "cell.toml")
+    calibrated, taught = (folder / "rig.json").read_bytes(), folder / "jobs" / "flange"
+    real = cellfiles.make_rectification
+
+    def replaced(rig: StereoRig) -> Rectification:
+        (folder / "rig.json").write_bytes(calibrated.replace(rig.calibration_id.encode(), b"another"))
+        (folder / "cell.toml").write_text((folder / "cell.toml").read_text() + "# another\n")
+        return real(rig)
+
+    def replaced_job(files: Mapping[str, bytes], entry: Path) -> Job:
+        (taught / "job.toml").write_text((taught / "job.toml").read_text().replace("0.2", "0.1"))
+        return job_of(files, entry)
+
+    monkeypatch.setattr(cellfiles, "make_rectification", replaced)
+    monkeypatch.setattr(cellfiles, "job_of", replaced_job)
+    cell = read_cell(folder / "cell.toml")
+
+    assert before.rig.calibration_id == cell.rig.calibration_id
+    assert (before.fingerprint, before.contents) == (cell.fingerprint, cell.contents)

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from edged.files.atomic import replace_folder
+from edged.errors import FileFormatError
+from edged.files import atomic
+from edged.files.atomic import read_folder, replace_folder
 
 KILLED = """
 import ctypes, errno, os, sys
@@ -112,3 +114,33 @@ def test_a_replacement_that_fails_changes_nothing(tmp_path: Path) -> None:
         replace_folder(cell, {"a": b"2", "a/b": b"3"})
     assert b"1" == (cell / "a").read_bytes()
     assert {"cell/a", "kept"} == _names(tmp_path)
+
+
+@pytest.mark.parametrize(("replacements", "seen"), [(0, b"0"), (1, b"0"), (2, b"2")])
+def test_a_folder_is_read_as_one_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replacements: int, seen: bytes
+) -> None:
+    """Replaced between one file and the next: the former, or, when that is removed meanwhile, the latest."""
+    folder, kept = tmp_path / "job", tmp_path / "kept"
+    replace_folder(folder, {"a": b"0", "b": b"0"})
+    numbers = iter(range(1, replacements + 1))
+    read = atomic._read  # noqa: SLF001  (between two files: nothing else stands there)
+
+    def replacing(path: Path, what: str, opened: int | None) -> bytes:
+        data = read(path, what, opened)
+        for number in numbers:
+            replace_folder(folder, dict.fromkeys("ab", b"%d" % number), kept)
+        return data
+
+    monkeypatch.setattr(atomic, "_read", replacing)
+
+    assert {"a": seen, "b": seen} == read_folder(folder, ("a", "b"), "a job")
+
+
+def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    """As is a folder; neither is waited for."""
+    replace_folder(tmp_path / "job", {"a": b"0"})
+    with pytest.raises(FileFormatError, match=r"job/b: cannot read a job: No such file"):
+        read_folder(tmp_path / "job", ("a", "b"), "a job")
+    with pytest.raises(FileFormatError, match=r"nothing: cannot read a job: No such file"):
+        read_folder(tmp_path / "nothing", ("a",), "a job")

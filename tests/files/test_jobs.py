@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import shutil
+import threading
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -271,6 +273,7 @@ def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> No
     (folder / "shape.npz").rename(folder / "elsewhere.npz")
     with pytest.raises(FileFormatError, match=r"shape\.npz"):
         load_job(folder)
+    (folder / "elsewhere.npz").rename(folder / "shape.npz")
     (folder / "job.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match=r"job\.toml: not UTF-8"):
         load_job(folder)
@@ -364,3 +367,31 @@ def test_the_folder_may_be_the_working_directory(folder: Path, monkeypatch: pyte
     monkeypatch.chdir(folder)
     save_job(Path(), make_job(number=5))
     assert load_job(folder).number == 5
+
+
+def test_a_job_is_read_whole_while_it_is_saved(tmp_path: Path) -> None:
+    """Text and shape are of one job, however often it is taught meanwhile."""
+    folder = tmp_path / "flange"
+    jobs = {}
+    for number in (1, 2):
+        job = make_job(number=number)
+        jobs[number] = replace(job, shape=replace(job.shape, contrast=10.0 + number))
+    save_job(folder, jobs[1])
+    stopped = threading.Event()
+
+    def teach() -> None:
+        for number in itertools.cycle(jobs):
+            if stopped.is_set():
+                return
+            save_job(folder, jobs[number])
+
+    teacher = threading.Thread(target=teach)
+    teacher.start()
+    try:
+        read = [load_job(folder) for _ in range(300)]
+    finally:
+        stopped.set()
+        teacher.join()
+
+    assert {1, 2} == {job.number for job in read}
+    assert [] == [job.number for job in read if job.shape.contrast != 10.0 + job.number]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 from pathlib import Path
 
 import cv2
@@ -138,3 +139,26 @@ def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> Non
     assert "camera right" in damage
     assert "c_right.png" in damage
     assert "d_right.png: a colour image" in colours
+
+
+def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No descriptor for it, or a disk that fails: the camera did not deliver; the next exposure may."""
+    write_pairs(tmp_path, ["a", "b"])
+    left, _ = replay_cameras(tmp_path)
+
+    def exhausted(_path: Path) -> bytes:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def main() -> None:
+        await left.open()
+        await left.trigger()
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "read_bytes", exhausted)
+            with pytest.raises(FrameIncomplete, match="Too many open files"):
+                await left.frame()
+        await left.trigger()
+        assert 2 == (await left.frame()).frame_id
+
+    asyncio.run(main())

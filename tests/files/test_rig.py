@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from edged.errors import FileFormatError, ImageError
-from edged.files.arrays import load_arrays, pack_arrays
+from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
 from edged.files.rig import load_rig, save_rig
@@ -106,7 +106,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
     path = tmp_path / "a.npz"
     arrays = {"points": np.arange(600.0).reshape(300, 2), "n": np.array(7, np.int32)}
     path.write_bytes(pack_arrays("shape", 1, arrays))
-    back = load_arrays(path, "shape", 1)
+    back = unpack_arrays(path.read_bytes(), path, "shape", 1)
     assert all(np.array_equal(arrays[name], back[name]) for name in arrays)
 
     data = path.read_bytes()
@@ -116,7 +116,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
         damaged[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
         try:
-            loaded = load_arrays(path, "shape", 1)
+            loaded = unpack_arrays(path.read_bytes(), path, "shape", 1)
         except FileFormatError as error:
             assert str(path) in str(error)
         else:  # a bit that carries nothing, such as a time stamp of the zip
@@ -124,7 +124,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
     for size in range(0, len(data), 97):
         path.write_bytes(data[:size])
         with pytest.raises(FileFormatError):
-            load_arrays(path, "shape", 1)
+            unpack_arrays(path.read_bytes(), path, "shape", 1)
 
 
 def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> None:
@@ -133,9 +133,9 @@ def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> No
     path.write_bytes(pack_arrays("shape", 1, {"a": np.zeros(3)}))
 
     with pytest.raises(FileFormatError, match="expected 'recording'"):
-        load_arrays(path, "recording", 1)
+        unpack_arrays(path.read_bytes(), path, "recording", 1)
     with pytest.raises(FileFormatError, match="version 1, this edged reads 2"):
-        load_arrays(path, "shape", 2)
+        unpack_arrays(path.read_bytes(), path, "shape", 2)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_an_array_that_claims_another_size_is_refused(tmp_path: Path, claim: str
     tracemalloc.start()
     try:
         with pytest.raises(FileFormatError, match=r"a\.npz: not a shape file, or damaged: .*"):
-            load_arrays(path, "shape", 1)
+            unpack_arrays(path.read_bytes(), path, "shape", 1)
         assert tracemalloc.get_traced_memory()[1] < 5e6
     finally:
         tracemalloc.stop()
@@ -171,7 +171,7 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
     np.savez(path, __header__=np.array({"kind": "shape"}, dtype=object))
 
     with pytest.raises(FileFormatError):
-        load_arrays(path, "shape", 1)
+        unpack_arrays(path.read_bytes(), path, "shape", 1)
 
 
 def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from soak import Soak
 
-from edged.adapters.modbus.cell import NOBODYS, SOURCE, CellRegisters
+from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle, LoadedJob
+from edged.domain import PLC_SOURCE
 from edged.plc import handshake as hs
 
 
@@ -154,7 +155,7 @@ def by_number(self: CellRegisters, command: Any) -> int | None:
     """The ticket of a command, whoever submitted it."""
     if command is None:
         return None
-    return command.sequence if command.source == SOURCE else NOBODYS
+    return command.sequence if command.source == PLC_SOURCE else NOBODYS
 
 
 def take_by_number(self: Triggers[Any], command: Any) -> Any:

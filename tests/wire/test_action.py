@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import struct
 import threading
@@ -119,3 +120,14 @@ def test_a_broadcast_waits_for_no_acknowledgement() -> None:
 
     (command,) = heard
     assert 0 == command[1]
+
+
+def test_without_a_descriptor_an_action_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The camera did not deliver; the daemon goes on."""
+
+    def exhausted(*_: object) -> socket.socket:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "socket", exhausted)
+    with pytest.raises(FrameTimeout, match="Too many open files"):
+        send_action("left", ACTION, None, 14)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import signal
 import subprocess
 import sys
@@ -33,7 +34,7 @@ from hypothesis import strategies as st
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.adapters.aravis.features import Features
-from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate
+from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
 from edged.capture.stereohead import StereoHead
 from edged.domain import Frame
@@ -53,6 +54,15 @@ def cell() -> Iterator[Cell]:
     """A running cell."""
     with running(Cell()) as cell:
         yield cell
+
+
+def test_what_the_system_refuses_is_a_fault_of_the_camera() -> None:
+    """No descriptor for a socket towards it: it is not reached now, and that is no end of the daemon."""
+    with (
+        pytest.raises(CameraUnreachable, match="setting up: Too many open files"),
+        translated("left", "setting up"),
+    ):
+        raise OSError(errno.EMFILE, "Too many open files")
 
 
 def count(folder: str) -> int:

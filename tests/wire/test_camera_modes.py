@@ -12,6 +12,7 @@ import pytest
 from gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
 
 from edged.adapters.aravis import AravisCamera, Output, aravis_missing
+from edged.adapters.aravis.clock import CLOCK_DRIFT
 from edged.app.cameras import head_of
 from edged.capture.pairing import Pairing
 from edged.capture.stereohead import StereoHead
@@ -368,6 +369,26 @@ def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
             assert frame.exposed_bound_ns is not None
             assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5 * MS
             assert frame.exposed_bound_ns >= 10**9 / tick_hz / 2
+
+
+def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    """Ten times what a crystal may be off: it is mapped anew with each reading, and said once."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        frames = []
+        for _ in range(6):
+            await asyncio.sleep(0.1)  # so far that the readings contradict each other
+            frames.append(await shoot(camera))
+        return frames
+
+    with running(Cell(clock=DeviceClock(drift_ppm=2e7 * CLOCK_DRIFT, tick_hz=10**9))) as cell:
+        frames = run(script, left_camera())
+        for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
+            assert abs(frame.exposed_ns - request.exposed_ns) < 50 * MS
+
+    (line,) = (line for line in caplog.messages if "clock has jumped" in line)
+    assert "more than 200 ppm off" in line
 
 
 def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:

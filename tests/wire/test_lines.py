@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import socket
 import time
@@ -29,8 +30,8 @@ KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 class Robot:
     """A robot with a socket."""
 
-    def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15)
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15, source_address=(host, 0))
         self.file = self.socket.makefile("rb")
 
     def ask(self, line: str) -> tuple[int, int, int, list[float]]:
@@ -231,6 +232,23 @@ def test_no_robot_moves_by_what_no_robot_may_use(changes: dict[str, Any], status
             ready(cell)
             expected = 0 if allowed and status == LineStatus.SIMULATED else status
             assert expected == robot.ask("7,LOCATE,0")[1]
+
+
+def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
+    """Eight places, all of strangers: the first of them ends, and the robot is answered."""
+    changed = dataclasses.replace(KUKA, writers=(ip_network("127.0.0.9/32"),))
+    with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
+        robots = [Robot(cell.server.line_port) for _ in range(8)]
+        for robot in robots:
+            ends.callback(robot.socket.close)
+            ends.callback(robot.file.close)
+            assert LineStatus.MAY_NOT_WRITE == robot.ask("")[1]
+        known = Robot(cell.server.line_port, "127.0.0.9")
+        ends.callback(known.socket.close)
+        ends.callback(known.file.close)
+        assert LineStatus.NOT_UNDERSTOOD == known.ask("")[1]
+        assert robots[0].ended()
+        assert LineStatus.MAY_NOT_WRITE == robots[1].ask("")[1]
 
 
 def test_who_is_silent_floods_or_is_one_too_many_is_hung_up_on() -> None:

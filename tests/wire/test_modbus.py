@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import os
 import pty
 import random
@@ -13,6 +14,7 @@ import ssl
 import struct
 import termios
 import tty
+from asyncio.sslproto import SSLProtocol
 from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from ipaddress import ip_address, ip_network
@@ -29,15 +31,16 @@ from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKey
 from cryptography.x509.oid import NameOID
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
+from scriptedhead import until
 from snapshots import make_snapshot
 
+from edged import door
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
 from edged.errors import CommandRefused, ListenError
-from edged.logs import fields_of
+from edged.logs import LogLimit, fields_of
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
 
@@ -925,3 +928,154 @@ def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Pa
             await server.close()
 
     asyncio.run(run())
+
+
+@pytest.fixture
+def tls(tmp_path: Path) -> TlsSettings:
+    """Certificates of a server that insists on those of its clients."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    make_certificates(tmp_path)
+    return TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
+
+
+def operator(tls: TlsSettings) -> ssl.SSLContext:
+    """What a PLC shows."""
+    context = ssl.create_default_context(cafile=str(tls.authority))
+    folder = tls.authority.parent
+    context.load_cert_chain(folder / "operator.pem", folder / "operator.key")
+    return context
+
+
+def serve_tls(settings: ModbusSettings, test: Callable[[ModbusPublisher], Coroutine[Any, Any, None]]) -> None:
+    """Run a test against a server whose clients may take an hour for their handshake."""
+
+    async def run() -> None:
+        server = ModbusPublisher(settings, Cell())
+        await server.start()
+        try:
+            await asyncio.wait_for(test(server), 60)
+        finally:
+            await server.close()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(door, "HANDSHAKE_S", 3600.0)
+        asyncio.run(run())
+
+
+async def locate_id(server: ModbusPublisher, tls: TlsSettings, host: str) -> bytes:
+    """A new PLC at an address: what it reads first."""
+    reader, writer = await asyncio.open_connection(
+        "127.0.0.1", server.port, ssl=operator(tls), local_addr=(host, 0)
+    )
+    try:
+        writer.write(frame(struct.pack(">BHH", 3, 0, 1)))
+        return await response(reader, 1)
+    finally:
+        writer.transport.abort()
+
+
+@pytest.mark.parametrize("plc", ["127.0.0.9", "127.0.0.1"], ids=["elsewhere", "at the same address"])
+def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, plc: str) -> None:
+    """Forty connections that say nothing: four are left, the others end at once, and a PLC gets in."""
+    settings = ModbusSettings(port=0, tls=tls, max_clients=4, writers=(ip_network(f"{plc}/32"),))
+
+    async def test(server: ModbusPublisher) -> None:
+        half = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
+        over = {asyncio.create_task(ended(reader)) for reader, _ in half}
+        while len(over) > 4:
+            _, over = await asyncio.wait(over, return_when=asyncio.FIRST_COMPLETED)
+        assert 0 == server.clients
+        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, plc)
+        for task in over:
+            task.cancel()
+        for _, writer in half:
+            writer.transport.abort()
+
+    serve_tls(settings, test)
+
+
+def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
+    """Who is not in the list of networks costs no handshake."""
+    settings = ModbusSettings(
+        port=0, tls=tls, readers=(ip_network("127.0.0.9/32"),), writers=(ip_network("127.0.0.9/32"),)
+    )
+
+    async def test(server: ModbusPublisher) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+        assert await ended(reader)
+        writer.close()
+        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.9")
+
+    serve_tls(settings, test)
+
+
+@pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
+def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
+    """Its buffers, 256 KiB, go with it, without a search for garbage; so do those of a PLC that leaves."""
+
+    async def test(server: ModbusPublisher) -> None:
+        for _ in range(5):
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+            writer.write(sent)
+            if not sent:
+                writer.write_eof()
+            assert await ended(reader)
+            writer.close()
+            del reader, writer
+        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.1")
+        await until(lambda: not server.clients)
+        for _ in range(3):  # the loop's own last references
+            await asyncio.sleep(0)
+        sessions = [one for one in gc.get_objects() if type(one) is SSLProtocol]
+        assert [] == [one for one in sessions if one._server_side]  # noqa: SLF001  (asyncio tells it nowhere else)
+
+    gc.collect()
+    gc.disable()
+    try:
+        serve_tls(ModbusSettings(port=0, tls=tls), test)
+    finally:
+        gc.enable()
+
+
+def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent connection of whoever has more than the newcomer makes room, also where both may write."""
+    monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+
+    async def test(rig: Rig) -> None:
+        many = [await raw(rig) for _ in range(3)]
+        async with asyncio.timeout(WAIT_S):
+            while True:
+                assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+                plc = await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=("127.0.0.9", 0))
+                plc[1].write(frame(struct.pack(">BHH", 3, 0, 1)))
+                with contextlib.suppress(ConnectionError):
+                    if await plc[0].read(100):
+                        break
+                plc[1].close()
+        assert await ended(many[0][0])
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for _, writer in (*many, plc):
+            writer.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=4))
+
+
+def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
+    """Before it, under way, and failed: no socket is left behind."""
+
+    async def test(server: ModbusPublisher) -> None:
+        ends = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
+        hello = ssl.MemoryBIO()
+        client = operator(tls).wrap_bio(ssl.MemoryBIO(), hello, server_hostname="localhost")
+        with pytest.raises(ssl.SSLWantReadError):
+            client.do_handshake()
+        ends[1][1].write(hello.read())
+        assert await asyncio.wait_for(ends[1][0].read(1), WAIT_S)  # the server's hello: it is under way
+        ends[2][1].write(b"no TLS")
+        await server.close()
+        for reader, writer in ends:
+            assert await ended(reader)
+            writer.close()
+
+    serve_tls(ModbusSettings(port=0, tls=tls), test)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import itertools
 import json
 import re
 import threading
+from asyncio import StreamReader, StreamWriter
 from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -19,7 +22,7 @@ import pytest
 from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings, page
+from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
@@ -67,10 +70,10 @@ def measure(web: WebPublisher | Page, cycle: int, status: Status = Status.OK, er
 
 @asynccontextmanager
 async def served(
-    settings: WebSettings | None = None,
+    settings: WebSettings | None = None, asked: Sources | None = None
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A page on a free port, and a browser's session with it."""
-    web = WebPublisher("cell<1>", settings or WebSettings(port=0), sources())
+    web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources())
     await web.start()
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
@@ -591,3 +594,206 @@ def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
     assert page.status()["picture"] is None
     assert page.pair(2) is None
     assert isinstance(make_snapshot(2), Snapshot)
+
+
+# --- strangers ---------------------------------------------------------------------------------
+
+
+async def connect(web: WebPublisher, host: str = "127.0.0.1") -> tuple[StreamReader, StreamWriter]:
+    """A connection without a client library, from an address of this machine."""
+    return await asyncio.open_connection("127.0.0.1", web.port, local_addr=(host, 0))
+
+
+async def ended(reader: StreamReader) -> bool:
+    """Whether the server closes the connection."""
+    with contextlib.suppress(ConnectionError):
+        while await reader.read(65536):
+            pass
+    return True
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [b"", b"GET / HTTP/1.1\r\nHost: x\r\nX: ", b"POST /login HTTP/1.1\r\nContent-Length: 9\r\n\r\npass"],
+)
+def test_a_request_that_does_not_come_is_not_waited_for(sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing, half a header, half a form: closed, whatever is dribbled meanwhile."""
+    monkeypatch.setattr(server, "IDLE_S", 0.4)
+    monkeypatch.setattr(server, "FORM_S", 0.2)
+
+    async def test() -> None:
+        async with served() as (web, _):
+            reader, writer = await connect(web)
+            writer.write(sent)
+            closed = asyncio.create_task(ended(reader))
+            while not closed.done():
+                writer.write(b"x" if sent else b"")
+                await asyncio.wait({closed}, timeout=0.1)
+            assert closed.result()
+            writer.close()
+
+    run(test)
+
+
+def test_an_answer_that_nobody_fetches_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Requests without end, and not one answer is read: closed."""
+    monkeypatch.setattr(server, "IDLE_S", 0.4)
+
+    async def test() -> None:
+        async with served() as (web, _):
+            _, writer = await connect(web)
+            with pytest.raises(ConnectionError):
+                while True:
+                    writer.write(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100)
+                    await writer.drain()
+            writer.close()
+
+    run(test)
+
+
+def test_many_connections_take_no_place_from_others() -> None:
+    """Three times as many as there are places, from one address: its own make room, and others are served."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            other_reader, other = await connect(web, "127.0.0.2")
+            many = [await connect(web) for _ in range(3 * server.MAX_GUESTS)]
+            async with session.get("/health") as answer:
+                assert answer.status == 200
+            for reader, _ in many[: 2 * server.MAX_GUESTS]:
+                assert await ended(reader)
+            other.write(b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert (await other_reader.readline()).startswith(b"HTTP/1.1 200")
+            for _, writer in (*many, (None, other)):
+                writer.close()
+
+    run(test)
+
+
+def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written to them goes nowhere: the connection is ended."""
+    monkeypatch.setattr(server, "WRITE_S", 0.2)
+    monkeypatch.setattr(server, "PERIOD_S", 0.0)
+
+    async def test() -> None:
+        async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
+            _, writer = await connect(web)
+            writer.transport.pause_reading()
+            writer.write(b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            with pytest.raises(ConnectionError):
+                for cycle in itertools.count(1):
+                    measure(web, cycle, error="camera left: gone")
+                    writer.write(b"\r\n")
+                    await writer.drain()
+                    await asyncio.sleep(0.01)
+            writer.close()
+
+    run(test)
+
+
+def test_viewers_of_one_address_do_not_keep_others_out() -> None:
+    """All places are taken by one address: its first viewer goes, and another address sees the cell."""
+    asked = b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+
+    async def test() -> None:
+        async with served() as (web, _):
+            many = []
+            for _ in range(server.MAX_VIEWERS):
+                many.append(await connect(web))
+                many[-1][1].write(asked)
+                assert (await many[-1][0].readline()).startswith(b"HTTP/1.1 200")
+            reader, writer = await connect(web, "127.0.0.2")
+            writer.write(asked)
+            assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+            assert await ended(many[0][0])
+            for _, one in (*many, (reader, writer)):
+                one.close()
+
+    run(test)
+
+
+def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    """Not one for each request, and none of the parser's insides."""
+
+    async def test() -> None:
+        async with served() as (web, _):
+            for sent in (
+                b"\x16\x03\x01",
+                b"GET / HTTP/9.9",
+                b"GET /\0 HTTP/1.1",
+                b"GET / HTTP/1.1\r\na b: c",
+            ) * 5:
+                reader, writer = await connect(web)
+                writer.write(sent + b"\r\n\r\n")
+                assert await ended(reader)
+                writer.close()
+
+    run(test)
+    (record,) = caplog.records
+    assert "127.0.0.1 sent what is no HTTP" in record.getMessage()
+    assert record.exc_info is None
+
+
+def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture) -> None:
+    """Whatever request makes the page or its library fail: not one trace for each."""
+
+    async def test() -> None:
+        broken = replace(sources(), metrics=lambda: 1 / 0)
+        async with served(asked=broken) as (_, session):
+            for _ in range(5):
+                async with session.get("/metrics") as answer:
+                    assert answer.status == 500
+
+    run(test)
+    (record,) = caplog.records
+    assert isinstance(record.exc_info[1], ZeroDivisionError)
+
+
+def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCaptureFixture) -> None:
+    """It is no fault of the page."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            _, writer = await connect(web)
+            writer.write(b"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 99\r\n\r\npass")
+            await writer.drain()
+            async with session.get("/health") as answer:  # by then the form is being read
+                assert answer.status == 200
+            writer.transport.abort()
+            async with session.get("/health") as answer:
+                assert answer.status == 200
+
+    run(test)
+    assert [] == caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("header", "body"),
+    [
+        ("Content-Type: multipart/form-data", b"x"),
+        ("Content-Type: text/plain; charset=nothing", b"password=x"),
+        ("Content-Type: application/x-www-form-urlencoded", b"\xff\xfe&&&=;%zz"),
+        ("Content-Type: application/x-www-form-urlencoded", b"&".join([b"a=b"] * 99)),
+        ("Content-Encoding: gzip", b"no gzip"),
+        ("Content-Encoding: deflate", b"\0\1"),
+        ("Authorization: Basic \xff\xfe", b""),
+        ("Cookie: edged_session=\xff; =; ,", b""),
+        ("Expect: nothing", b""),
+    ],
+)
+def test_no_form_makes_an_internal_error(header: str, body: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    """Whatever is posted to the login is answered with a status of the client's, and leaves no trace."""
+
+    async def test() -> None:
+        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+            reader, writer = await connect(web)
+            head = (
+                f"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\n{header}\r\nContent-Length: {len(body)}\r\n\r\n"
+            )
+            writer.write(head.encode("latin-1") + body)
+            status = int((await reader.readline()).split()[1])
+            assert 300 <= status < 500
+            writer.close()
+
+    run(test)
+    assert not [record for record in caplog.records if record.exc_info]

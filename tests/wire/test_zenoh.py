@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import dataclasses
 import json
+import logging
 import queue
 import socket
 import threading
@@ -18,10 +19,20 @@ import numpy as np
 import pytest
 import zenoh
 from schema_check import load_schema, violations
+from scriptedhead import until
 from snapshots import make_snapshot
 from zenohcell import READY, WAIT_S, Cell, Peer, ask, free_port, ignore, is_message, peer
 
-from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, open_session, preview, ros2, session_config
+from edged.adapters.zenoh import (
+    ZenohPublisher,
+    ZenohSettings,
+    open_session,
+    preview,
+    ros2,
+    session,
+    session_config,
+)
+from edged.adapters.zenoh.routers import PATIENCE, Routers
 from edged.adapters.zenoh.worker import Worker
 from edged.domain import (
     Command,
@@ -302,10 +313,15 @@ def test_what_zenohs_own_file_says_wins(tmp_path):
 
 
 @pytest.mark.slow
-def test_results_come_back_when_the_router_does():
-    """A fleet's router that dies and returns is found again by cell and subscriber, without a restart."""
+def test_results_come_back_when_the_router_does(caplog):
+    """A fleet's router that dies and returns is found again by cell and subscriber, without a restart.
+
+    The cell's log says when it goes and when it is there.
+    """
+    caplog.set_level(logging.INFO)
     port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
+    expected: list[str] = []
 
     async def main() -> None:
         async with Cell(listen=(), connect=(endpoint,)) as cell:
@@ -317,7 +333,47 @@ def test_results_come_back_when_the_router_does():
                             cell.publisher.announce(make_snapshot(cycle))
                             await asyncio.wait({heard}, timeout=0.1)
                         await heard
+                        expected.append("connected")
+                        await until(lambda: told() == expected, WAIT_S)
                         router.close(kill=True)
+                        expected.append("gone")
+                        await until(lambda: told() == expected, WAIT_S)
+
+    def told() -> list[str]:
+        lines = [line for line in caplog.messages if "the router" in line]
+        return ["gone" if "is gone" in line else "connected" for line in lines]
+
+    asyncio.run(main())
+
+
+def test_a_router_that_is_not_there_is_said_once(caplog):
+    """Not with every look, and not before there was time to connect; nor where none is asked for."""
+    for endpoints in (["tcp/192.0.2.1:7447"], []):
+        watched = Routers(endpoints)
+        for _ in range(3 * PATIENCE):
+            watched.look(())
+    (line,) = caplog.messages
+    assert "no router answers at tcp/192.0.2.1:7447" in line
+
+
+def test_strangers_do_not_take_every_descriptor(monkeypatch):
+    """Sessions beyond the limit are refused; who connects and says nothing is closed."""
+    monkeypatch.setattr(session, "MAX_SESSIONS", 2)
+    monkeypatch.setattr(session, "ACCEPT_TIMEOUT_MS", 300)
+
+    async def main() -> None:
+        async with Cell() as cell:
+            reader, writer = await asyncio.open_connection("127.0.0.1", cell.port)
+            async with asyncio.timeout(WAIT_S):
+                with contextlib.suppress(ConnectionError):
+                    assert b"" == await reader.read()
+            writer.close()
+            strangers = session_config("client", [], [f"tcp/127.0.0.1:{cell.port}"])
+            opened = [await asyncio.to_thread(zenoh.open, strangers) for _ in range(2)]
+            with pytest.raises(zenoh.ZError):
+                await asyncio.to_thread(zenoh.open, strangers)
+            for one in opened:
+                await asyncio.to_thread(one.close)
 
     asyncio.run(main())
 

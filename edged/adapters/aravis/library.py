@@ -100,12 +100,14 @@ def library(camera: str) -> Library:
 
 @contextlib.contextmanager
 def translated(camera: str, doing: str) -> Iterator[None]:
-    """Turn every GLib error of the block into a `CaptureError` that says what was being done."""
+    """Turn every error of GLib and the system into a `CaptureError` that says what was being done."""
     glib = library(camera).glib
     try:
         yield
     except glib.Error as error:
         raise translate(camera, doing, error) from error
+    except OSError as error:  # no descriptor for a socket, for example
+        raise CameraUnreachable(camera, f"{doing}: {error.strerror or error}") from error
 
 
 def translate(camera: str, doing: str, error: Any) -> CaptureError:

@@ -17,7 +17,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from edged.adapters.aravis import link
-from edged.adapters.aravis.clock import ClockMap, Latch, Reading, find_latch, host_ns, ptp_locked, tick_hz
+from edged.adapters.aravis.clock import (
+    CLOCK_DRIFT,
+    ClockMap,
+    Latch,
+    Reading,
+    find_latch,
+    host_ns,
+    ptp_locked,
+    tick_hz,
+)
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
@@ -31,6 +40,7 @@ from edged.adapters.aravis.setup import Placement, set_up
 from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
 from edged.errors import CameraBusy, CameraRestarted, CameraUnreachable, FrameTimeout
+from edged.logs import LogLimit
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +67,7 @@ COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_pa
 """Aravis' names of what a stream counts, in the order of `Health`."""
 
 
+JUMPS_S = 3600.0  # a line about a clock that jumps; one that runs too fast does so more than once a second
 RESTARTED = "it has been restarted, or gave up the connection"
 
 
@@ -99,6 +110,7 @@ class Session:
         self.lost = threading.Event()
         self.clock = ClockMap()
         self.ptp = False
+        self._jumps = LogLimit(__name__, JUMPS_S)
         self._latch: Latch | None = None
         self._features: Features | None = None
         self._actions = 0
@@ -169,7 +181,10 @@ class Session:
         with self._talking("reading its clock"):
             self.clock.add(self._latch.read(self._camera.get_device()))
         if self.clock.jumps > jumps:
-            log.warning("camera %s: its clock has jumped", self.name)
+            text = (
+                "camera %s: its clock has jumped; one that does so again and again is more than %.0f ppm off"
+            )
+            self._jumps.warning(text, self.name, CLOCK_DRIFT * 1e6)
 
     def note_exposure(self, earliest_ns: int, arrival: Arrival) -> None:
         """Without a clock that can be read: the exposure lay between that moment and its arrival."""

@@ -204,11 +204,11 @@ def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int
     body = struct.pack(">III", trigger.device_key, trigger.group_key, trigger.group_mask)
     if at_ticks is not None:
         body += struct.pack(">Q", at_ticks)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        udp.settimeout(ACK_S)
-        waiting = set()
-        try:
+    waiting = set[str]()
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            udp.settimeout(ACK_S)
             for address in trigger.send_to:
                 wanted = 0 if trigger.broadcast else ACK_WANTED
                 header = struct.pack(">BBHHH", 0x42, flags | wanted, ACTION_COMMAND, len(body), request)
@@ -218,11 +218,11 @@ def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int
             while waiting:
                 answer, (address, _) = udp.recvfrom(64)
                 waiting.discard(_acknowledged(camera, answer, address, request))
-        except TimeoutError:
-            silent = ", ".join(sorted(waiting))
-            raise FrameTimeout(camera, f"the action command was not acknowledged by {silent}") from None
-        except OSError as error:
-            raise FrameTimeout(camera, f"the action command: {error.strerror or error}") from error
+    except TimeoutError:
+        silent = ", ".join(sorted(waiting))
+        raise FrameTimeout(camera, f"the action command was not acknowledged by {silent}") from None
+    except OSError as error:
+        raise FrameTimeout(camera, f"the action command: {error.strerror or error}") from error
 
 
 def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str:

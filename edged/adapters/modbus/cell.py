@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.ages import ExposureClock
 from edged.domain import (
+    PLC_SOURCE,
     Calibrated,
     CellPhase,
     CellState,
@@ -30,13 +30,13 @@ from edged.domain import (
     Snapshot,
 )
 from edged.errors import CommandRefused
+from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
-SOURCE = "modbus"
 NOBODYS = -1
 """Ticket of a command that has ended, or that somebody else submitted."""
 STATES = {
@@ -274,7 +274,7 @@ class CellRegisters:
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
                 job = self._command[_offset("JOB")]
-                self._submit(Command(CommandKind(code), SOURCE, effect.ticket, job, flange))
+                self._submit(Command(CommandKind(code), PLC_SOURCE, effect.ticket, job, flange))
 
     def _taken_flange(self) -> FloatArray | None:
         """Pose of the flange, which serves one command: the next must not measure with an old one.

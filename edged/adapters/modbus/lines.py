@@ -16,17 +16,19 @@ from __future__ import annotations
 import asyncio
 import enum
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
 from edged.domain import CommandKind, FloatArray
+from edged.door import Door, Guest
 from edged.errors import ListenError
+from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
@@ -269,19 +271,18 @@ class LineServer:
         self._refusals = refusals
         self._log = LogLimit(__name__)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._server: asyncio.Server | None = None
+        # who is silent is hung up on where its lines are read
+        self._door = Door("modbus.socket", self._protocol, self._admits, idle_s=math.inf)
 
     @property
     def port(self) -> int:
         """Port that is listened on; 0 when closed."""
-        return int(self._server.sockets[0].getsockname()[1]) if self._server is not None else 0
+        return self._door.port
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
         try:
-            self._server = await asyncio.start_server(
-                self._accept, self._settings.host, self._line.port, limit=MAX_LINE_BYTES
-            )
+            await self._door.open(self._settings.host, self._line.port)
         except (OSError, OverflowError) as error:
             place = f"{self._settings.host}:{self._line.port}"
             why = getattr(error, "strerror", None) or str(error)
@@ -289,14 +290,14 @@ class LineServer:
 
     async def close(self) -> None:
         """Stop listening and hang up on every robot."""
-        if self._server is not None:
-            self._server.close()
+        self._door.shut()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        if self._server is not None:
-            await self._server.wait_closed()
-            self._server = None
+        await self._door.close()
+
+    def _protocol(self, _guest: Guest) -> asyncio.Protocol:
+        return asyncio.StreamReaderProtocol(asyncio.StreamReader(limit=MAX_LINE_BYTES), self._accept)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.create_task(self._converse(reader, writer))
@@ -308,8 +309,7 @@ class LineServer:
         name = writer.get_extra_info("peername")
         peer = str(name[0]) if name else "?"
         try:
-            if self._admits(peer):
-                await self._serve(reader, writer, number, peer)
+            await self._serve(reader, writer, number, peer)
         except (TimeoutError, OSError) as error:
             self._log.warning("modbus.socket: %s is hung up on: %s", peer, str(error) or "it is silent")
         finally:
@@ -321,12 +321,17 @@ class LineServer:
             except (TimeoutError, OSError):
                 writer.transport.abort()
 
-    def _admits(self, peer: str) -> bool:
-        settings = self._settings
+    def _admits(self, newcomer: Guest) -> bool:
+        """Whether a robot may stay; one that may write makes the stranger go that came first."""
+        settings, peer = self._settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
             self._log.warning("modbus.socket: %s is not in the list of networks, closed", peer)
             return False
-        if len(self._tasks) > MAX_CLIENTS:
+        guests = self._door.guests
+        strangers = [guest for guest in guests if not contains(settings.writers, guest.peer)]
+        if len(guests) >= MAX_CLIENTS and strangers and contains(settings.writers, peer):
+            min(strangers, key=lambda guest: guest.active_s).abort()
+        elif len(guests) >= MAX_CLIENTS:
             self._log.warning("modbus.socket: %s closed, %d robots are connected", peer, MAX_CLIENTS)
             return False
         return True

@@ -18,10 +18,10 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
 from edged.errors import ListenError
+from edged.logs import LogLimit
 from edged.plc.registers import CRC_START, crc16
 
 log = logging.getLogger(__name__)

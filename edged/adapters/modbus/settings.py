@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Literal
@@ -100,6 +101,7 @@ class ModbusSettings:
         return Limits(self.validity_s, self.heartbeat_s, self.owner_s)
 
 
+@lru_cache(1024)
 def address_of(host: str) -> Address | None:
     """A peer's address; IPv4 inside IPv6 counts as IPv4. None for what is none."""
     try:
@@ -111,6 +113,7 @@ def address_of(host: str) -> Address | None:
     return address
 
 
+@lru_cache(1024)
 def contains(networks: tuple[Network, ...], host: str) -> bool:
     """Whether a peer's address is in one of the networks."""
     address = address_of(host)

@@ -19,19 +19,22 @@ from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
-from edged.adapters.modbus.loglimit import LogLimit
 from edged.adapters.modbus.pdu import WRITES, respond
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
-from edged.adapters.modbus.settings import Address, ModbusSettings, address_of, contains
+from edged.adapters.modbus.settings import ModbusSettings, address_of, contains
+from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
+from edged.logs import LogLimit
 
 HEADER_BYTES = 7
 MAX_LENGTH = 254  # of unit id and PDU ("MODBUS Messaging on TCP/IP", 3.1.3: 260 bytes with the header)
 GATEWAY_NO_RESPONSE = 0x0B
 TURN = 16  # requests answered before other connections and tasks get their turn
 WRITE_BUFFER_BYTES = 16 * 1024
-HANDSHAKE_S = 5.0
+STRANGERS_PER_S = (
+    20.0  # TLS handshakes, each of which takes milliseconds of the loop; the PLC's are not counted
+)
 SILENT_S = 3.0  # no PLC polls as slowly as that
 
 
@@ -52,107 +55,109 @@ class TcpServer:
         self.refusals = refusals
         self._numbers = clients
         self._context = context
-        self._connections: set[Connection] = set()
-        self._server: asyncio.Server | None = None
-        self._sweep: asyncio.TimerHandle | None = None
+        self._connections: dict[Guest, Connection] = {}
+        self._door: Door | None = None
+        self._handshakes = Rate(STRANGERS_PER_S)
 
     @property
     def port(self) -> int:
         """Port that is listened on (useful when 0 was asked for); 0 when closed."""
-        return int(self._server.sockets[0].getsockname()[1]) if self._server is not None else 0
+        return self._door.port if self._door is not None else 0
 
     async def start(self) -> None:
         """Listen. Raises `ListenError` that says what to do."""
         settings = self.settings
-        loop = asyncio.get_running_loop()
-        context = self._context
-        if context is None and settings.tls is not None:
-            context = server_context(settings.tls)
+        if self._context is None and settings.tls is not None:
+            self._context = server_context(settings.tls)
+        door = Door(
+            "modbus",
+            lambda guest: Connection(self, guest, next(self._numbers)),
+            self._admit,
+            self._left,
+            idle_s=settings.idle_s,
+            context=self._context,
+            tells=True,
+        )
         try:
-            self._server = await loop.create_server(
-                lambda: Connection(self, next(self._numbers)),
-                settings.host,
-                settings.port,
-                ssl=context,
-                ssl_handshake_timeout=HANDSHAKE_S if context is not None else None,
-                backlog=32,
-            )
+            await door.open(settings.host, settings.port)
         except (OSError, OverflowError) as error:
             raise ListenError(_listen_problem(settings, error)) from error
-        self._sweep_idle()
+        self._door = door
 
     async def close(self) -> None:
-        """Stop listening and drop every connection."""
-        if self._sweep is not None:
-            self._sweep.cancel()
-        for connection in tuple(self._connections):
-            connection.abort()
-        if self._server is not None:
-            self._server.close()
-            await self._server.wait_closed()
-            self._server = None
-        await asyncio.sleep(0)  # lets every connection_lost run: no transport is left behind
+        """Stop listening and drop every connection, also those in their handshake."""
+        door, self._door = self._door, None
+        if door is not None:
+            await door.close()
 
-    def admit(self, connection: Connection) -> bool:
-        """Whether a new connection may stay."""
-        if self.settings.readers and not contains(
-            (*self.settings.readers, *self.settings.writers), connection.peer
-        ):
-            self.log.warning("modbus: %s is not in the list of networks, closed", connection.peer)
-            return False
-        if not self._has_room(connection) and not self._make_room(connection):
-            self.log.warning(
-                "modbus: %s closed, %d clients are connected", connection.peer, len(self._connections)
-            )
-            return False
-        self._connections.add(connection)
+    def entered(self, connection: Connection) -> None:
+        """A connection is through its handshake."""
+        self._connections[connection.guest] = connection
         self.cell.clients += 1
-        return True
 
-    def _has_room(self, newcomer: Connection) -> bool:
-        """Whether a place is free that is not kept for somebody else."""
-        here = Counter(other.address for other in self._connections)
-        kept = sum(
-            max(0, slots - here[address])
-            for address, slots in self.settings.reserved.items()
-            if address != newcomer.address
-        )
-        return len(self._connections) + kept < self.settings.max_clients
-
-    def _make_room(self, newcomer: Connection) -> bool:
-        """A known PLC displaces the stranger that is idle longest, or else a silent connection of its own.
-
-        A PLC that loses power leaves connections behind that look alive; it must get in again.
-        """
-        if not newcomer.is_known:
-            return False
-        strangers = [other for other in self._connections if not other.is_known]
-        silent_s = newcomer.active_s - SILENT_S
-        own = [
-            other
-            for other in self._connections
-            if other.address == newcomer.address and other.active_s <= silent_s
-        ]
-        displaced = min(strangers or own, key=lambda other: other.active_s, default=None)
-        if displaced is None:
-            return False
-        displaced.abort()
-        return self._has_room(newcomer)
-
-    def forget(self, connection: Connection) -> None:
-        """A connection has ended."""
-        if connection in self._connections:
-            self._connections.discard(connection)
+    def _left(self, guest: Guest) -> None:
+        """A guest has gone: its place is free, and so is the right to write, at once."""
+        connection = self._connections.pop(guest, None)
+        if connection is not None:
             self.cell.clients -= 1
             self.cell.gone(connection.number)
 
-    def _sweep_idle(self) -> None:
-        loop = asyncio.get_running_loop()
-        for connection in tuple(self._connections):
-            if loop.time() - connection.active_s > self.settings.idle_s:
-                self.log.warning("modbus: %s is idle, closed", connection.peer)
-                connection.abort()
-        self._sweep = loop.call_later(min(1.0, self.settings.idle_s / 4), self._sweep_idle)
+    def _admit(self, newcomer: Guest) -> bool:
+        """Whether a new connection may stay; a handshake takes a place, memory and time, so before that."""
+        settings, peer = self.settings, newcomer.peer
+        if settings.readers and not contains((*settings.readers, *settings.writers), peer):
+            self.log.warning("modbus: %s is not in the list of networks, closed", peer)
+            return False
+        is_known = contains(settings.writers, peer)
+        if self._context is not None and not is_known and not self._handshakes.take():
+            self.log.warning("modbus: %s closed, strangers begin too many TLS handshakes", peer)
+            return False
+        if not self._has_room(peer) and not self._make_room(newcomer, is_known=is_known):
+            self.log.warning("modbus: %s closed, %d clients are connected", peer, len(self._guests))
+            return False
+        return True
+
+    @property
+    def _guests(self) -> tuple[Guest, ...]:
+        return self._door.guests if self._door is not None else ()
+
+    def _has_room(self, peer: str) -> bool:
+        """Whether a place is free that is not kept for somebody else."""
+        guests, own = self._guests, address_of(peer)
+        here = Counter(address_of(guest.peer) for guest in guests)
+        kept = sum(
+            max(0, slots - here[address])
+            for address, slots in self.settings.reserved.items()
+            if address != own
+        )
+        return len(guests) + kept < self.settings.max_clients
+
+    def _make_room(self, newcomer: Guest, *, is_known: bool) -> bool:
+        """Whoever has not shown yet who it is makes room: the one of them that came first.
+
+        A known PLC also displaces the stranger that is idle longest, or else a silent connection. Its own:
+        what a PLC leaves behind that loses power looks alive. Or one of whoever has many.
+        """
+        guests, writers = self._guests, self.settings.writers
+        strangers = [guest for guest in guests if not contains(writers, guest.peer)]
+        own = [guest for guest in guests if is_known and guest.peer == newcomer.peer]
+        nameless = [guest for guest in (*strangers, *own) if not guest.is_in]
+        count = Counter(guest.peer for guest in guests)
+
+        def may_go(guest: Guest) -> bool:
+            address = address_of(guest.peer)
+            kept = self.settings.reserved.get(address, 0) if address is not None else 0
+            return guest.peer == newcomer.peer or count[guest.peer] > max(count[newcomer.peer] + 1, kept)
+
+        silent = [
+            guest for guest in guests if guest.active_s <= newcomer.active_s - SILENT_S and may_go(guest)
+        ]
+        rest = strangers or silent if is_known else []
+        displaced = min(nameless or rest, key=lambda guest: guest.active_s, default=None)
+        if displaced is None:
+            return False
+        displaced.abort()
+        return self._has_room(newcomer.peer)
 
 
 def _listen_problem(settings: ModbusSettings, error: Exception) -> str:
@@ -173,12 +178,9 @@ def _listen_problem(settings: ModbusSettings, error: Exception) -> str:
 class Connection(asyncio.Protocol):
     """One client."""
 
-    def __init__(self, server: TcpServer, number: int) -> None:
+    def __init__(self, server: TcpServer, guest: Guest, number: int) -> None:
         self.number = number
-        self.peer = ""
-        self.address: Address | None = None
-        self.is_known = False
-        self.active_s = 0.0
+        self.guest = guest
         self._server = server
         self._loop = asyncio.get_running_loop()
         self._framer = FramerSocket(DecodePDU(is_server=True))
@@ -195,33 +197,20 @@ class Connection(asyncio.Protocol):
             raise TypeError("a stream transport was expected")
         self._transport = transport
         settings = self._server.settings
-        name = transport.get_extra_info("peername")
-        self.peer = str(name[0]) if name else "?"
-        self.active_s = self._loop.time()
-        self.address = address_of(self.peer)
-        self.is_known = contains(settings.writers, self.peer)
-        self._may_write = self.is_known
+        self.guest.touch()
+        self._may_write = contains(settings.writers, self.guest.peer)
         tls = transport.get_extra_info("ssl_object")
         if settings.tls is not None and isinstance(tls, ssl.SSLObject | ssl.SSLSocket):
             role = certificate_role(tls.getpeercert(binary_form=True) or b"")
-            self._may_write = self.is_known and role in settings.tls.writer_roles
+            self._may_write = self._may_write and role in settings.tls.writer_roles
         transport.set_write_buffer_limits(WRITE_BUFFER_BYTES)
-        if not self._server.admit(self):
-            self.abort()
+        self._server.entered(self)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002  (asyncio's signature)
-        """Free the place, and the right to write."""
+        """Answer nothing any more."""
         if self._turn is not None:
             self._turn.cancel()
         self._transport = None
-        self._server.forget(self)
-
-    def abort(self) -> None:
-        """End the connection now; what is not sent is dropped."""
-        if self._transport is not None:
-            self._transport.abort()
-            # the right to write is free at once; connection_lost comes with the next turn of the loop
-            self._server.forget(self)
 
     def data_received(self, data: bytes) -> None:
         """Collect, and answer what is complete."""
@@ -264,8 +253,8 @@ class Connection(asyncio.Protocol):
             return None
         length = int.from_bytes(self._buffer[4:6], "big")
         if self._buffer[2:4] != b"\0\0" or not 2 <= length <= MAX_LENGTH:
-            self._server.log.warning("modbus: %s sent what is no Modbus/TCP, closed", self.peer)
-            self.abort()
+            self._server.log.warning("modbus: %s sent what is no Modbus/TCP, closed", self.guest.peer)
+            self.guest.abort()
             return None
         end = 6 + length
         if len(self._buffer) < end:
@@ -282,10 +271,11 @@ class Connection(asyncio.Protocol):
             response = respond(request, self._view, may_write=self._may_write)
             if request[0] in WRITES and not self._may_write:
                 role = "the role in its certificate is not in modbus.tls.writer_roles"
-                why = role if self.is_known else "it is not in modbus.writers"
-                self._server.refusals.note(self.address, why)
+                is_known = contains(settings.writers, self.guest.peer)
+                why = role if is_known else "it is not in modbus.writers"
+                self._server.refusals.note(address_of(self.guest.peer), why)
         else:
             response = bytes((request[0] | 0x80, GATEWAY_NO_RESPONSE))
-        self.active_s = self._loop.time()
+        self.guest.touch()
         if self._transport is not None:
             self._transport.write(self._framer.encode(response, unit, transaction))

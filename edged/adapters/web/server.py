@@ -12,22 +12,26 @@ import json
 import logging
 import math
 import ssl
-from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections import Counter, OrderedDict
+from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import Page, Sources, picture
 from edged.domain import Event, Side
+from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
+from edged.logs import LogLimit
 from edged.payload import Json
 from edged.report.page import render
 
@@ -38,6 +42,14 @@ PERIOD_S = 0.2
 ALIVE_S = 15.0
 """Without a change, a comment keeps the connection open and finds out who has gone."""
 MAX_VIEWERS = 32
+MAX_GUESTS = 64
+"""Connections at a time; a browser has six, a scraper one."""
+IDLE_S = 15.0
+"""From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
+FORM_S = 5.0
+WRITE_S = 10.0
+"""A viewer that does not read for so long has gone."""
+HANDSHAKES_PER_S = 50.0
 MAX_FORM_BYTES = 4096
 COOKIE = "edged_session"
 CACHED_PICTURES = 4
@@ -74,6 +86,33 @@ class WebSettings:
     key: Path | None = None
 
 
+@dataclass(eq=False, slots=True)
+class _Viewer:
+    """Somebody who watches the page. changed : there is something new for it."""
+
+    guest: Guest
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class _ServerLog(logging.LoggerAdapter[logging.Logger]):
+    """aiohttp's log of requests that went wrong: strangers can make as many of them as they like.
+
+    What is no HTTP is one line, without the parser's insides; who leaves in the middle is none.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(log, None)
+        self._limit, self._traces = LogLimit(__name__), LogLimit(__name__)
+
+    def exception(self, msg: object, *args: object, exc_info: Any = True, **_more: Any) -> None:
+        """Log what went wrong with a request."""
+        if isinstance(exc_info, HttpProcessingError | web.RequestPayloadError):
+            peer = args[0] if args else "somebody"
+            self._limit.warning("status page: %s sent what is no HTTP, closed", peer)
+        elif not isinstance(exc_info, ConnectionError):
+            self._traces.error(str(msg), *args, exc_info=exc_info)
+
+
 class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
@@ -95,18 +134,20 @@ class WebPublisher:
         self._access = Access(settings.password_hash)
         self._manual_folder = manual
         self._manual: Manual | None = None
-        self._viewers: set[asyncio.Event] = set()
+        self._viewers: dict[_Viewer, None] = {}  # the first to come first
         self._pictures: OrderedDict[tuple[int, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._html = {name: render(f"{name}.html", __package__) for name in ("index", "login", "nomanual")}
         self._runner: web.AppRunner | None = None
+        self._door: Door | None = None
+        self._handshakes = Rate(HANDSHAKES_PER_S)
+        self._limit = LogLimit(__name__)
         self._closing = False
 
     @property
     def port(self) -> int:
         """The port that is listened on."""
-        addresses = self._runner.addresses if self._runner is not None else []
-        return int(addresses[0][1]) if addresses else 0
+        return self._door.port if self._door is not None else 0
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
@@ -129,10 +170,18 @@ class WebPublisher:
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/health", self._health)
         app.router.add_get("/ready", self._ready)
-        self._runner = web.AppRunner(app, handle_signals=False, access_log=None, shutdown_timeout=0.5)
-        await self._runner.setup()
+        self._runner = runner = web.AppRunner(
+            app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
+        )
+        await runner.setup()
+        protocol = runner.server
+        if protocol is None:
+            raise RuntimeError("aiohttp's runner was set up and has no server")
+        self._door = Door(
+            "status page", lambda _guest: protocol(), self._admit, idle_s=IDLE_S, context=context
+        )
         try:
-            await web.TCPSite(self._runner, settings.host, settings.port, ssl_context=context).start()
+            await self._door.open(settings.host, settings.port)
         except OSError as error:
             await self.close()
             place = f"{settings.host}:{settings.port}"
@@ -142,22 +191,66 @@ class WebPublisher:
         """Note the event and wake the viewers."""
         if self._page.take(event):
             for viewer in self._viewers:
-                viewer.set()
+                viewer.changed.set()
 
     async def close(self) -> None:
         """End every viewer and leave nothing behind."""
         self._closing = True
         for viewer in self._viewers:
-            viewer.set()
+            viewer.changed.set()
+        door, self._door = self._door, None
+        if door is not None:
+            door.shut()
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
+        if door is not None:
+            await door.close()
         await asyncio.to_thread(self._drawer.shutdown, wait=True, cancel_futures=True)
+
+    # --- every connection --------------------------------------------------------------------
+
+    def _admit(self, newcomer: Guest) -> bool:
+        """Whether a new connection may stay; where all places are taken, an idle one makes room.
+
+        Of whoever has the most: one that opens many takes no place from others.
+        """
+        door = self._door
+        if door is None:
+            return False
+        if self._settings.certificate is not None and not self._handshakes.take():
+            self._limit.warning("status page: %s closed, too many TLS handshakes", newcomer.peer)
+            return False
+        guests = door.guests
+        if len(guests) < MAX_GUESTS:
+            return True
+        self._limit.warning("status page: %d connections, one of them %s", len(guests), newcomer.peer)
+        displaced = _foremost([guest for guest in guests if not guest.busy], guests)
+        if displaced is not None:
+            displaced.abort()
+        return displaced is not None
+
+    def _guest(self, request: web.Request) -> Guest | None:
+        """Whose request it is; None when it has gone."""
+        transport, door = request.transport, self._door
+        if transport is None or door is None:
+            return None
+        return door.guest(transport.get_extra_info("peername"))
 
     # --- every request -----------------------------------------------------------------------
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        guest = self._guest(request)
+        if guest is None:  # it has gone
+            return web.Response(status=503)
+        guest.touch(busy=True)
+        try:
+            return await self._answer(request, handler)
+        finally:
+            guest.touch()
+
+    async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         try:
             if not self._is_our_host(request):
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
@@ -228,7 +321,11 @@ class WebPublisher:
 
     async def _log_in(self, request: web.Request) -> web.Response:
         # not `request.post()`: it fails on what a browser would not send, other character sets for example
-        form = parse_qs((await request.read()).decode("ascii", "replace"))
+        try:
+            async with asyncio.timeout(FORM_S):
+                form = parse_qs((await request.read()).decode("ascii", "replace"))
+        except (TimeoutError, web.RequestPayloadError) as error:
+            raise web.HTTPBadRequest(text="this is no form\n") from error
         password = form.get("password", [""])[0]
         cookie = await self._access.log_in(request.remote or "", password) if password else None
         if cookie is None:
@@ -290,31 +387,56 @@ class WebPublisher:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Server-sent events: the whole history once, then the newest state after each change."""
-        if len(self._viewers) >= MAX_VIEWERS:
-            raise web.HTTPServiceUnavailable(text=f"{MAX_VIEWERS} viewers are connected already\n")
+        guest = self._guest(request)
+        if guest is None:  # it has gone
+            return web.Response(status=503)
+        self._make_room_for_viewer()
         response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream"})
-        viewer = asyncio.Event()
-        self._viewers.add(viewer)
+        viewer = _Viewer(guest)
+        self._viewers[viewer] = None
+
+        async def write(data: bytes) -> None:
+            async with asyncio.timeout(WRITE_S):
+                await response.write(data)
+
         try:
             await response.prepare(request)
             points = self._page.history()
-            await response.write(_event("all", {**self._shown(), "points": points}))
-            while not self._closing:
+            await write(_event("all", {**self._shown(), "points": points}))
+            while viewer in self._viewers and not self._closing:
                 try:
-                    await asyncio.wait_for(viewer.wait(), ALIVE_S)
+                    await asyncio.wait_for(viewer.changed.wait(), ALIVE_S)
                 except TimeoutError:
-                    await response.write(b": alive\n\n")
+                    await write(b": alive\n\n")
                     continue
-                viewer.clear()
-                if not self._closing:
+                viewer.changed.clear()
+                if viewer in self._viewers and not self._closing:
                     points = self._page.history(after=points[-1]["cycle"] if points else 0) or points[-1:]
-                    await response.write(_event("update", {**self._shown(), "points": points}))
+                    await write(_event("update", {**self._shown(), "points": points}))
                     await asyncio.sleep(PERIOD_S)
-        except ConnectionResetError:  # the viewer has gone
-            pass
+        except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
+            guest.abort()
         finally:
-            self._viewers.discard(viewer)
+            self._viewers.pop(viewer, None)
         return response
+
+    def _make_room_for_viewer(self) -> None:
+        """Where all places are taken the first viewer goes of whoever has the most; a page connects again."""
+        if len(self._viewers) < MAX_VIEWERS:
+            return
+        guests = [viewer.guest for viewer in self._viewers]
+        displaced = _foremost(guests, guests)
+        for viewer in tuple(self._viewers):
+            if viewer.guest is displaced:
+                del self._viewers[viewer]
+                viewer.changed.set()
+                viewer.guest.abort()
+
+
+def _foremost(guests: Sequence[Guest], everybody: Sequence[Guest]) -> Guest | None:
+    """Of guests, of those whose host has the most connections of all, the one that asked least lately."""
+    count = Counter(guest.peer for guest in everybody)
+    return min(guests, key=lambda guest: (-count[guest.peer], guest.active_s), default=None)
 
 
 def is_loopback(host: str) -> bool:

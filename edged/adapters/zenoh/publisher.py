@@ -26,6 +26,7 @@ from edged.adapters.zenoh.health import Health
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
+from edged.adapters.zenoh.routers import Routers
 from edged.adapters.zenoh.session import ZenohSettings, bounded, configured, open_session, plain
 from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
@@ -99,6 +100,7 @@ class ZenohPublisher:
         self._triggers: Triggers[zenoh.Query] = Triggers()
         self._closed = False
         self._health = Health()
+        self._routers = Routers(settings.connect)
         self._heartbeat: asyncio.Task[None] | None = None
         self._last: tuple[Snapshot, int, float] | None = None
         self._state: CellState | None = None
@@ -235,6 +237,8 @@ class ZenohPublisher:
     async def _beat(self) -> None:
         while True:
             await asyncio.sleep(HEALTH_PERIOD_S)
+            if self._session is not None:
+                self._routers.look(str(router) for router in self._session.info.routers_zid())
             health = {
                 "state": CellPhase.STARTING if self._state is None else self._state.state,
                 **self._health.to_json(),

@@ -20,6 +20,10 @@ T = TypeVar("T")
 Mode = Literal["peer", "client", "router"]
 TLS = "transport/link/tls"
 SIDES = ("listen", "connect")
+MAX_SESSIONS = 64
+"""Of others, three descriptors each; Zenoh's own 1000 leave none for PLC, cameras and recorder."""
+ACCEPT_PENDING, ACCEPT_TIMEOUT_MS = 32, 3000
+"""Connections that have not said yet who they are, and how long they may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,9 @@ def session_config(
         "timestamping/enabled": True,
         # a hardened service may not lock memory (CAP_IPC_LOCK), and results are small
         "transport/shared_memory/enabled": False,
+        "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/unicast/accept_pending": ACCEPT_PENDING,
+        "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
     }
     for key, value in wanted.items():
         if config.get_json(key) != untouched.get_json(key):

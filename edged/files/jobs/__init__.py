@@ -8,13 +8,14 @@ edited.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from edged.errors import FileFormatError
-from edged.files.arrays import load_arrays, pack_arrays
-from edged.files.atomic import read_bytes, replace_folder
+from edged.files.arrays import pack_arrays, unpack_arrays
+from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.vision.part.job import Job
@@ -23,14 +24,30 @@ from edged.vision.shape.model import ShapeModel
 SHAPE_KIND = "edged-shape"
 SHAPE_VERSION = 1
 
+TEXT, SHAPE = "job.toml", "shape.npz"
+"""The files of a job; one says nothing without the other."""
+
 
 def load_job(folder: Path) -> Job:
     """Read a job; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
-    path = Path(folder) / "job.toml"
+    return job_of(read_job(folder), folder)
+
+
+def read_job(folder: Path) -> dict[str, bytes]:
+    """The files of a job by their name: one job's, also while `save_job` replaces it.
+
+    Raises `FileFormatError` for what is not there or cannot be read.
+    """
     if not Path(folder).is_dir():
         raise FileFormatError(f"{folder}: no such job folder")
+    return read_folder(Path(folder), (TEXT, SHAPE), "a job")
+
+
+def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
+    """The job of what `read_job` read; raises as `load_job`. folder : where, for messages."""
+    path = Path(folder) / TEXT
     try:
-        data = tomllib.loads(read_bytes(path, "a job").decode("utf-8"))
+        data = tomllib.loads(files[TEXT].decode("utf-8"))
         file = JobFile.model_validate(data)
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
@@ -45,9 +62,10 @@ def load_job(folder: Path) -> Job:
             for detail in error.errors()
         )
         raise FileFormatError(f"{path}: {details}") from error
-    shape_path = Path(folder) / "shape.npz"
+    shape_path = Path(folder) / SHAPE
     try:
-        shape = ShapeModel.from_arrays(load_arrays(shape_path, SHAPE_KIND, SHAPE_VERSION))
+        arrays = unpack_arrays(files[SHAPE], shape_path, SHAPE_KIND, SHAPE_VERSION)
+        shape = ShapeModel.from_arrays(arrays)
     except ValueError as error:
         raise FileFormatError(f"{shape_path}: {error}") from error
     return file.job(shape)
@@ -58,7 +76,7 @@ def job_folders(folder: Path) -> list[Path]:
     return sorted(
         entry
         for entry in Path(folder).iterdir()
-        if (entry / "job.toml").is_file() and not entry.name.startswith(".") and entry.suffix != ".old"
+        if (entry / TEXT).is_file() and not entry.name.startswith(".") and entry.suffix != ".old"
     )
 
 
@@ -68,11 +86,11 @@ def save_job(folder: Path, job: Job) -> None:
     Raises `FileFormatError` where something else is in the way, or the disc refuses.
     """
     folder = Path(folder).resolve()
-    if folder.exists() and not (folder / "job.toml").is_file():
+    if folder.exists() and not (folder / TEXT).is_file():
         raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
     files = {
-        "job.toml": to_toml(job).encode(),
-        "shape.npz": pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),
+        TEXT: to_toml(job).encode(),
+        SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),
     }
     try:
         replace_folder(folder, files, folder.with_name(folder.name + ".old"))

@@ -1,0 +1,295 @@
+"""A door of the daemon: a TCP port whose guests are counted from the moment they connect.
+
+Responsible for: listening, TLS, who is there since when, and that nothing stays open after `close`. Not for
+who may come in (`admits`) nor for what is spoken (`make`).
+
+Not `loop.create_server`: that counts nobody before the TLS handshake is over, leaves those in it behind when
+it closes, and without descriptors it accepts again and again, a line in the log each time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+import ssl
+import time
+from collections.abc import Callable
+from typing import Any
+
+from edged.logs import LogLimit
+
+BACKLOG = 128  # of the kernel: who connects while the loop is at something else
+TURN = 16  # guests that come in before other tasks get their turn
+HANDSHAKE_S = 5.0
+REST_S = 0.2  # without descriptors, until the next try
+SWEEP_S = 1.0
+CLOSE_S = 1.0
+EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+
+
+class Guest:
+    """A connection, from when it was accepted to its end.
+
+    name : its address as the operating system gives it. peer : the host of that.
+    active_s : when it last did what counts, as `touch` was told. busy : something is being done for it.
+    """
+
+    def __init__(self, door: Door, connection: socket.socket, name: tuple[Any, ...]) -> None:
+        self.name = name
+        self.peer = str(name[0]) if name else "?"
+        self.active_s = time.monotonic()
+        self.busy = False
+        self._door = door
+        self._connection = connection
+        self._transport: asyncio.Transport | None = None
+
+    @property
+    def is_in(self) -> bool:
+        """Whether it is through the TLS handshake, if there is one."""
+        return self._transport is not None
+
+    def touch(self, *, busy: bool = False) -> None:
+        """It has just done what counts."""
+        self.active_s = time.monotonic()
+        self.busy = busy
+
+    def entered(self, transport: asyncio.Transport) -> None:
+        """It is through the handshake."""
+        self._transport = transport
+
+    def abort(self) -> None:
+        """End it now, also in its handshake; what is not sent is dropped. It counts no longer."""
+        if self._transport is not None:
+            self._transport.abort()
+        else:
+            # its socket belongs to a transport that is not ours yet: this ends the handshake
+            with contextlib.suppress(OSError):
+                self._connection.shutdown(socket.SHUT_RDWR)
+        self._door.forget(self)
+
+
+class Door:
+    """Listens on one port.
+
+    name : for the log. make : the protocol of a guest. admits : whether a newcomer may stay; may abort others
+    for it. left : called once for each guest that was admitted, when it counts no longer.
+    idle_s : a guest that is not busy and does nothing for so long is closed; tells : and a line says so.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[Guest], asyncio.Protocol],
+        admits: Callable[[Guest], bool],
+        left: Callable[[Guest], None] = lambda _guest: None,
+        *,
+        idle_s: float,
+        context: ssl.SSLContext | None = None,
+        tells: bool = False,
+    ) -> None:
+        self._name = name
+        self._make = make
+        self._admits = admits
+        self._left = left
+        self._idle_s = idle_s
+        self._context = context
+        self._tells = tells
+        self._log = LogLimit(__name__)
+        self._listening: list[socket.socket] = []
+        self._guests: dict[tuple[Any, ...], Guest] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._open: set[Guest] = set()  # those that still have a socket
+        self._is_empty = asyncio.Event()
+        self._timers: dict[object, asyncio.TimerHandle] = {}
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on; 0 when closed."""
+        return int(self._listening[0].getsockname()[1]) if self._listening else 0
+
+    @property
+    def guests(self) -> tuple[Guest, ...]:
+        """Everybody who is there, also those in their handshake."""
+        return tuple(self._guests.values())
+
+    def guest(self, name: tuple[Any, ...] | None) -> Guest | None:
+        """Who has this address; None when it has left."""
+        return self._guests.get(name) if name is not None else None
+
+    async def open(self, host: str, port: int) -> None:
+        """Listen. Raises `OSError`; then nothing stays open."""
+        loop = asyncio.get_running_loop()
+        found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        try:
+            for family, kind, protocol, _, address in dict.fromkeys(found):
+                listening = socket.socket(family, kind, protocol)
+                self._listening.append(listening)
+                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                if family == socket.AF_INET6:
+                    listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                listening.setblocking(False)
+                listening.bind(address)
+                listening.listen(BACKLOG)
+        except BaseException:
+            self.shut()
+            raise
+        for listening in self._listening:
+            loop.add_reader(listening, self._accept, listening)
+        self._sweep()
+
+    def shut(self) -> None:
+        """Listen no longer; who is there stays."""
+        for timer in self._timers.values():
+            timer.cancel()
+        self._timers.clear()
+        loop = asyncio.get_running_loop()
+        for listening in self._listening:
+            loop.remove_reader(listening)
+            listening.close()
+        self._listening.clear()
+
+    async def close(self) -> None:
+        """Listen no longer, end every guest, and leave no socket behind."""
+        self.shut()
+        for guest in self.guests:
+            guest.abort()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=CLOSE_S)
+        for task in self._tasks:
+            task.cancel()
+        if self._open:  # connection_lost comes with a turn of the loop
+            self._is_empty.clear()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._is_empty.wait(), CLOSE_S)
+        await asyncio.sleep(0)  # the transport below TLS has its own
+
+    def forget(self, guest: Guest) -> None:
+        """A guest counts no longer."""
+        if self._guests.get(guest.name) is guest:
+            del self._guests[guest.name]
+            self._left(guest)
+
+    def ended(self, guest: Guest) -> None:
+        """A guest's connection is no more."""
+        self.forget(guest)
+        self._open.discard(guest)
+        if not self._open:
+            self._is_empty.set()
+
+    def _accept(self, listening: socket.socket) -> None:
+        for _ in range(TURN):
+            try:
+                connection, name = listening.accept()
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError as error:
+                # what went wrong with one connection before it was accepted comes here, too (accept(2))
+                if error.errno in EXHAUSTED:
+                    self._rest(listening, error)
+                    return
+                continue
+            guest = Guest(self, connection, name)
+            if not self._admits(guest):
+                connection.close()
+                continue
+            connection.setblocking(False)
+            self._guests[name] = guest
+            self._open.add(guest)
+            task = asyncio.get_running_loop().create_task(self._receive(guest, connection), name=self._name)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _receive(self, guest: Guest, connection: socket.socket) -> None:
+        """Lead a guest in, through the handshake."""
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.connect_accepted_socket(
+                lambda: _Counted(self, guest, self._make(guest)),
+                connection,
+                ssl=self._context,
+                ssl_handshake_timeout=None if self._context is None else HANDSHAKE_S,
+            )
+        except OSError as error:  # no handshake with this one: `ssl.SSLError` is one, too
+            # its frames and a future hold each other, and the handshake's buffers of 256 KiB with them
+            error.__traceback__ = None
+        finally:
+            if not guest.is_in:
+                self.ended(guest)
+
+    def _rest(self, listening: socket.socket, error: OSError) -> None:
+        """Nobody can be let in now: try again later, who waits remains in the kernel's backlog."""
+        self._log.warning("%s: nobody can connect: %s", self._name, error.strerror)
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(listening)
+        self._timers[listening] = loop.call_later(REST_S, loop.add_reader, listening, self._accept, listening)
+
+    def _sweep(self) -> None:
+        now_s = time.monotonic()
+        for guest in self.guests:
+            if not guest.busy and now_s - guest.active_s > self._idle_s:
+                if self._tells:
+                    self._log.warning("%s: %s is idle, closed", self._name, guest.peer)
+                guest.abort()
+        loop = asyncio.get_running_loop()
+        self._timers[self] = loop.call_later(min(SWEEP_S, self._idle_s / 4), self._sweep)
+
+
+class _Counted(asyncio.Protocol):
+    """The protocol of a guest, with the door told when it is in and when it has gone."""
+
+    def __init__(self, door: Door, guest: Guest, inner: asyncio.Protocol) -> None:
+        self._door = door
+        self._guest = guest
+        self._inner = inner
+        self._is_in = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if not isinstance(transport, asyncio.Transport):
+            raise TypeError("a stream transport was expected")
+        if self._door.guest(self._guest.name) is not self._guest:  # it had to go while it came in
+            transport.abort()
+            return
+        self._is_in = True
+        self._guest.entered(transport)
+        self._inner.connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._door.ended(self._guest)
+        if self._is_in:
+            self._inner.connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        if self._is_in:
+            self._inner.data_received(data)
+
+    def eof_received(self) -> bool | None:
+        return self._inner.eof_received() if self._is_in else None
+
+    def pause_writing(self) -> None:
+        if self._is_in:
+            self._inner.pause_writing()
+
+    def resume_writing(self) -> None:
+        if self._is_in:
+            self._inner.resume_writing()
+
+
+class Rate:
+    """So many a second, and as many at once."""
+
+    def __init__(self, per_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._per_s = per_s
+        self._clock_s = clock_s
+        self._left, self._seen_s = per_s, clock_s()
+
+    def take(self) -> bool:
+        """Whether one more is within the rate."""
+        now_s = self._clock_s()
+        self._left = min(self._per_s, self._left + (now_s - self._seen_s) * self._per_s)
+        self._seen_s = now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
