@@ -64,13 +64,13 @@ def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
 
 
 def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
-    """Position to microns, the true rotation, through a saved and loaded job."""
+    """The drawing's own sizes, position to microns, the true rotation, through a saved and loaded job."""
     rig = cells.small_rig()
     outlines = read_dxf(flange_drawing(tmp_path))
     job, _ = teach_drawing(outlines, make_rectification(rig), DEPTH_MM, "flange")
     save_job(tmp_path / "flange", job)
     job = load_job(tmp_path / "flange")
-    assert [round(circle.radius_mm, 2) for circle in job.circles] == [14.0, 1.6, 1.6, 1.6, 1.6, 0.9]
+    assert [14.0, 1.6, 1.6, 1.6, 1.6, 0.9] == pytest.approx([c.radius_mm for c in job.circles], abs=1e-6)
 
     for turn_deg, tilt_deg in ((0.0, 0.0), (77.0, 6.0)):
         where = cells.pose((5.0, -3.0, DEPTH_MM + 4), turn_deg, tilt_deg)
