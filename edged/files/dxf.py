@@ -205,7 +205,7 @@ def _as_points(vertices: Iterable[Vec3]) -> FloatArray:
 
 
 def _bulged(corners: FloatArray, closed: bool, height: float, ocs: OCS, distance: float) -> Iterable[Vec3]:
-    """Vertices of a polyline; corners (N, 3) : x, y, bulge, the tangent of a quarter of the arc to the next."""
+    """Vertices of a polyline; corners (N, 3) : x, y, bulge (tangent of a quarter of the arc to the next)."""
     following = np.roll(corners, -1, axis=0)
     sides = len(corners) if closed else len(corners) - 1
     places = [corners[:1, :2]]
