@@ -127,12 +127,12 @@ def teach(
         typer.Option(
             "--region",
             "--roi",
-            help="around the part, pixels of the left image: X,Y,W,H, circle:X,Y,R, "
-            "polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
+            help="around the part, pixels of the left image, default: the whole picture. X,Y,W,H, "
+            "circle:X,Y,R, polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
         ),
     ] = None,
     exclude: Annotated[
-        list[str] | None, typer.Option(help="what of the region is not the part, in the same forms; repeat")
+        list[str] | None, typer.Option(help="what of the picture is not the part, in the same forms; repeat")
     ] = None,
     dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
     contour: Annotated[

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from edged.domain import Image
 from edged.errors import FileFormatError, TeachError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.dxf import read_contour, read_dxf
@@ -17,15 +17,19 @@ from edged.files.images import load_image
 from edged.files.jobs import save_job
 from edged.files.rig import load_rig
 from edged.pipeline import PreparedRig, prepare
-from edged.report.teaching import inspection_to_json, teaching_report
+from edged.report.teaching import Taught, inspection_to_json, teaching_report
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
+from edged.vision.teaching.pair import taught_mask
 from edged.vision.teaching.pair import teach as teach_job
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
+MAX_CUTS = 4
+"""Named one by one; with more the report's picture says it better."""
 
 
 def parse_region(text: str, option: str = "--region") -> Area:
@@ -70,7 +74,7 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True, slots=True)
 class PairSource:
-    """A stereo pair and the region of the part, as given on the command line."""
+    """A stereo pair, and the region of the part where it is not the whole picture, as on the command line."""
 
     left: Path | None
     right: Path | None
@@ -94,10 +98,10 @@ def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | Draw
     from_pair = bool(pair.exclude) or any(value is not None for value in (pair.left, pair.right, pair.region))
     files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
     if from_pair == bool(files) or len(files) > 1:
-        raise UserError("teach: expected either --left, --right and --region, or one of --dxf and --contour")
+        raise UserError("teach: expected either --left and --right, or one of --dxf and --contour")
     if from_pair:
-        if missing := [f"--{name}" for name in ("left", "right", "region") if getattr(pair, name) is None]:
-            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left, --right and --region")
+        if missing := [f"--{name}" for name in ("left", "right") if getattr(pair, name) is None]:
+            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left and --right")
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
@@ -121,12 +125,14 @@ def teach(
     """Teach a job and write its folder; nothing is written when that fails."""
     _check_name(name)
     prepared = prepare(load_rig(rig))
-    job, picture = _job(source, prepared, name, number, params)
+    job, taught = _job(source, prepared, name, number, params)
     save_job(output, job)
     inspection = inspect_model(job.shape, job.search)
+    if taught.cuts:
+        inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
     if report is not None:
         try:
-            write_atomically(report, teaching_report(job, picture, inspection).encode())
+            write_atomically(report, teaching_report(job, taught, inspection).encode())
         except OSError as error:
             raise FileFormatError(f"{report}: cannot be written: {error.strerror or error}") from error
     if as_json:
@@ -151,7 +157,7 @@ def teach(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
     for warning in inspection.warnings:
-        console.print(f"  mind: {warning}", markup=False)
+        console.print(f"Warning: {warning}", markup=False)
     return 0
 
 
@@ -161,20 +167,37 @@ def _job(
     name: str,
     number: int,
     params: ModelParams | None,
-) -> tuple[Job, Image]:
-    """The job and the rectified left picture it was learnt from."""
+) -> tuple[Job, Taught]:
+    """The job, and what it was learnt from."""
     if isinstance(source, DrawingSource):
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
-        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number, params)
-    region = parse_region(source.region or "")
+        depth_mm = source.depth_mm or 0.0
+        job, picture = teach_drawing(outlines, prepared.rectification, depth_mm, name, number, params)
+        return job, Taught(picture, None, ())
+    region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
     rectification = prepared.rectification
     job = teach_job(left, right, rectification, region, name, number, exclude=exclude, params=params)
-    return job, rectification.left_image(left)
+    picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
+    cuts = cut_edges(job, picture, mask, rectification)
+    return job, Taught(picture, None if region is None else mask, cuts)
+
+
+def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
+    """What is cut, one sentence each."""
+    said = [
+        f"The region cuts {cut.text}. Only what is inside was learnt. Make it larger, or leave --region out: "
+        "then the whole picture is learnt from."
+        if cut.by_region
+        else f"The picture cuts {cut.text}. Teach from a pair that shows the whole part."
+        for cut in cuts[:MAX_CUTS]
+    ]
+    more = len(cuts) - MAX_CUTS
+    return [*said, f"It cuts {more} more edges."] if more > 0 else said
 
 
 def _check_name(name: str) -> None:

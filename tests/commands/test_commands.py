@@ -242,6 +242,20 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
     assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
 
 
+def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) -> None:
+    """On the terminal, for programs and in the report, which shows the region; the job is written."""
+    r = flange().region
+    narrow, report = f"{r.x},{r.y},{0.8 * r.width},{r.height}", folder / "report.html"
+    code, out, err = edged(*teach_arguments(folder, roi=narrow, report=report), "--json")
+
+    assert code == 0
+    assert "Warning: The region cuts c0, a disc of radius 14.0" in " ".join(err.split())
+    assert json.loads(out)["warnings"][0].startswith("The region cuts c0")
+    page = report.read_text()
+    assert "The region cuts c0" in page
+    assert "what is cut red" in page
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
