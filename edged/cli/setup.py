@@ -29,10 +29,14 @@ def grab(
     count: Annotated[int, typer.Option(min=1, max=1000, help="pairs")] = 1,
     name: Annotated[str, typer.Option(help="beginning of the file names")] = "pair",
 ) -> None:
-    """Save pairs of pictures, for calibration and teaching."""
+    """Save pairs of pictures, for calibration and teaching.
+
+    With --count, a terminal asks for Enter before each pair; otherwise a pair is taken whenever the view has
+    changed and rests. Each is on the disc before the next, and none is ever overwritten.
+    """
     from rich.console import Console
 
-    from edged.commands.cameras import grab as command
+    from edged.commands.grab import grab as command
 
     raise typer.Exit(command(config, output, count, name, Console(stderr=True)))
 
