@@ -229,7 +229,10 @@ def register_touch(
     limit: Annotated[float, typer.Option(min=0, help="mm: of each point against all others")] = 0.5,
     as_json: JsonOption = False,
 ) -> None:
-    """From three or more points that the robot touched. 0: saved; 1: over the limit."""
+    """From three or more points that the robot touched. 0: saved; 1: over the limit.
+
+    With five or more a wrong point is named.
+    """
     from rich.console import Console
 
     from edged.commands.register import touch as command
