@@ -14,6 +14,7 @@ from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.capture.stereohead import StereoHead
 from edged.cycle import Cycle
+from edged.plc.registers import Number, Register
 from edged.ports import Publisher
 
 
@@ -27,14 +28,11 @@ class Running:
     servers: Mapping[str, Publisher]
 
 
-def register_rows(modbus: Publisher | None) -> list[tuple[int, str, float, str, str]]:
-    """Address, name, value, unit and help of each register; none where Modbus is off."""
+def register_rows(modbus: Publisher | None) -> list[tuple[Register, Number]]:
+    """Each register with its value; none where Modbus is off."""
     if not isinstance(modbus, ModbusPublisher):
         return []
-    return [
-        (register.address, register.name, float(value), register.unit, register.help)
-        for register, value in modbus.values()
-    ]
+    return list(modbus.values())
 
 
 def facts(running: Running) -> dict[str, dict[str, Any]]:

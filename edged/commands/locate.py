@@ -18,7 +18,7 @@ from edged.files.jobs import load_job
 from edged.files.ply import save_ply
 from edged.files.rig import load_rig
 from edged.payload import outcome_to_json
-from edged.pictures.captions import reasons
+from edged.pictures.captions import reasons, why_nothing
 from edged.pictures.cloud import cloud_picture
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
@@ -59,7 +59,7 @@ def locate(
     if overlay is not None:
         images = pair.left.image, pair.right.image
         seen = inspection.measured, inspection.dismissed
-        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status)
+        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=inspection.nearest)
         _write_picture(overlay, picture)
     if ply is not None or cloud is not None:
         points = point_cloud(pair, taught, prepared, inspection)
@@ -121,11 +121,9 @@ def _print(outcome: Outcome, console: Console) -> None:
             )
         if target.reject:
             console.print(f"  not good: {', '.join(reasons(target.reject))} ({target.reject.name})")
-    for one in outcome.dismissed:
-        console.print(
-            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px, not measured: "
-            f"{', '.join(reasons(one.reject))} ({one.reject.name})"
-        )
+    if outcome.dismissed or not outcome.targets:
+        for line in why_nothing(outcome.dismissed, outcome.nearest):
+            console.print(line, markup=False, highlight=False)
 
 
 def _measurements(target: Target) -> Table:

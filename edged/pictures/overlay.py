@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image, NotMeasured, Status, Target
+from edged.domain import SIDES, FloatArray, Image, NearMiss, NotMeasured, Status, Target
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -62,6 +62,7 @@ def draw_pair(
     measured: Sequence[Measured],
     dismissed: Sequence[NotMeasured] = (),
     status: Status = Status.OK,
+    nearest: NearMiss | None = None,
 ) -> Canvas:
     """(H, 2 * WIDTH_PX, 3) BGR: a title, both images with the evidence, and the numbers of every part.
 
@@ -91,7 +92,10 @@ def draw_pair(
         chosen = next((k for k, one in enumerate(features[0]) if one.is_reference), 0)
         draw_unrolled(chart, features[0][chosen], [side[0][chosen] for side in found])
         blocks.append(chart)
-    title = _title(headline(job, parts, dismissed), status, factor if any(features) else None, views[0].scale)
+    if nearest is not None:
+        draw_missed(views[0], np.array([nearest.match.x_px, nearest.match.y_px]))
+    words = headline(job, parts, dismissed, nearest)
+    title = _title(words, status, factor if any(features) else None, views[0].scale)
     return np.vstack([title, _side_by_side(views), _in_rows(blocks)])
 
 
