@@ -167,6 +167,18 @@ def test_a_redirected_stderr_is_a_file_like_any_other(
     assert [] == journald.entries()
 
 
+def test_a_line_goes_where_stderr_leads_now(own_root: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo's table redirects it while it is drawn; a line past it would leave half a table behind."""
+    first, table = io.StringIO(), io.StringIO()
+    monkeypatch.setattr(sys, "stderr", first)
+    set_up_logging(environment={})
+    monkeypatch.setattr(sys, "stderr", table)
+    logging.getLogger("edged").error("camera left: unplugged")
+
+    assert "" == first.getvalue()
+    assert "camera left: unplugged" in table.getvalue()
+
+
 class Faults:
     """A fault log with a clock that only moves when told, and what it wrote."""
 

@@ -19,6 +19,7 @@ import struct
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TextIO
 
 from edged import __version__
 from edged.logs import fields_of
@@ -47,7 +48,7 @@ def set_up_logging(
 
     cell : for the field EDGED_CELL. Replaces what was set up before.
     """
-    handler: logging.Handler = logging.StreamHandler(sys.stderr)
+    handler: logging.Handler = _CurrentStderr()
     if not _leads_to_journal(environment or os.environ):
         handler.setFormatter(_TerminalFormatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
     else:
@@ -59,6 +60,18 @@ def set_up_logging(
         logging.root.removeHandler(old)
         old.close()
     logging.basicConfig(level=level, handlers=[handler])
+
+
+class _CurrentStderr(logging.StreamHandler[TextIO]):
+    """Lines to what is stderr when they are written: a live table redirects it, to stay in its place."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:  # type: ignore[override]
+        """Of this moment."""
+        return sys.stderr
 
 
 def priority(level: int) -> int:

@@ -116,6 +116,7 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
     jobs: list[Job] = []
+    places: list[Path] = []
     try:
         entries = job_folders(folder)
     except OSError as error:
@@ -127,10 +128,16 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         except UserError as error:
             problems.append(f"cell.jobs: {error}")
             continue
-        twin = next((other for other in jobs if other.number == job.number), None)
+        twin = next(
+            (other for other, known in zip(places, jobs, strict=True) if known.number == job.number), None
+        )
         if twin is not None:
-            problems.append(f"cell.jobs: {job.name} and {twin.name} both have the number {job.number}")
+            problems.append(
+                f"cell.jobs: {entry} and {twin.name} both have the number {job.number}: change `number` in "
+                "the job.toml of one of them"
+            )
         jobs.append(job)
+        places.append(entry)
     names = [job.name for job in jobs]
     if config.cell.job not in names:
         problems.append(

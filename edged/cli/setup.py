@@ -158,7 +158,12 @@ def teach(
     levels: Annotated[
         int | None, typer.Option(help="most levels of the pyramid, 1 to 5; default: automatic")
     ] = None,
-    number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
+    number: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="of the job on the PLC; default: as before, or the next free one"
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="HTML page to write: the model, and what it promises")
     ] = None,

@@ -20,9 +20,10 @@ from rich.table import Table
 
 from edged import __version__
 from edged.domain import SIDES, FloatArray, Side
-from edged.errors import CalibrationError, FileFormatError, UserError
-from edged.files.atomic import write_atomically
+from edged.errors import CalibrationError, FileFormatError
+from edged.files.atomic import write_file
 from edged.files.images import load_image
+from edged.files.outputs import check_outputs
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.report.calibration import calibration_report
@@ -68,8 +69,7 @@ def calibrate(
         raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
     lens: LensModel = "brown" if model == "brown" else "division"
     boards = parse_boards(board)
-    for path in (output, *([report] if report else [])):
-        _check_writable(path)
+    check_outputs({"--output": output, "--report": report})
     pairs = find_pairs(directory)
     sizes, views = detect_views(pairs, boards, console)
     with console.status("bundle adjustment"):
@@ -89,7 +89,7 @@ def calibrate(
     kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
-        write_atomically(report, page.encode())
+        write_file(report, page.encode())
     _print(console, calibration, quality, found, output, report, kept)
     return 0
 
@@ -329,13 +329,6 @@ def _keep_old(output: Path, console: Console) -> Path | None:
             soft_wrap=True,
         )
     return kept
-
-
-def _check_writable(path: Path) -> None:
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder, expected a file to write")
-    if not path.resolve().parent.is_dir():
-        raise UserError(f"{path}: there is no folder {path.resolve().parent} to write into")
 
 
 def _print(

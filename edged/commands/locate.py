@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
-from edged.errors import FileFormatError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.images import load_image
 from edged.files.jobs import load_job
+from edged.files.outputs import check_outputs
 from edged.files.ply import save_ply
 from edged.files.rig import load_rig
 from edged.payload import outcome_to_json
@@ -41,6 +41,7 @@ def locate(
 
     overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
     """
+    check_outputs({"--overlay": overlay, "--ply": ply, "--cloud": cloud}, {"LEFT": left, "RIGHT": right})
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     pair = FramePair(
         *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
@@ -88,10 +89,7 @@ def locate(
 
 def _write_picture(path: Path, picture: Image) -> None:
     _, png = cv2.imencode(".png", picture)
-    try:
-        write_atomically(path, png.tobytes())
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot write the picture: {error.strerror or error}") from error
+    write_file(path, png.tobytes())
 
 
 def _print(outcome: Outcome, console: Console) -> None:

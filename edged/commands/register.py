@@ -17,6 +17,7 @@ from edged.domain import SIDES, FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.images import load_image
+from edged.files.outputs import check_outputs
 from edged.files.rig import keep_old_rig, load_rig, load_rig_quality, save_rig
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
@@ -39,6 +40,7 @@ def touch(
 
     Three points have no others: there the distances between them must agree within the limit.
     """
+    check_outputs({"--output": output}, {"--points": points})
     rig = load_rig(rig_path)
     names, rig_mm, robot_mm = read_touched(points)
     found = register_points(rig_mm, robot_mm)
@@ -86,6 +88,7 @@ def hand_eye_command(
     console: Console,
 ) -> int:
     """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
+    check_outputs({"--output": output}, {"--poses": poses})
     rig, pattern = load_rig(rig_path), parse_board(board)
     numbers = read_poses(poses)
     maker = _brand(brand)

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from edged.errors import FileFormatError, TeachError, UserError
-from edged.files.atomic import write_atomically
+from edged.errors import TeachError, UserError
+from edged.files.atomic import write_file
 from edged.files.dxf import read_contour, read_dxf
 from edged.files.images import load_image
-from edged.files.jobs import save_job
+from edged.files.jobs import check_job_folder, job_folders, load_job, save_job
+from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
 from edged.pipeline import PreparedRig, prepare
 from edged.report.teaching import Taught, inspection_to_json, teaching_report
@@ -26,6 +27,7 @@ from edged.vision.teaching.drawing import teach_drawing
 from edged.vision.teaching.pair import taught_mask
 from edged.vision.teaching.pair import teach as teach_job
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
+from edged.vision.teaching.reteaching import carry_over
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
 MAX_CUTS = 4
@@ -117,24 +119,32 @@ def teach(
     output: Path,
     console: Console,
     *,
-    number: int = 1,
+    number: int | None = None,
     params: ModelParams | None = None,
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
-    """Teach a job and write its folder; nothing is written when that fails."""
+    """Teach a job and write its folder; nothing is written when that fails.
+
+    What a person changed in the job that was there is carried over. number : None: that job's, or the first
+    that no job beside it has.
+    """
     _check_name(name)
+    check_outputs({"--report": report}, _inputs(source))
+    check_job_folder(output)
+    former = _former(output)
+    number = _number(output, number, former)
     prepared = prepare(load_rig(rig))
     job, taught = _job(source, prepared, name, number, params)
+    carried: tuple[str, ...] = ()
+    if former is not None:
+        job, carried = carry_over(former, job)
     save_job(output, job)
     inspection = inspect_model(job.shape, job.search)
     if taught.cuts:
         inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
     if report is not None:
-        try:
-            write_atomically(report, teaching_report(job, taught, inspection).encode())
-        except OSError as error:
-            raise FileFormatError(f"{report}: cannot be written: {error.strerror or error}") from error
+        write_file(report, teaching_report(job, taught, inspection).encode())
     if as_json:
         print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
@@ -156,9 +166,47 @@ def teach(
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
+    if former is not None:
+        console.print(f"  the job that was there is {output}.old", markup=False)
+    for line in carried:
+        console.print(f"  {line}", markup=False)
     for warning in inspection.warnings:
         console.print(f"Warning: {warning}", markup=False)
     return 0
+
+
+def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
+    if isinstance(source, DrawingSource):
+        return {"--dxf": source.dxf, "--contour": source.contour}
+    return {"--left": source.left, "--right": source.right}
+
+
+def _former(output: Path) -> Job | None:
+    """The job that is about to be replaced; None where there is none, or none that can be read."""
+    if not (output / "job.toml").is_file():
+        return None
+    try:
+        return load_job(output)
+    except UserError:  # it is kept as it is, and says itself what is wrong with it
+        return None
+
+
+def _number(output: Path, wanted: int | None, former: Job | None) -> int:
+    """The number of the job on the PLC. Raises `UserError` for one that a job beside it has."""
+    folder = output.resolve()
+    taken: dict[int, Path] = {}
+    for other in job_folders(folder.parent) if folder.parent.is_dir() else []:
+        if other != folder:
+            try:
+                taken[load_job(other).number] = other
+            except UserError:  # `edged check` names it
+                continue
+    free = next(number for number in range(1, len(taken) + 2) if number not in taken)
+    if wanted is None:
+        return former.number if former is not None else free
+    if wanted in taken:
+        raise UserError(f"--number {wanted}: is that of {taken[wanted]}; {free} is free")
+    return wanted
 
 
 def _job(

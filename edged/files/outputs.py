@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from edged.errors import UserError
+from edged.errors import FileFormatError, UserError
 
 
 def check_outputs(
@@ -33,28 +33,33 @@ def check_outputs(
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a folder that is none, or that cannot be made or written into. Raises `UserError`."""
+    """Refuse a folder that is none, or that cannot be made or written into. Raises `FileFormatError`."""
     if path.exists():
         if not path.is_dir():
-            raise UserError(f"{path}: is a file, expected a folder to write")
-        _check_allowed(path, path)
+            raise FileFormatError(f"{path}: is a file, expected a folder to write")
+        _check_takes(path, path)
         return
     above = next(folder for folder in path.resolve().parents if folder.exists())
     if not above.is_dir():
-        raise UserError(f"{path}: {above} is a file, expected a folder")
-    _check_allowed(path, above)
+        raise FileFormatError(f"{path}: {above} is a file, expected a folder")
+    _check_takes(path, above)
 
 
 def _check_file(path: Path) -> None:
     if path.is_dir():
-        raise UserError(f"{path}: is a folder, expected a file to write")
+        raise FileFormatError(f"{path}: is a folder, expected a file to write")
     folder = path.resolve().parent
     if not folder.is_dir():
-        raise UserError(f"{path}: there is no folder {folder} to write into")
-    _check_allowed(path, folder)
+        raise FileFormatError(f"{path}: there is no folder {folder} to write into")
+    _check_takes(path, folder)
 
 
-def _check_allowed(path: Path, folder: Path) -> None:
-    """A file is written beside its place and then renamed, so the folder decides."""
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise UserError(f"{path}: cannot be written: no permission to write into {folder}")
+def _check_takes(path: Path, folder: Path) -> None:
+    """A file is written beside its place and renamed, so the folder decides: it takes one for a moment."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileFormatError(
+            f"{path}: cannot be written into {folder}: {error.strerror or error}"
+        ) from error

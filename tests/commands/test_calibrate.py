@@ -96,6 +96,14 @@ def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_report_does_not_replace_the_rig(pictures: Path, tmp_path: Path) -> None:
+    """The same file for both is refused before the work."""
+    path = tmp_path / "x.json"
+    with pytest.raises(UserError, match="--output and --report are the same file"):
+        calibrate(pictures, "chessboard:9x6:5.0", path, "division", path, Console(stderr=True))
+    assert not (tmp_path / "x.json").exists()
+
+
 def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
     """Pictures may be of any format OpenCV reads without loss of meaning."""
     for number, suffix in ((0, ".jpg"), (1, ".bmp"), (2, ".TIF")):

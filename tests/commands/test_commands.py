@@ -187,7 +187,7 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
         ({"rig": "nowhere.json"}, r"nowhere\.json: cannot read"),
         ({"rig": "left.png"}, r"left\.png"),
         ({"rig": "jobs/flange/job.toml"}, r"job\.toml"),
-        ({"overlay": "nowhere/picture.png"}, r"nowhere/picture\.png: cannot write"),
+        ({"overlay": "nowhere/picture.png"}, r"nowhere/picture\.png: there is no folder"),
     ],
 )
 def test_locate_refuses_what_it_cannot_use(
@@ -239,7 +239,29 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
         assert found is not None
         assert abs(float(found[1]) - radius_mm) < 0.01
     assert load_job(folder / "jobs" / "flange").number == 4
+    assert "the job that was there is" in err
     assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
+
+
+def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
+    """A second job takes the next number by itself; one that is taken is refused with a free one."""
+    second = folder / "jobs" / "second"
+    code, _, err = edged(*teach_arguments(folder, output=second, name="second", number=1))
+    assert code == 2
+    assert "flange; 2 is free" in " ".join(err.split())
+    assert edged(*teach_arguments(folder, output=second, name="second"))[0] == 0
+    assert load_job(second).number == 2
+
+
+def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path) -> None:
+    """It is in the new job, and on the terminal."""
+    path = folder / "jobs" / "flange" / "job.toml"
+    path.write_text(path.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.04"))
+    code, _, err = edged(*teach_arguments(folder))
+
+    assert code == 0
+    assert "kept: limits.max_sigma_mm = 0.04 (teaching would set 0.2)" in " ".join(err.split())
+    assert load_job(folder / "jobs" / "flange").limits.max_sigma_mm == 0.04
 
 
 def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) -> None:

@@ -17,6 +17,7 @@ from edged.files.arrays import load_arrays, pack_arrays
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
+from edged.files.outputs import check_folder
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 
@@ -62,14 +63,20 @@ def job_folders(folder: Path) -> list[Path]:
     )
 
 
+def check_job_folder(folder: Path) -> None:
+    """Refuse a place where something else is, or where nothing can be written. Raises `UserError`."""
+    if folder.exists() and not (folder / "job.toml").is_file():
+        raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    check_folder(folder.resolve().parent if folder.exists() else folder)
+
+
 def save_job(folder: Path, job: Job) -> None:
     """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
 
     Raises `FileFormatError` where something else is in the way, or the disc refuses.
     """
     folder = Path(folder).resolve()
-    if folder.exists() and not (folder / "job.toml").is_file():
-        raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    check_job_folder(folder)
     files = {
         "job.toml": to_toml(job).encode(),
         "shape.npz": pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),
