@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,15 +46,13 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
 
     elsewhere : on a machine that it need not run on; certificates and keys may be missing.
     """
-    config = load(path)
-    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
-    rig = rectification = None
     try:
-        rig = load_rig(config.cell.rig)
-        rectification = make_rectification(rig)
-    except UserError as error:
-        problems.append(f"cell.rig: {error}")
-    jobs = _load_jobs(config, problems)
+        config = load(path)
+    except ConfigError as error:
+        raise ConfigError(str(path), [*error.problems, *_problems_of_named_files(path)]) from error
+    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
+    rig, rectification = _load_rig(config.cell.rig, problems)
+    jobs = _load_jobs(config.cell.jobs, config.cell.job, problems)
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     try:
@@ -110,8 +109,32 @@ def _unguarded(config: Config) -> list[str]:
     return []
 
 
-def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
-    folder = config.cell.jobs
+def _problems_of_named_files(path: Path) -> list[str]:
+    """Of the rig and the jobs of a configuration that has mistakes itself, as far as it names them."""
+    try:
+        cell = tomllib.loads(path.read_bytes().decode("utf-8-sig")).get("cell")
+    except (OSError, ValueError, RecursionError):
+        return []
+    problems: list[str] = []
+    names = cell if isinstance(cell, dict) else {}
+    rig, jobs, job = (names.get(key) for key in ("rig", "jobs", "job"))
+    if isinstance(rig, str):
+        _load_rig(path.resolve().parent / rig, problems)
+    if isinstance(jobs, str) and isinstance(job, str):
+        _load_jobs(path.resolve().parent / jobs, job, problems)
+    return problems
+
+
+def _load_rig(path: Path, problems: list[str]) -> tuple[StereoRig | None, Rectification | None]:
+    try:
+        rig = load_rig(path)
+        return rig, make_rectification(rig)
+    except UserError as error:
+        problems.append(f"cell.rig: {error}")
+        return None, None
+
+
+def _load_jobs(folder: Path, active: str, problems: list[str]) -> list[Job]:
     if not folder.is_dir():
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
@@ -139,9 +162,9 @@ def _load_jobs(config: Config, problems: list[str]) -> list[Job]:
         jobs.append(job)
         places.append(entry)
     names = [job.name for job in jobs]
-    if config.cell.job not in names:
+    if active not in names:
         problems.append(
-            f"cell.job: no usable job {config.cell.job!r} in {folder} (there: {', '.join(names) or 'none'})"
+            f"cell.job: no usable job {active!r} in {folder} (there: {', '.join(names) or 'none'})"
         )
     return jobs
 

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from edged import __version__
-from edged.domain import SIDES, FloatArray, Side
+from edged.domain import SIDES, FloatArray, Image, Side
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import write_file
 from edged.files.images import load_image
@@ -29,7 +29,7 @@ from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView, parse_boards
 from edged.vision.boards.deformation import nominal
-from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.boards.detection import detect_board, fitting_size, remeasure_board
 from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
 from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
 from edged.vision.calibration.imaging import (
@@ -47,6 +47,8 @@ from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
+TRIED_PICTURES = 4
+"""Of those without the stated board, to see whether another size fits."""
 T = TypeVar("T")
 
 
@@ -72,6 +74,7 @@ def calibrate(
     check_outputs({"--output": output, "--report": report})
     pairs = find_pairs(directory)
     sizes, views = detect_views(pairs, boards, console)
+    _check_sizes(pairs, views, boards)
     with console.status("bundle adjustment"):
         first = calibrate_stereo(views, *sizes, lens)
     views = remeasure_views(pairs, views, first, console)
@@ -142,6 +145,27 @@ def detect_views(
         else:
             views.append(_view(pair.name, boards, left.results, right.results))
     return (sizes[0], sizes[1]), views
+
+
+def _check_sizes(
+    pairs: Sequence[ImagePair], views: Sequence[StereoView], boards: Sequence[NominalBoard]
+) -> None:
+    """Where hardly a picture shows the stated board: raises `CalibrationError` if another size fits."""
+    seen = [not isinstance(view.left, NotDetected) for view in views]
+    if len(boards) > 1 or 2 * sum(seen) > len(seen):
+        return
+    missed = [pair.left for pair, one in zip(pairs, seen, strict=True) if not one][:TRIED_PICTURES]
+    check_board_size([load_image(path) for path in missed], boards[0])
+
+
+def check_board_size(images: Sequence[Image], board: NominalBoard) -> None:
+    """Raises `CalibrationError` if images that do not show a board show it with another number of corners."""
+    if (fits := fitting_size(images, board)) is not None:
+        kind, stated, *rest = str(board).split(":")
+        raise CalibrationError(
+            f"--board {board}: the pictures show {fits} inner corners, not {stated}; count where four "
+            f"squares meet, not the squares: --board {':'.join([kind, fits, *rest])}"
+        )
 
 
 def _view(

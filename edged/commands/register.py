@@ -13,12 +13,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from edged.commands.calibrate import check_board_size
 from edged.domain import SIDES, FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.images import load_image
 from edged.files.outputs import check_outputs
+from edged.files.pairs import half_of
 from edged.files.rig import keep_old_rig, load_rig, load_rig_quality, save_rig
+from edged.files.tables import number_of, read_table
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
 from edged.robot.readings import rank_readings
@@ -28,7 +31,6 @@ from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board
 from edged.vision.geometry.camera import StereoRig
 
-MAX_LINES = 10_000
 DECIDED = 3.0
 """A reading that fits so many times better than the next is the right one."""
 
@@ -194,14 +196,17 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
     `edged locate --json` printed. Raises `FileFormatError` that names the line.
     """
     names, rig, robot = [], [], []
-    for number, cells in _lines(path):
-        place = f"{path}: line {number}"
+    for line in read_table(path):
+        cells = line.cells
+        if not cells:
+            continue
+        place = f"{path}: line {line.number}"
         if len(cells) == 4:
             names.append(Path(cells[0]).stem)
             rig.append(_located(path.parent / cells[0], place))
             robot.append(_floats(cells[1:], place))
         elif len(cells) == 6:
-            names.append(f"line {number}")
+            names.append(f"line {line.number}")
             rig.append(_floats(cells[:3], place))
             robot.append(_floats(cells[3:], place))
         else:
@@ -215,8 +220,11 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
 def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
     poses: dict[str, tuple[float, ...]] = {}
-    for number, cells in _lines(path):
-        place = f"{path}: line {number}"
+    for line in read_table(path):
+        cells = line.cells
+        if not cells:
+            continue
+        place = f"{path}: line {line.number}"
         if len(cells) not in (7, 8):
             raise FileFormatError(f"{place}: expected NAME and six or seven numbers, got {len(cells)} values")
         if cells[0] in poses:
@@ -225,31 +233,11 @@ def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     return poses
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = read_bytes(path, "a table").decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
-    found = []
-    for number, line in enumerate(text.splitlines(), 1):
-        content = line.split("#")[0].strip()
-        if content:
-            found.append((number, [cell.strip() for cell in content.replace(";", ",").split(",")]))
-        if len(found) > MAX_LINES:
-            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
-    if not found:
-        raise FileFormatError(f"{path}: empty")
-    return found
-
-
 def _floats(cells: Sequence[str], place: str) -> list[float]:
     try:
-        values = [float(cell) for cell in cells]
+        return [number_of(cell) for cell in cells]
     except ValueError as error:
         raise FileFormatError(f"{place}: {error}") from None
-    if not all(map(math.isfinite, values)):
-        raise FileFormatError(f"{place}: expected finite numbers")
-    return values
 
 
 def _located(path: Path, place: str) -> list[float]:
@@ -287,7 +275,7 @@ def _views(
     for name in names:
         sides = []
         for side in SIDES:
-            path = folder / f"{name}_{side}.png"
+            path = half_of(folder, name, side)
             image = load_image(path)
             camera = rig.left if side == "left" else rig.right
             if image.shape != (camera.height, camera.width):
@@ -299,6 +287,7 @@ def _views(
             continue
         found[name] = pose[1]
     if not found:
+        check_board_size([load_image(half_of(folder, name, "left")) for name in names[:4]], board)
         raise CalibrationError(f"{folder}: the board was seen in no pair")
     return found
 

@@ -32,6 +32,7 @@ from ezdxf.units import conversion_factor
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
+from edged.files.tables import number_of, read_table
 
 FLATTENING_MM = 0.002
 """Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
@@ -102,25 +103,17 @@ def read_contour(path: Path) -> list[FloatArray]:
     Raises `FileFormatError` that names the line.
     """
     path = Path(path)
-    try:
-        text = read_bytes(path, "a contour").decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
     outlines: list[list[tuple[float, float]]] = [[]]
-    for number, line in enumerate(text.splitlines(), 1):
-        content = line.split("#")[0].strip()
-        if not content:
-            if not line.strip() and outlines[-1]:
+    for line in read_table(path, "a contour"):
+        if not line.cells:
+            if outlines[-1]:
                 outlines.append([])
             continue
         try:
-            x, y = (float(value) for value in content.replace(";", ",").split(","))
+            x, y = (number_of(cell) for cell in line.cells)
         except ValueError:
-            raise FileFormatError(
-                f"{path}: line {number}: expected x,y in mm, got {content[:40]!r}"
-            ) from None
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise FileFormatError(f"{path}: line {number}: expected finite numbers, got {content[:40]!r}")
+            got = ", ".join(line.cells)[:40]
+            raise FileFormatError(f"{path}: line {line.number}: expected x,y in mm, got {got!r}") from None
         outlines[-1].append((x, y))
     chains = [Chain(np.array(points), True) for points in outlines if points]
     if sum(len(chain.points) for chain in chains) > MAX_POINTS:

@@ -288,8 +288,8 @@ def test_a_contour_is_text(tmp_path: Path) -> None:
     assert areas(read_contour(path)) == pytest.approx([2, 50])
     for text, expected in (
         ("0,0\n1\n", "line 2: expected x,y"),
-        ("0,0\n\n1,nan\n", "line 3: expected finite"),
-        ("", "no closed outline"),
+        ("0,0\n\n1,nan\n", "line 3: expected x,y in mm, got '1, nan'"),
+        ("", "empty"),
     ):
         path.write_text(text)
         with pytest.raises(FileFormatError, match=expected):

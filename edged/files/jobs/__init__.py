@@ -31,7 +31,7 @@ def load_job(folder: Path) -> Job:
     if not Path(folder).is_dir():
         raise FileFormatError(f"{folder}: no such job folder")
     try:
-        data = tomllib.loads(read_bytes(path, "a job").decode("utf-8"))
+        data = tomllib.loads(read_bytes(path, "a job").decode("utf-8-sig"))
         file = JobFile.model_validate(data)
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
