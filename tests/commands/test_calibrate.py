@@ -16,7 +16,7 @@ from rich.console import Console
 from rigs import make_rig
 
 from edged.commands.calibrate import calibrate
-from edged.errors import ImageError, UserError
+from edged.errors import UserError
 from edged.files.rig import load_rig, save_rig
 from edged.vision.boards.board import parse_board
 
