@@ -43,6 +43,7 @@ from edged.vision.calibration.imaging import (
 )
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.calibration.plainopencv import plain_opencv
+from edged.vision.calibration.verdict import judge_calibration
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 
@@ -88,12 +89,16 @@ def calibrate(
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
     quality = quality_figures(calibration, held, boards) | {"imaging": [asdict(one) for one in found]}
-    page = _page(directory, calibration, held, views, quality, found) if report else None
+    with console.status("the verdict, and the report"):
+        verdict = judge_calibration(calibration, held)
+        page = _page(directory, calibration, held, views, quality, found) if report else None
+    quality["verdict"] = {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add}
     kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
         write_file(report, page.encode())
     _print(console, calibration, quality, found, output, report, kept)
+    console.print(str(verdict), markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -394,7 +399,7 @@ def _print(
         if finding.remedy:
             console.print(f"[yellow]note[/] {escape(finding.text)}", soft_wrap=True)
     for name, reason in calibration.excluded:
-        console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}")
+        console.print(f"[yellow]skipped[/] {escape(name)}: {escape(reason)}")
     for note in calibration.notes:
         console.print(f"[yellow]note[/] {escape(note)}")
     if kept:

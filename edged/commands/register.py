@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 from edged.commands.calibrate import check_board_size
@@ -272,7 +273,7 @@ def _views(
 ) -> dict[str, FloatArray]:
     """rig_from_board of every pair that shows the board; the others are named and skipped."""
     found: dict[str, FloatArray] = {}
-    for name in names:
+    for name in track(names, "finding the board", console=console, transient=True):
         sides = []
         for side in SIDES:
             path = half_of(folder, name, side)

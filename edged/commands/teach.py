@@ -135,7 +135,8 @@ def teach(
     former = _former(output)
     number = _number(output, number, former)
     prepared = prepare(load_rig(rig))
-    job, taught = _job(source, prepared, name, number, params)
+    with console.status("learning the part"):
+        job, taught = _job(source, prepared, name, number, params)
     carried: tuple[str, ...] = ()
     if former is not None:
         job, carried = carry_over(former, job)

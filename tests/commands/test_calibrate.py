@@ -160,7 +160,9 @@ def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
     """A board specification that fits no picture is refused, with the reason of every view."""
-    refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: no 4x4 inner corners", board="chessboard:4x4:6")
+    refused(
+        folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: no 12x4 inner corners", board="chessboard:12x4:6"
+    )
 
 
 @pytest.mark.slow
@@ -169,8 +171,8 @@ def test_squares_counted_instead_of_corners_are_noticed(folder: Path, tmp_path: 
     refused(
         folder,
         tmp_path,
-        r"show 9x6 inner corners, not 10x7.*--board chessboard:9x6:6",
-        board="chessboard:10x7:6",
+        r"show 8x6 inner corners, not 9x7.*--board chessboard:8x6:6",
+        board="chessboard:9x7:6",
     )
 
 

@@ -200,6 +200,13 @@ def test_locate_refuses_what_it_cannot_use(
     assert err.startswith("edged: ")
 
 
+def test_every_command_has_help_under_both_names(edged: Edged) -> None:
+    """-h as well as --help, also of commands of commands."""
+    for command in ((), ("teach",), ("calibrate",), ("register",), ("register", "touch"), ("rig", "convert")):
+        short, long = (edged(*command, name) for name in ("-h", "--help"))
+        assert (0, long[1]) == short[:2]
+
+
 def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:
     """Exit code 2, as for every other wrong input."""
     assert edged("locate")[0] == 2

@@ -11,8 +11,8 @@ from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboa
 from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
 from edged.vision.geometry.camera import CameraModel
 
-NEIGHBOUR_SIZES = ((-1, -1), (1, 1), (0, 1), (1, 0), (0, -1), (-1, 0), (-2, -2))
-"""Columns and rows more than stated, in the order in which they are tried."""
+NEIGHBOUR_SIZES = ((1, 1), (0, 1), (1, 0), (0, -1), (-1, 0), (-1, -1))
+"""Columns and rows more than stated, larger boards first: a smaller one may be a part of the true one."""
 
 
 def detect_board(image: Image, board: NominalBoard) -> Detection | NotDetected:
