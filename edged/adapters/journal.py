@@ -69,7 +69,7 @@ class _CurrentStderr(logging.StreamHandler[TextIO]):
         logging.Handler.__init__(self)
 
     @property
-    def stream(self) -> TextIO:  # type: ignore[override]
+    def stream(self) -> TextIO:  # type: ignore[override]  # an attribute there, looked up anew here
         """Of this moment."""
         return sys.stderr
 

@@ -63,7 +63,8 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
         kept = recorder.figures
         groups["Recorder"] = {
             "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
-            "left out, failed": f"{kept.left_out}, {kept.failed}",
+            "skipped": kept.left_out,
+            "failed": kept.failed,
         }
         if kept.problem:
             groups["Recorder"]["problem"] = kept.problem
@@ -98,7 +99,7 @@ def figures(running: Running) -> dict[str, tuple[str, float]]:
             "recordings": ("recordings on disk", kept.kept),
             "recordings_bytes": ("size of all recordings", kept.kept_bytes),
             "recordings_left_out": (
-                "cycles left out since the start: the disk was slower",
+                "cycles skipped since the start: the disk was slower",
                 kept.left_out,
             ),
             "recordings_failed": ("recordings that could not be written since the start", kept.failed),

@@ -115,7 +115,7 @@ def _print(outcome: Outcome, console: Console) -> None:
             console.print("  looks the same from all sides: its rotation about its axis is not known")
         if target.doubt_mm:
             console.print(
-                f"  rows or sizes contradict the rig: its distance is in doubt by {target.doubt_mm:.3f} mm"
+                f"  rows or sizes contradict the rig: systematic depth uncertainty {target.doubt_mm:.3f} mm"
             )
         if target.reject:
             console.print(f"  not good: {', '.join(reasons(target.reject))} ({target.reject.name})")

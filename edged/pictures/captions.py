@@ -19,7 +19,7 @@ REASONS = {
     Reject.LEFT_RIGHT_MISMATCH: "left and right image disagree",
     Reject.OUT_OF_VOLUME: "out of the allowed depth",
     Reject.TOLERANCE: "size out of tolerance",
-    Reject.AMBIGUOUS_ROTATION: "rotation in doubt",
+    Reject.AMBIGUOUS_ROTATION: "rotation ambiguous",
     Reject.LOW_SCORE: "score too low",
     Reject.CALIBRATION: "calibration does not hold",
     Reject.AMBIGUOUS_EDGE: "the reference may be another edge",

@@ -124,7 +124,7 @@ def _views(
 def _side_by_side(views: tuple[View, View]) -> Canvas:
     """Both canvases with the cameras' names."""
     for view, name in zip(views, SIDES, strict=True):
-        words = f"{name} image" if view.scale == 1 else f"{name} image, {view.scale:.2g} times as large"
+        words = f"{name} image" if view.scale == 1 else f"{name} image, magnified {view.scale:.2g}×"
         write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
     height = max(view.canvas.shape[0] for view in views)
     images = np.hstack([_filled(view.canvas, height) for view in views])
@@ -208,7 +208,7 @@ def _legend(factor: float, scale: float) -> Canvas:
         ("reference", GOLD, 28),
         ("fitted", GREEN, 28),
         ("not measured", WHITE, -28),
-        (f"{bar_px:g} px, edge minus fit ({factor:g} x)", MAGENTA, round(bar_px * factor * scale)),
+        (f"{bar_px:g} px, edge minus fit (magnified {factor:g}×)", MAGENTA, round(bar_px * factor * scale)),
         ("edge of weight < 0.1", RED, 8),
     ]
     canvas = _paper(LEGEND_HEIGHT_PX)

@@ -66,25 +66,25 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
     findings.append(
         (
             _grade(epipolar_px, GOOD_EPIPOLAR_PX, WORST_EPIPOLAR_PX),
-            f"rows of held-out views agree to {epipolar_px:.3f} px",
+            f"epipolar rms of held-out views {epipolar_px:.3f} px",
         )
     )
     overfit = _rms([view.reprojection_rms_px for view in held]) / max(calibration.rms_px, 1e-6)
     if overfit > GOOD_OVERFIT:
-        text = f"held-out views are {overfit:.1f} times worse than fitted ones"
+        text = f"residuals of held-out views {overfit:.1f}× those of fitted ones"
         findings.append((_grade(overfit, GOOD_OVERFIT, WORST_OVERFIT), text))
     size_percent = 100 * abs(float(np.mean([view.scale for view in held])) - 1)
     findings.append(
         (
             _grade(size_percent, GOOD_SIZE_PERCENT, WORST_SIZE_PERCENT),
-            f"their boards are measured to {size_percent:.3f} %",
+            f"their board size error {size_percent:.3f} %",
         )
     )
     points = volume_points(calibration)
     if calibration.rig.covariance is not None and len(points):
         ours = np.sqrt(np.mean(calibration_covariance(calibration.rig, points)[:, 2, 2]))
         noise = np.sqrt(np.mean(raw_covariance(calibration.rig, points, NOISE_PX)[:, 2, 2]))
-        text = f"its part in a depth is {1000 * ours:.0f} µm, an edge point's noise {1000 * noise:.0f} µm"
+        text = f"its depth uncertainty {1000 * ours:.0f} µm, single-edge noise {1000 * noise:.0f} µm"
         findings.append((_grade(float(ours / noise), GOOD_SHARE, WORST_SHARE), text))
     return findings
 

@@ -22,7 +22,7 @@ SIZE = (RIG.left.width, RIG.left.height)
     [
         (20, 0.02, "good", "20 views"),
         (8, 0.02, "usable", "8 views"),
-        (14, 1.0, "repeat", "rows of held-out views agree to 1."),
+        (14, 1.0, "repeat", "epipolar rms of held-out views 1."),
     ],
 )
 def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grade: str, why: str) -> None:
