@@ -100,7 +100,7 @@ def test_a_view_that_never_rests_ends(tmp_path: Path, monkeypatch: pytest.Monkey
     """After a minute, with what is to be done; what was taken stays."""
     monkeypatch.setattr(module, "PATIENCE_S", 0.3)
     grabbing, said = session(tmp_path, 2)
-    asyncio.run(grabbing.run(Head(itertools.count(0.0, 7.0)), grabbing.resting))
+    asyncio.run(grabbing.run(Head(itertools.cycle([0.0, 30.0])), grabbing.resting))
 
     assert grabbing.taken == 0
     assert "move the board, then keep it still" in said.getvalue()

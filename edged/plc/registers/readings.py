@@ -40,12 +40,16 @@ def text_of(register: Register, value: Number) -> str:
         return "–"
     if register.kind is not Kind.F32:
         return str(int(value))
-    number = float(value)
-    for digits in range(1, 10):
-        text = f"{number:.{digits}g}"
-        if struct.pack(">f", float(text)) == struct.pack(">f", number):
-            break
-    return text
+    bits = struct.pack(">f", float(value))
+    return next(text for digits in range(1, 10) if _bits(text := f"{value:.{digits}g}") == bits)
+
+
+def _bits(text: str) -> bytes:
+    """Of the float that a text is; none where rounding has led beyond the largest."""
+    try:
+        return struct.pack(">f", float(text))
+    except OverflowError:
+        return b""
 
 
 def meaning_of(register: Register, value: Number) -> str:
