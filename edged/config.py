@@ -264,11 +264,25 @@ def _address(value: str) -> str:
 Address = Annotated[str, AfterValidator(_address)]
 
 
+def _host(value: str) -> str:
+    host, colon, port = value.rpartition(":")
+    if colon and (":" not in host or host.endswith("]")) and port.isdecimal():
+        raise ValueError(
+            f'expected an address alone, the port is another key: host = "{host}" and port = {port}'
+        )
+    if "//" in value or any(c.isspace() for c in value):
+        raise ValueError('expected an address, for example "0.0.0.0" or "localhost"')
+    return value
+
+
+Host = Annotated[str, Field(min_length=1), AfterValidator(_host)]
+
+
 class ModbusSection(_Section):
     """The Modbus server for the PLC."""
 
     enabled: bool = Field(True, description="serve it")
-    host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
+    host: Host = Field("127.0.0.1", description="address to listen on")
     port: Port = Field(1502, description="502 is the standard port and needs CAP_NET_BIND_SERVICE")
     unit_id: int = Field(1, ge=1, le=247, description="unit that is answered; over TCP 0 and 255 are, too")
     word_order: Literal["high", "low"] = Field("high", description="which word of a 32-bit value comes first")
@@ -419,7 +433,7 @@ class RecorderSection(_Section):
 class WebSection(_Section):
     """The status page, the manual, and what Prometheus reads. Left out: none of them."""
 
-    host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
+    host: Host = Field("127.0.0.1", description="address to listen on")
     port: Port = Field(8080, description="TCP port")
     password_hash: SecretStr = Field(
         SecretStr(""), description="from `edged password`; needed beyond this machine"
@@ -542,7 +556,7 @@ def read(path: Path) -> bytes:
 def config_of(content: bytes, path: Path) -> Config:
     """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
     try:
-        data = tomllib.loads(content.decode("utf-8"))
+        data = tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
     except tomllib.TOMLDecodeError as error:

@@ -408,6 +408,8 @@ class Cycle:
             exposed_bound_ns=pair.exposed_bound_ns if pair is not None else None,
             published_ns=self._utc_ns(),
             targets=outcome.targets if outcome is not None else (),
+            dismissed=outcome.dismissed if outcome is not None else (),
+            nearest=outcome.nearest if outcome is not None else None,
             timing_ms=stopwatch.timing_ms(),
             error=str(error) if error is not None else "",
             error_code=error.code if error is not None else 0,

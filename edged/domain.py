@@ -276,12 +276,24 @@ class NotMeasured:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class NearMiss:
+    """Where the left image is most like the part, though not enough: its score is below the one needed."""
+
+    match: Match
+    needed_score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What the pipeline says of one pair: pure result, no time, no identity."""
+    """What the pipeline says of one pair: pure result, no time, no identity.
+
+    nearest : where nothing was found at all, the place that is most like the part; None: none is.
+    """
 
     status: Status
     targets: tuple[Target, ...] = ()
     dismissed: tuple[NotMeasured, ...] = ()
+    nearest: NearMiss | None = None
 
 
 class CommandKind(enum.IntEnum):
@@ -375,6 +387,7 @@ class Snapshot:
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
+    dismissed, nearest : see `Outcome`.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
     """
@@ -397,6 +410,8 @@ class Snapshot:
     registration_covariance: FloatArray | None = None
     drift: DriftState = DriftState()
     exposed_bound_ns: int | None = None
+    dismissed: tuple[NotMeasured, ...] = ()
+    nearest: NearMiss | None = None
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance):

@@ -205,21 +205,19 @@ class FaultLog:
         if outage.over_s is None:
             outage.over_s = now_s
             if not outage.returns:
-                self._tell("recovered", outage, now_s)
+                self._tell(outage, now_s)
         elif now_s - outage.over_s > RELAPSE_S:
             self._outage = None
             if outage.returns:
-                self._tell(f"well for {RELAPSE_S:.0f} s", outage, outage.over_s)
+                self._tell(outage, outage.over_s)
 
-    def _tell(self, what: str, outage: _Outage, over_s: float) -> None:
+    def _tell(self, outage: _Outage, over_s: float) -> None:
         lasted_s = over_s - outage.since_s
         counts = "; ".join(f"{count} x {text}" for text, count in outage.seen.values())
-        returned = f", came back {outage.returns} times" if outage.returns else ""
+        relapses = f"; {outage.returns} relapse{'s' if outage.returns > 1 else ''} in {lasted_s:.1f} s"
         self._log.info(
-            "%s after %.1f s%s: %s",
-            what,
-            lasted_s,
-            returned,
+            "recovered%s: %s",
+            relapses if outage.returns else f" after {lasted_s:.1f} s",
             counts,
             extra=fields(
                 fault=next(iter(outage.seen)),

@@ -24,6 +24,7 @@ from edged.domain import (
     FloatArray,
     Match,
     Measurement,
+    NearMiss,
     NotMeasured,
     Outcome,
     Reject,
@@ -88,6 +89,7 @@ def outcome_to_json(
         "timing_ms": _timing(timing_ms),
         "targets": [target_to_json(target, robot_from_rig, registration) for target in outcome.targets],
         "dismissed": [_dismissed(one) for one in outcome.dismissed],
+        "nearest": _near_miss(outcome.nearest),
     }
 
 
@@ -113,6 +115,8 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "timing_ms": _timing(snapshot.timing_ms),
         "targets": [target_to_json(target, robot, registration) for target in usable],
         "rejected": [target_to_json(target, robot, registration) for target in rejected],
+        "dismissed": [_dismissed(one) for one in snapshot.dismissed],
+        "nearest": _near_miss(snapshot.nearest),
         "drift": {
             "verdict": snapshot.drift.verdict.name,
             "rows_px": _number(snapshot.drift.rows_px),
@@ -260,6 +264,16 @@ def _dismissed(one: NotMeasured) -> Json:
         "score": _number(one.match.score),
         "reject": reject_names(one.reject),
         "reject_bits": int(one.reject),
+    }
+
+
+def _near_miss(one: NearMiss | None) -> Json | None:
+    if one is None:
+        return None
+    return {
+        "match": _match(one.match),
+        "score": _number(one.match.score),
+        "needed_score": _number(one.needed_score),
     }
 
 

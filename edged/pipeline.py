@@ -6,9 +6,9 @@ Pure: no clock, no I/O, bit-identical when replayed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from edged.domain import FramePair, NotMeasured, Outcome, Reject, Status
+from edged.domain import FramePair, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.stereoimages import StereoImages
@@ -19,6 +19,10 @@ from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
+
+NEAR_SHARE = 0.7
+"""Of the least score, down to which a miss is looked for: with half of it clutter looks like parts, and a
+search in noise takes seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,10 +54,11 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """All that was seen: every part that was measured, and what was found and could not be."""
+    """All that was seen: parts that were measured, what could not be, else what came nearest."""
 
     measured: tuple[Measured, ...]
     dismissed: tuple[NotMeasured, ...]
+    nearest: NearMiss | None = None
 
 
 def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
@@ -72,13 +77,24 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
-    return Inspection(tuple(measured), tuple(dismissed))
+    nearest = None if matches else _nearest(images, job, rig)
+    return Inspection(tuple(measured), tuple(dismissed), nearest)
+
+
+def _nearest(images: StereoImages, job: Job, rig: PreparedRig) -> NearMiss | None:
+    """The best match of a more lenient search: it says whether the part was missed narrowly, and where."""
+    lenient = replace(job.search, min_score=NEAR_SHARE * job.search.min_score, max_matches=1)
+    with rig.workspaces.lend() as work:
+        found = find_shapes(images.rectified_left, job.shape, lenient, rig.rectification.valid_left, work)
+    if not found:
+        return None
+    return NearMiss(match_in_raw(rig.rectification, found[0]), job.search.min_score)
 
 
 def judge(inspection: Inspection) -> Outcome:
     """OK when at least one part is good; the good ones come first, each group by score."""
     if not inspection.measured:
-        return Outcome(Status.NO_TARGET, dismissed=inspection.dismissed)
+        return Outcome(Status.NO_TARGET, dismissed=inspection.dismissed, nearest=inspection.nearest)
     targets = sorted(
         (one.target for one in inspection.measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
     )

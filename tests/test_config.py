@@ -73,6 +73,7 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
         (("[cameras]", "[cycle]\nperiod_s = inf\n[cameras]"), "cycle.period_s"),
         (("[cameras]", '[cycle]\nperiod_s = "0.5"\n[cameras]'), "cycle.period_s"),
         (("[cameras]", "[modbus]\nport = true\n[cameras]"), "modbus.port"),
+        (("[cameras]", '[web]\nhost = "http://0.0.0.0"\n[cameras]'), "web.host"),
         (("[cameras]", '[zenoh]\nlisten = ["tcp:127.0.0.1:7447"]\n[cameras]'), "zenoh.listen.0"),
         (("[cameras]", "[drift]\nwarn_rows_px = 2.0\n[cameras]"), "drift"),
         (("[cameras]", "[drift]\nwarn_length_percent = 2.0\n[cameras]"), "drift"),
@@ -121,6 +122,16 @@ def test_who_reaches_an_endpoint_could_command_the_cell(
     assert problem.startswith(f"zenoh: {side}: over {endpoint} other machines could trigger")
     for remedy in ("zenoh.config_file", 'zenoh.commands = "refused"', '"anyone"'):
         assert remedy in problem
+
+
+def test_a_port_in_an_address_is_told_where_it_belongs(tmp_path: Path) -> None:
+    """What to write instead; an IPv6 address has colons of its own."""
+    text = GOOD.replace("[cameras]", '[modbus]\nhost = "HOST"\n[cameras]')
+    (problem,) = problems(tmp_path, text.replace("HOST", "localhost:502"))
+
+    assert 'the port is another key: host = "localhost" and port = 502' in problem
+    for host in ("::1", "0.0.0.0", "cell-7.local"):
+        assert host == load(write(tmp_path, text.replace("HOST", host))).modbus.host
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,18 @@ def test_a_redirected_stderr_is_a_file_like_any_other(
     assert [] == journald.entries()
 
 
+def test_a_line_goes_where_stderr_leads_now(own_root: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo's table redirects it while it is drawn; a line past it would leave half a table behind."""
+    first, table = io.StringIO(), io.StringIO()
+    monkeypatch.setattr(sys, "stderr", first)
+    set_up_logging(environment={})
+    monkeypatch.setattr(sys, "stderr", table)
+    logging.getLogger("edged").error("camera left: unplugged")
+
+    assert "" == first.getvalue()
+    assert "camera left: unplugged" in table.getvalue()
+
+
 class Faults:
     """A fault log with a clock that only moves when told, and what it wrote."""
 
@@ -214,12 +226,12 @@ def test_an_outage_with_several_faults_ends_once() -> None:
 
 
 def test_a_loose_plug_does_not_fill_the_log() -> None:
-    """Every other cycle fails for a day: three lines, the last when it has been well for a while."""
+    """Every other cycle fails for a day: three lines, the last when there was no relapse for a while."""
     faults = Faults()
     faults.play(*[105, 0] * 43_200)
     assert 2 == len(faults.lines)
     faults.play(0, step_s=RELAPSE_S + 1)
-    assert "came back 43199 times: 43200 x fault 105 at 1.0" in faults.lines[-1]
+    assert "INFO recovered; 43199 relapses in 86399.0 s: 43200 x fault 105 at 1.0" == faults.lines[-1]
     faults.play(105)
     assert "ERROR fault 105" in faults.lines[-1], "after that it is a new event"
     assert 4 == len(faults.lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from edged.domain import (
     Command,
     CommandKind,
     Match,
+    NearMiss,
     NotMeasured,
     Outcome,
     Reject,
@@ -52,6 +54,9 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
     command = Command(CommandKind.LOCATE, "zenoh", 3)
     targets = (make_target(), make_target(Reject.RESIDUAL))
     snapshot = make_snapshot(status=status, targets=targets, command=command, robot_from_rig=robot_from_rig)
+    match = Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.5)
+    missed = (NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)
+    snapshot = replace(snapshot, dismissed=missed, nearest=NearMiss(match, 0.6))
     assert [] == violations(publish(snapshot_to_json(snapshot), "target"), SCHEMA, SCHEMA)
 
 

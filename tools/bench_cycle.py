@@ -52,8 +52,8 @@ COUNTED = {
     "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
-    "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001
-    "steps of the joint fit": (planefit._State, "step"),  # noqa: SLF001
+    "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001 - likewise
+    "steps of the joint fit": (planefit._State, "step"),  # noqa: SLF001 - likewise
 }
 
 

@@ -21,6 +21,7 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import TextIO
 
 from edged import __version__
 from edged.logs import RepeatLimit, fields_of
@@ -49,7 +50,7 @@ def set_up_logging(
 
     cell : for the field EDGED_CELL. Replaces what was set up before.
     """
-    handler: logging.Handler = logging.StreamHandler(sys.stderr)
+    handler: logging.Handler = _CurrentStderr()
     if not _leads_to_journal(environment or os.environ):
         handler.setFormatter(_TerminalFormatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
     else:
@@ -74,6 +75,18 @@ def _emit(handler: logging.Handler, record: logging.LogRecord) -> None:
         handler.emit(record)
     finally:
         handler.release()
+
+
+class _CurrentStderr(logging.StreamHandler[TextIO]):
+    """Lines to what is stderr when they are written: a live table redirects it, to stay in its place."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:  # type: ignore[override]  # an attribute there, looked up anew here
+        """Of this moment."""
+        return sys.stderr
 
 
 def priority(level: int) -> int:

@@ -155,13 +155,12 @@ def camera_facts(head: StereoHead) -> dict[str, str]:
     facts = {}
     for camera, health in _healths(head):
         parts = [] if health.temperature_c is None else [f"{health.temperature_c:.1f} °C"]
-        parts.append("clock: PTP" if health.ptp else "clock: its own")
-        if health.clock_bound_ns is not None:
-            parts.append(f"known to {health.clock_bound_ns * 1e-3:.0f} µs")
+        bound = "" if health.clock_bound_ns is None else f", ±{health.clock_bound_ns * 1e-3:.0f} µs"
+        parts.append(f"clock: {'PTP' if health.ptp else 'free-running'}{bound}")
         if health.complete is not None:
             parts.append(f"{health.complete} images, {health.failed or 0} damaged")
         if health.resent is not None:
-            parts.append(f"packets: {health.resent} sent again, {health.lost or 0} lost")
+            parts.append(f"packets: {health.resent} resent, {health.lost or 0} lost")
         facts[camera] = "; ".join(parts)
     return facts
 
@@ -173,9 +172,9 @@ def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
         for name, text, value in (
             ("temperature_celsius", "temperature", health.temperature_c),
             ("clock_bound_seconds", "how well its clock is known", _seconds(health.clock_bound_ns)),
-            ("images", "whole images since it was opened", health.complete),
-            ("damaged_images", "images that were not whole since it was opened", health.failed),
-            ("resent_packets", "packets that it sent again since it was opened", health.resent),
+            ("images", "complete images since it was opened", health.complete),
+            ("damaged_images", "incomplete images since it was opened", health.failed),
+            ("resent_packets", "packets resent since it was opened", health.resent),
             ("lost_packets", "packets that never came since it was opened", health.lost),
         ):
             if value is not None:

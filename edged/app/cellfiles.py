@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,17 +49,14 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     """
     # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
     text = read(path)
-    config = config_of(text, path)
+    try:
+        config = config_of(text, path)
+    except ConfigError as error:
+        raise ConfigError(str(path), [*error.problems, *_problems_of_named_files(text, path)]) from error
     problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
     files: dict[str, bytes] = {}
-    rig = rectification = None
-    try:
-        files["rig.json"] = read_bytes(config.cell.rig, "a rig")
-        rig = rig_of(files["rig.json"], config.cell.rig)
-        rectification = make_rectification(rig)
-    except UserError as error:
-        problems.append(f"cell.rig: {error}")
-    jobs = _load_jobs(config, files, problems)
+    rig, rectification = _load_rig(config.cell.rig, files, problems)
+    jobs = _load_jobs(config.cell.jobs, config.cell.job, files, problems)
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     identity = fingerprint(config, files)
@@ -108,12 +106,40 @@ def _unguarded(config: Config) -> list[str]:
     return []
 
 
-def _load_jobs(config: Config, files: dict[str, bytes], problems: list[str]) -> list[Job]:
-    folder = config.cell.jobs
+def _problems_of_named_files(text: bytes, path: Path) -> list[str]:
+    """Of the rig and the jobs of a configuration that has mistakes itself, as far as it names them."""
+    try:
+        cell = tomllib.loads(text.decode("utf-8-sig")).get("cell")
+    except (ValueError, RecursionError):
+        return []
+    problems: list[str] = []
+    names = cell if isinstance(cell, dict) else {}
+    rig, jobs, job = (names.get(key) for key in ("rig", "jobs", "job"))
+    if isinstance(rig, str):
+        _load_rig(path.resolve().parent / rig, {}, problems)
+    if isinstance(jobs, str) and isinstance(job, str):
+        _load_jobs(path.resolve().parent / jobs, job, {}, problems)
+    return problems
+
+
+def _load_rig(
+    path: Path, files: dict[str, bytes], problems: list[str]
+) -> tuple[StereoRig | None, Rectification | None]:
+    try:
+        files["rig.json"] = read_bytes(path, "a rig")
+        rig = rig_of(files["rig.json"], path)
+        return rig, make_rectification(rig)
+    except UserError as error:
+        problems.append(f"cell.rig: {error}")
+        return None, None
+
+
+def _load_jobs(folder: Path, active: str, files: dict[str, bytes], problems: list[str]) -> list[Job]:
     if not folder.is_dir():
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
     jobs: list[Job] = []
+    places: list[Path] = []
     try:
         entries = job_folders(folder)
     except OSError as error:
@@ -126,15 +152,21 @@ def _load_jobs(config: Config, files: dict[str, bytes], problems: list[str]) -> 
         except UserError as error:
             problems.append(f"cell.jobs: {error}")
             continue
-        twin = next((other for other in jobs if other.number == job.number), None)
+        twin = next(
+            (other for other, known in zip(places, jobs, strict=True) if known.number == job.number), None
+        )
         if twin is not None:
-            problems.append(f"cell.jobs: {job.name} and {twin.name} both have the number {job.number}")
+            problems.append(
+                f"cell.jobs: {entry} and {twin.name} both have the number {job.number}: change `number` in "
+                "the job.toml of one of them"
+            )
         jobs.append(job)
         files |= {f"jobs/{entry.name}/{name}": data for name, data in read_files.items()}
+        places.append(entry)
     names = [job.name for job in jobs]
-    if config.cell.job not in names:
+    if active not in names:
         problems.append(
-            f"cell.job: no usable job {config.cell.job!r} in {folder} (there: {', '.join(names) or 'none'})"
+            f"cell.job: no usable job {active!r} in {folder} (there: {', '.join(names) or 'none'})"
         )
     return jobs
 

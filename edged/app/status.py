@@ -14,6 +14,7 @@ from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.capture.stereohead import StereoHead
 from edged.cycle import Cycle
+from edged.plc.registers import Number, Register
 from edged.ports import Publisher
 
 
@@ -27,14 +28,11 @@ class Running:
     servers: Mapping[str, Publisher]
 
 
-def register_rows(modbus: Publisher | None) -> list[tuple[int, str, float, str, str]]:
-    """Address, name, value, unit and help of each register; none where Modbus is off."""
+def register_rows(modbus: Publisher | None) -> list[tuple[Register, Number]]:
+    """Each register with its value; none where Modbus is off."""
     if not isinstance(modbus, ModbusPublisher):
         return []
-    return [
-        (register.address, register.name, float(value), register.unit, register.help)
-        for register, value in modbus.values()
-    ]
+    return list(modbus.values())
 
 
 def facts(running: Running) -> dict[str, dict[str, Any]]:
@@ -65,7 +63,8 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
         kept = recorder.figures
         groups["Recorder"] = {
             "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
-            "left out, failed": f"{kept.left_out}, {kept.failed}",
+            "skipped": kept.left_out,
+            "failed": kept.failed,
         }
         if kept.problem:
             groups["Recorder"]["problem"] = kept.problem
@@ -100,7 +99,7 @@ def figures(running: Running) -> dict[str, tuple[str, float]]:
             "recordings": ("recordings on disk", kept.kept),
             "recordings_bytes": ("size of all recordings", kept.kept_bytes),
             "recordings_left_out": (
-                "cycles left out since the start: the disk was slower",
+                "cycles skipped since the start: the disk was slower",
                 kept.left_out,
             ),
             "recordings_failed": ("recordings that could not be written since the start", kept.failed),

@@ -108,8 +108,23 @@ def registers(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="folder for the files of twincat")
     ] = None,
+    read: Annotated[
+        str | None, typer.Option("--read", help="HOST[:PORT] of a cell: print what its registers say")
+    ] = None,
+    base_address: Annotated[
+        int, typer.Option("--base-address", min=0, max=60_000, help="of --read: as in the configuration")
+    ] = 0,
+    unit_id: Annotated[
+        int, typer.Option("--unit-id", min=0, max=255, help="of --read: as in the configuration")
+    ] = 1,
 ) -> None:
-    """Print the Modbus map or a client's source, generated from the schema that encodes it."""
+    """Print the Modbus map or a client's source, generated from the schema; --read reads a cell."""
+    if read is not None:
+        from rich.console import Console
+
+        from edged.commands.readregisters import read as read_command
+
+        raise typer.Exit(read_command(read, base_address, unit_id, Console()))
     from edged.commands.registers import registers as command
 
     raise typer.Exit(command(format, output))

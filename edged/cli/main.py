@@ -19,6 +19,7 @@ app = typer.Typer(
     name="edged",
     help="Where is the workpiece? Two GenICam cameras in, coordinates with a sigma out.",
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     add_completion=False,
 )

@@ -30,7 +30,7 @@ def doctor(
     trigger: Annotated[bool, typer.Option(help="take test pictures")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Examine machine, network and cameras: what will bite, and the command that fixes it."""
+    """Examine machine, network and cameras: likely problems, and the command that fixes each."""
     from rich.console import Console
 
     from edged.commands.doctor import doctor as command

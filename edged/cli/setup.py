@@ -29,10 +29,14 @@ def grab(
     count: Annotated[int, typer.Option(min=1, max=1000, help="pairs")] = 1,
     name: Annotated[str, typer.Option(help="beginning of the file names")] = "pair",
 ) -> None:
-    """Save pairs of pictures, for calibration and teaching."""
+    """Save pairs of pictures, for calibration and teaching.
+
+    With --count, a terminal asks for Enter before each pair; otherwise a pair is taken whenever the view has
+    changed and rests. Each is on the disc before the next, and none is ever overwritten.
+    """
     from rich.console import Console
 
-    from edged.commands.cameras import grab as command
+    from edged.commands.grab import grab as command
 
     raise typer.Exit(command(config, output, count, name, Console(stderr=True)))
 
@@ -127,12 +131,12 @@ def teach(
         typer.Option(
             "--region",
             "--roi",
-            help="around the part, pixels of the left image: X,Y,W,H, circle:X,Y,R, "
-            "polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
+            help="around the part, pixels of the left image, default: the whole picture. X,Y,W,H, "
+            "circle:X,Y,R, polygon:X,Y;X,Y;..., or mask:FILE.png, white where the part is",
         ),
     ] = None,
     exclude: Annotated[
-        list[str] | None, typer.Option(help="what of the region is not the part, in the same forms; repeat")
+        list[str] | None, typer.Option(help="what of the picture is not the part, in the same forms; repeat")
     ] = None,
     dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
     contour: Annotated[
@@ -154,7 +158,12 @@ def teach(
     levels: Annotated[
         int | None, typer.Option(help="most levels of the pyramid, 1 to 5; default: automatic")
     ] = None,
-    number: Annotated[int, typer.Option(min=1, max=65535, help="number of the job on the PLC")] = 1,
+    number: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="of the job on the PLC; default: as before, or the next free one"
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="HTML page to write: the model, and what it promises")
     ] = None,
@@ -225,7 +234,10 @@ def register_touch(
     limit: Annotated[float, typer.Option(min=0, help="mm: of each point against all others")] = 0.5,
     as_json: JsonOption = False,
 ) -> None:
-    """From three or more points that the robot touched. 0: saved; 1: over the limit."""
+    """From three or more points that the robot touched. 0: saved; 1: over the limit.
+
+    With five or more a wrong point is named.
+    """
     from rich.console import Console
 
     from edged.commands.register import touch as command

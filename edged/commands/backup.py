@@ -41,6 +41,7 @@ from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder, write_atomically
 from edged.files.jobs import job_folders
+from edged.files.outputs import check_outputs
 from edged.files.replacing import replace_files
 
 FORMAT = "edged-backup"
@@ -77,6 +78,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
+    check_outputs({"--output": output}, {"CONFIG": config})
     cell = read_cell(config, elsewhere=True)
     files, left_out = _collect(config, cell.config)
     taken = Backup(

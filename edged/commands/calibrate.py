@@ -19,16 +19,17 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from edged import __version__
-from edged.domain import SIDES, FloatArray, Side
-from edged.errors import CalibrationError, FileFormatError, UserError
-from edged.files.atomic import write_atomically
+from edged.domain import SIDES, FloatArray, Image, Side
+from edged.errors import CalibrationError, FileFormatError
+from edged.files.atomic import write_file
 from edged.files.images import load_image
+from edged.files.outputs import check_outputs
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView, parse_boards
 from edged.vision.boards.deformation import nominal
-from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.boards.detection import detect_board, fitting_size, remeasure_board
 from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
 from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
 from edged.vision.calibration.imaging import (
@@ -42,10 +43,13 @@ from edged.vision.calibration.imaging import (
 )
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.calibration.plainopencv import plain_opencv
+from edged.vision.calibration.verdict import judge_calibration
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rectification import make_rectification
 
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
+TRIED_PICTURES = 4
+"""Of those without the stated board, to see whether another size fits."""
 T = TypeVar("T")
 
 
@@ -68,10 +72,10 @@ def calibrate(
         raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
     lens: LensModel = "brown" if model == "brown" else "division"
     boards = parse_boards(board)
-    for path in (output, *([report] if report else [])):
-        _check_writable(path)
+    check_outputs({"--output": output, "--report": report})
     pairs = find_pairs(directory)
     sizes, views = detect_views(pairs, boards, console)
+    _check_sizes(pairs, views, boards)
     with console.status("bundle adjustment"):
         first = calibrate_stereo(views, *sizes, lens)
     views = remeasure_views(pairs, views, first, console)
@@ -85,12 +89,16 @@ def calibrate(
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
     quality = quality_figures(calibration, held, boards) | {"imaging": [asdict(one) for one in found]}
-    page = _page(directory, calibration, held, views, quality, found) if report else None
+    with console.status("the verdict, and the report"):
+        verdict = judge_calibration(calibration, held)
+        page = _page(directory, calibration, held, views, quality, found) if report else None
+    quality["verdict"] = {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add}
     kept = _keep_old(output, console)
     save_rig(output, calibration.rig, quality)
     if report and page is not None:
-        write_atomically(report, page.encode())
+        write_file(report, page.encode())
     _print(console, calibration, quality, found, output, report, kept)
+    console.print(str(verdict), markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -142,6 +150,27 @@ def detect_views(
         else:
             views.append(_view(pair.name, boards, left.results, right.results))
     return (sizes[0], sizes[1]), views
+
+
+def _check_sizes(
+    pairs: Sequence[ImagePair], views: Sequence[StereoView], boards: Sequence[NominalBoard]
+) -> None:
+    """Where hardly a picture shows the stated board: raises `CalibrationError` if another size fits."""
+    seen = [not isinstance(view.left, NotDetected) for view in views]
+    if len(boards) > 1 or 2 * sum(seen) > len(seen):
+        return
+    missed = [pair.left for pair, one in zip(pairs, seen, strict=True) if not one][:TRIED_PICTURES]
+    check_board_size([load_image(path) for path in missed], boards[0])
+
+
+def check_board_size(images: Sequence[Image], board: NominalBoard) -> None:
+    """Raises `CalibrationError` if images that do not show a board show it with another number of corners."""
+    if (fits := fitting_size(images, board)) is not None:
+        kind, stated, *rest = str(board).split(":")
+        raise CalibrationError(
+            f"--board {board}: the pictures show {fits} inner corners, not {stated}; count where four "
+            f"squares meet, not the squares: --board {':'.join([kind, fits, *rest])}"
+        )
 
 
 def _view(
@@ -331,13 +360,6 @@ def _keep_old(output: Path, console: Console) -> Path | None:
     return kept
 
 
-def _check_writable(path: Path) -> None:
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder, expected a file to write")
-    if not path.resolve().parent.is_dir():
-        raise UserError(f"{path}: there is no folder {path.resolve().parent} to write into")
-
-
 def _print(
     console: Console,
     calibration: Calibration,
@@ -377,7 +399,7 @@ def _print(
         if finding.remedy:
             console.print(f"[yellow]note[/] {escape(finding.text)}", soft_wrap=True)
     for name, reason in calibration.excluded:
-        console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}")
+        console.print(f"[yellow]skipped[/] {escape(name)}: {escape(reason)}")
     for note in calibration.notes:
         console.print(f"[yellow]note[/] {escape(note)}")
     if kept:

@@ -18,7 +18,7 @@ from edged.app.daemon import Daemon
 from edged.app.demoview import demo_view
 from edged.app.discovery import aravis_missing
 from edged.app.process import serve, set_up_process
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
 from edged.pipeline import prepare
@@ -122,7 +122,7 @@ listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
     if options.web_port is not None:
         text += f"\n[web]\nport = {options.web_port}\n"
     path = folder / "cell.toml"
-    write_atomically(path, text.encode())
+    write_file(path, text.encode())
     return path
 
 

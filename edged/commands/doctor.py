@@ -1,4 +1,4 @@
-"""`edged doctor`: what will bite, and the command that fixes it."""
+"""`edged doctor`: likely problems, and the command that fixes each."""
 
 from __future__ import annotations
 

@@ -11,14 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
-from edged.errors import FileFormatError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.images import load_image
 from edged.files.jobs import load_job
+from edged.files.outputs import check_outputs
 from edged.files.ply import save_ply
 from edged.files.rig import load_rig
 from edged.payload import outcome_to_json
-from edged.pictures.captions import reasons
+from edged.pictures.captions import reasons, why_nothing
 from edged.pictures.cloud import cloud_picture
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
@@ -41,6 +41,7 @@ def locate(
 
     overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
     """
+    check_outputs({"--overlay": overlay, "--ply": ply, "--cloud": cloud}, {"LEFT": left, "RIGHT": right})
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     pair = FramePair(
         *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
@@ -59,7 +60,7 @@ def locate(
     if overlay is not None:
         images = pair.left.image, pair.right.image
         seen = inspection.measured, inspection.dismissed
-        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status)
+        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=inspection.nearest)
         _write_picture(overlay, picture)
     if ply is not None or cloud is not None:
         points = point_cloud(pair, taught, prepared, inspection)
@@ -88,10 +89,7 @@ def locate(
 
 def _write_picture(path: Path, picture: Image) -> None:
     _, png = cv2.imencode(".png", picture)
-    try:
-        write_atomically(path, png.tobytes())
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot write the picture: {error.strerror or error}") from error
+    write_file(path, png.tobytes())
 
 
 def _print(outcome: Outcome, console: Console) -> None:
@@ -117,15 +115,13 @@ def _print(outcome: Outcome, console: Console) -> None:
             console.print("  looks the same from all sides: its rotation about its axis is not known")
         if target.doubt_mm:
             console.print(
-                f"  rows or sizes contradict the rig: its distance is in doubt by {target.doubt_mm:.3f} mm"
+                f"  rows or sizes contradict the rig: systematic depth uncertainty {target.doubt_mm:.3f} mm"
             )
         if target.reject:
             console.print(f"  not good: {', '.join(reasons(target.reject))} ({target.reject.name})")
-    for one in outcome.dismissed:
-        console.print(
-            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px, not measured: "
-            f"{', '.join(reasons(one.reject))} ({one.reject.name})"
-        )
+    if outcome.dismissed or not outcome.targets:
+        for line in why_nothing(outcome.dismissed, outcome.nearest):
+            console.print(line, markup=False, highlight=False)
 
 
 def _measurements(target: Target) -> Table:

@@ -11,13 +11,18 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
+from edged.commands.calibrate import check_board_size
 from edged.domain import SIDES, FloatArray
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.images import load_image
+from edged.files.outputs import check_outputs
+from edged.files.pairs import half_of
 from edged.files.rig import keep_old_rig, load_rig, load_rig_quality, save_rig
+from edged.files.tables import number_of, read_table
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
 from edged.robot.readings import rank_readings
@@ -27,7 +32,6 @@ from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board
 from edged.vision.geometry.camera import StereoRig
 
-MAX_LINES = 10_000
 DECIDED = 3.0
 """A reading that fits so many times better than the next is the right one."""
 
@@ -35,11 +39,16 @@ DECIDED = 3.0
 def touch(
     rig_path: Path, points: Path, output: Path, limit_mm: float, as_json: bool, console: Console
 ) -> int:
-    """Register from touched points; 0 when every left-out point is within the limit, else 1."""
+    """Register from touched points; 0 when each is within the limit of where the others expect it, else 1.
+
+    Three points have no others: there the distances between them must agree within the limit.
+    """
+    check_outputs({"--output": output}, {"--points": points})
     rig = load_rig(rig_path)
     names, rig_mm, robot_mm = read_touched(points)
     found = register_points(rig_mm, robot_mm)
-    worst = float(np.nanmax(found.left_out_mm)) if np.isfinite(found.left_out_mm).any() else math.nan
+    checked = np.isfinite(found.held_out_mm).any()
+    worst = float(np.nanmax(found.held_out_mm)) if checked else found.lengths_mm
     good = worst <= limit_mm
     doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(names) > 3 else False
     registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None)
@@ -48,19 +57,22 @@ def touch(
     if as_json:
         print(json.dumps(_touch_json(names, found, good, output if good else None)))
         return 0 if good else 1
-    table = Table("point", "residual mm", "left out mm")
-    for name, residual, left_out in zip(names, found.residuals_mm, found.left_out_mm, strict=True):
-        table.add_row(name, f"{residual:.3f}", "–" if math.isnan(left_out) else f"{left_out:.3f}")
+    table = Table("point", "residual mm", "held out mm", "rms of the others mm")
+    for name, *values in zip(names, found.residuals_mm, found.held_out_mm, found.others_rms_mm, strict=True):
+        table.add_row(name, *("–" if math.isnan(value) else f"{value:.3f}" for value in values))
     console.print(table)
     console.print(f"rms {found.rms_mm:.3f} mm, scale {found.scale:.5f} ± {found.sigma_scale:.5f}")
     if doubt:
         console.print(
             f"the robot's lengths differ by {100 * (found.scale - 1):+.2f} %: is the board's length right?"
         )
-    if math.isnan(worst):
-        console.print("three points fit almost anything: touch a fourth one; nothing was saved")
-    elif not good:
-        console.print(f"a point is off by {worst:.3f} mm, the limit is {limit_mm:g} mm: nothing was saved")
+    if not checked:
+        console.print(
+            f"the distances between these points agree to {found.lengths_mm:.3f} mm; only more points show "
+            "whether one of them is wrong, and which"
+        )
+    if not good:
+        console.print(_verdict_of_touch(names, found, worst, limit_mm), markup=False)
     else:
         _tell_saved(output, kept, console)
     return 0 if good else 1
@@ -79,13 +91,15 @@ def hand_eye_command(
     console: Console,
 ) -> int:
     """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
+    check_outputs({"--output": output}, {"--poses": poses})
     rig, pattern = load_rig(rig_path), parse_board(board)
     numbers = read_poses(poses)
     maker = _brand(brand)
     views = _views(rig, folder, pattern, list(numbers), console)
     transforms = [_transform(maker, name, numbers[name], poses) for name in views]
     found = hand_eye(transforms, list(views.values()), pattern.points_mm, mount)
-    held = found.held_out_mm[np.isfinite(found.held_out_mm)]
+    # a rejected pose says nothing about the registration, which does not use it
+    held = found.held_out_mm[found.used & np.isfinite(found.held_out_mm)]
     rms = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
     good = rms <= limit_mm
     kept = None
@@ -96,14 +110,19 @@ def hand_eye_command(
             robot_from_rig=found.rig if fixed else None,
             flange_from_rig=None if fixed else found.rig,
         )
-        how = {"how": f"hand-eye, {mount}", "poses": len(views), "held_out_rms_mm": round(rms, 4)}
+        how = {
+            "how": f"hand-eye, {mount}",
+            "poses": int(found.used.sum()),
+            "rejected": [name for name, used in zip(views, found.used, strict=True) if not used],
+            "held_out_rms_mm": round(rms, 4),
+        }
         kept = _save(rig_path, registered, output, found.covariance, how)
     if as_json:
         print(json.dumps(_hand_eye_json(list(views), found, rms, good)))
         return 0 if good else 1
     table = Table("pose", "held out mm", "held out °", "")
     for name, mm, rad, used in zip(views, found.held_out_mm, found.held_out_rad, found.used, strict=True):
-        table.add_row(name, f"{mm:.3f}", f"{np.degrees(rad):.4f}", "" if used else "left out as a mistake")
+        table.add_row(name, f"{mm:.3f}", f"{np.degrees(rad):.4f}", "" if used else "rejected as outlier")
     console.print(table)
     sigma = np.sqrt(np.diag(found.covariance))
     console.print(
@@ -178,14 +197,17 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
     `edged locate --json` printed. Raises `FileFormatError` that names the line.
     """
     names, rig, robot = [], [], []
-    for number, cells in _lines(path):
-        place = f"{path}: line {number}"
+    for line in read_table(path):
+        cells = line.cells
+        if not cells:
+            continue
+        place = f"{path}: line {line.number}"
         if len(cells) == 4:
             names.append(Path(cells[0]).stem)
             rig.append(_located(path.parent / cells[0], place))
             robot.append(_floats(cells[1:], place))
         elif len(cells) == 6:
-            names.append(f"line {number}")
+            names.append(f"line {line.number}")
             rig.append(_floats(cells[:3], place))
             robot.append(_floats(cells[3:], place))
         else:
@@ -199,8 +221,11 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
 def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
     poses: dict[str, tuple[float, ...]] = {}
-    for number, cells in _lines(path):
-        place = f"{path}: line {number}"
+    for line in read_table(path):
+        cells = line.cells
+        if not cells:
+            continue
+        place = f"{path}: line {line.number}"
         if len(cells) not in (7, 8):
             raise FileFormatError(f"{place}: expected NAME and six or seven numbers, got {len(cells)} values")
         if cells[0] in poses:
@@ -209,31 +234,11 @@ def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     return poses
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = read_bytes(path, "a table").decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
-    found = []
-    for number, line in enumerate(text.splitlines(), 1):
-        content = line.split("#")[0].strip()
-        if content:
-            found.append((number, [cell.strip() for cell in content.replace(";", ",").split(",")]))
-        if len(found) > MAX_LINES:
-            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
-    if not found:
-        raise FileFormatError(f"{path}: empty")
-    return found
-
-
 def _floats(cells: Sequence[str], place: str) -> list[float]:
     try:
-        values = [float(cell) for cell in cells]
+        return [number_of(cell) for cell in cells]
     except ValueError as error:
         raise FileFormatError(f"{place}: {error}") from None
-    if not all(map(math.isfinite, values)):
-        raise FileFormatError(f"{place}: expected finite numbers")
-    return values
 
 
 def _located(path: Path, place: str) -> list[float]:
@@ -266,12 +271,12 @@ def _transform(brand: Brand, name: str, numbers: tuple[float, ...], path: Path) 
 def _views(
     rig: StereoRig, folder: Path, board: NominalBoard, names: list[str], console: Console
 ) -> dict[str, FloatArray]:
-    """rig_from_board of every pair that shows the board; the others are named and left out."""
+    """rig_from_board of every pair that shows the board; the others are named and skipped."""
     found: dict[str, FloatArray] = {}
-    for name in names:
+    for name in track(names, "finding the board", console=console, transient=True):
         sides = []
         for side in SIDES:
-            path = folder / f"{name}_{side}.png"
+            path = half_of(folder, name, side)
             image = load_image(path)
             camera = rig.left if side == "left" else rig.right
             if image.shape != (camera.height, camera.width):
@@ -279,10 +284,11 @@ def _views(
             sides.append(detect_board(image, board))
         pose = pose_of_board(rig, StereoView(name, board, sides[0], sides[1]))
         if isinstance(pose, NotDetected):
-            console.print(f"left out {name}: {pose.reason}", markup=False)
+            console.print(f"skipped {name}: {pose.reason}", markup=False)
             continue
         found[name] = pose[1]
     if not found:
+        check_board_size([load_image(half_of(folder, name, "left")) for name in names[:4]], board)
         raise CalibrationError(f"{folder}: the board was seen in no pair")
     return found
 
@@ -303,6 +309,24 @@ def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:
     console.print(f"registration written to {output}" + (f"; the old rig is {kept}" if kept else ""))
 
 
+def _verdict_of_touch(
+    names: Sequence[str], found: PointRegistration, worst_mm: float, limit_mm: float
+) -> str:
+    """Why nothing is saved, and which point to touch again."""
+    if (culprit := found.culprit) is not None:
+        return (
+            f"{names[culprit]} is wrong by {found.held_out_mm[culprit]:.3f} mm: without it the others agree "
+            f"to {found.others_rms_mm[culprit]:.3f} mm (rms). Touch it again, or delete its line. "
+            "Nothing was saved"
+        )
+    if not np.isfinite(found.held_out_mm).any():
+        return f"they disagree by {worst_mm:.3f} mm, the limit is {limit_mm:g} mm: nothing was saved"
+    return (
+        f"a point is off by {worst_mm:.3f} mm, the limit is {limit_mm:g} mm, and no single point is to "
+        "blame: touch more points. Nothing was saved"
+    )
+
+
 def _touch_json(
     names: list[str], found: PointRegistration, good: bool, output: Path | None
 ) -> dict[str, object]:
@@ -313,9 +337,10 @@ def _touch_json(
         "scale": found.scale,
         "sigma_scale": None if math.isnan(found.sigma_scale) else found.sigma_scale,
         "points": [
-            {"name": n, "residual_mm": r, "left_out_mm": None if math.isnan(o) else o}
-            for n, r, o in zip(names, found.residuals_mm.tolist(), found.left_out_mm.tolist(), strict=True)
+            {"name": n, "residual_mm": r, "held_out_mm": None if math.isnan(o) else o}
+            for n, r, o in zip(names, found.residuals_mm.tolist(), found.held_out_mm.tolist(), strict=True)
         ],
+        "culprit": None if found.culprit is None else names[found.culprit],
         "written": None if output is None else str(output),
     }
 

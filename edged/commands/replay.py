@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 
 from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
 from edged.drift import refused
@@ -57,7 +58,7 @@ def replay(path: Path, as_json: bool, console: Console, export: Path | None = No
     """
     files = _files(path)
     report, setups = Report(recording.versions()), _Setups()
-    for file in files:
+    for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:
             taken = recording.load(file)
             if taken.pair is None:

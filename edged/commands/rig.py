@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from edged.errors import UserError
+from edged.files.outputs import check_folder, check_outputs
 from edged.files.rig import keep_old_rig
 from edged.files.rigformats import Options, read_rig, rig_format, write_rig
 from edged.files.rigformats.files import UNITS_MM, parse_size
@@ -28,8 +29,10 @@ def convert(
     target_format, source_format = rig_format(to), rig_format(from_) if from_ else None
     if unit not in UNITS_MM:
         raise UserError(f"--unit {unit!r}: expected one of {', '.join(UNITS_MM)}")
-    if not target.resolve().parent.is_dir():
-        raise UserError(f"{target}: there is no folder {target.resolve().parent} to write into")
+    if target_format in ("ros", "halcon"):
+        check_folder(target)
+    else:
+        check_outputs({"TARGET": target}, {"SOURCE": source})
     options = Options(parse_size(size) if size else None, UNITS_MM[unit], pixel_um)
     imported = read_rig(source, source_format, options)
     rig = imported.rig

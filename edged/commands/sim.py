@@ -28,6 +28,7 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera, moving_ramp
 from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Faults, Quirk
+from edged.sim.reel import PairReel
 from edged.sim.world import SERIALS, cross_wire
 
 ADDRESSES = ("127.0.0.2", "127.0.0.3")
@@ -144,7 +145,8 @@ def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]
         if len(shapes) > 1:
             raise UserError(f"{options.images}: pictures of {len(shapes)} sizes; a sensor has one")
         height_px, width_px = shapes.pop()
-        return (width_px, height_px), {side: _reel(images) for side, images in shown.items()}
+        reel = PairReel(shown)
+        return (width_px, height_px), {side: reel.exposure(side) for side in SIDES}
     rig = demo_rig() if options.config is None else load_rig(load(options.config).cell.rig)
     try:
         cell = VirtualCell(rig, demo_part())
@@ -152,14 +154,6 @@ def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]
         raise UserError(f"the demo's part cannot be shown to this rig ({error}); use --images") from error
     size = rig.left.width, rig.left.height
     return size, {side: cell.exposure(side) for side in SIDES}
-
-
-def _reel(images: list[Image]) -> Exposure:
-    def expose(request: ExposureRequest) -> Image:
-        image = images[(request.frame_id - 1) % len(images)]
-        return image[: request.height, : request.width]
-
-    return expose
 
 
 def _quirk(name: str) -> Quirk:

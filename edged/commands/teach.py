@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from edged.domain import Image
-from edged.errors import FileFormatError, TeachError, UserError
-from edged.files.atomic import write_atomically
+from edged.errors import TeachError, UserError
+from edged.files.atomic import write_file
 from edged.files.dxf import read_contour, read_dxf
 from edged.files.images import load_image
-from edged.files.jobs import save_job
+from edged.files.jobs import check_job_folder, job_folders, load_job, save_job
+from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
 from edged.pipeline import PreparedRig, prepare
-from edged.report.teaching import inspection_to_json, teaching_report
+from edged.report.teaching import Taught, inspection_to_json, teaching_report
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
+from edged.vision.teaching.pair import taught_mask
 from edged.vision.teaching.pair import teach as teach_job
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
+from edged.vision.teaching.reteaching import carry_over
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
+MAX_CUTS = 4
+"""Named one by one; with more the report's picture says it better."""
 
 
 def parse_region(text: str, option: str = "--region") -> Area:
@@ -70,7 +76,7 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True, slots=True)
 class PairSource:
-    """A stereo pair and the region of the part, as given on the command line."""
+    """A stereo pair, and the region of the part where it is not the whole picture, as on the command line."""
 
     left: Path | None
     right: Path | None
@@ -94,10 +100,10 @@ def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | Draw
     from_pair = bool(pair.exclude) or any(value is not None for value in (pair.left, pair.right, pair.region))
     files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
     if from_pair == bool(files) or len(files) > 1:
-        raise UserError("teach: expected either --left, --right and --region, or one of --dxf and --contour")
+        raise UserError("teach: expected either --left and --right, or one of --dxf and --contour")
     if from_pair:
-        if missing := [f"--{name}" for name in ("left", "right", "region") if getattr(pair, name) is None]:
-            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left, --right and --region")
+        if missing := [f"--{name}" for name in ("left", "right") if getattr(pair, name) is None]:
+            raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left and --right")
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
@@ -113,22 +119,33 @@ def teach(
     output: Path,
     console: Console,
     *,
-    number: int = 1,
+    number: int | None = None,
     params: ModelParams | None = None,
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
-    """Teach a job and write its folder; nothing is written when that fails."""
+    """Teach a job and write its folder; nothing is written when that fails.
+
+    What a person changed in the job that was there is carried over. number : None: that job's, or the first
+    that no job beside it has.
+    """
     _check_name(name)
+    check_outputs({"--report": report}, _inputs(source))
+    check_job_folder(output)
+    former = _former(output)
+    number = _number(output, number, former)
     prepared = prepare(load_rig(rig))
-    job, picture = _job(source, prepared, name, number, params)
+    with console.status("learning the part"):
+        job, taught = _job(source, prepared, name, number, params)
+    carried: tuple[str, ...] = ()
+    if former is not None:
+        job, carried = carry_over(former, job)
     save_job(output, job)
     inspection = inspect_model(job.shape, job.search)
+    if taught.cuts:
+        inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
     if report is not None:
-        try:
-            write_atomically(report, teaching_report(job, picture, inspection).encode())
-        except OSError as error:
-            raise FileFormatError(f"{report}: cannot be written: {error.strerror or error}") from error
+        write_file(report, teaching_report(job, taught, inspection).encode())
     if as_json:
         print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
@@ -150,9 +167,47 @@ def teach(
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
+    if former is not None:
+        console.print(f"  the job that was there is {output}.old", markup=False)
+    for line in carried:
+        console.print(f"  {line}", markup=False)
     for warning in inspection.warnings:
-        console.print(f"  mind: {warning}", markup=False)
+        console.print(f"Warning: {warning}", markup=False)
     return 0
+
+
+def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
+    if isinstance(source, DrawingSource):
+        return {"--dxf": source.dxf, "--contour": source.contour}
+    return {"--left": source.left, "--right": source.right}
+
+
+def _former(output: Path) -> Job | None:
+    """The job that is about to be replaced; None where there is none, or none that can be read."""
+    if not (output / "job.toml").is_file():
+        return None
+    try:
+        return load_job(output)
+    except UserError:  # it is kept as it is, and says itself what is wrong with it
+        return None
+
+
+def _number(output: Path, wanted: int | None, former: Job | None) -> int:
+    """The number of the job on the PLC. Raises `UserError` for one that a job beside it has."""
+    folder = output.resolve()
+    taken: dict[int, Path] = {}
+    for other in job_folders(folder.parent) if folder.parent.is_dir() else []:
+        if other != folder:
+            try:
+                taken[load_job(other).number] = other
+            except UserError:  # `edged check` names it
+                continue
+    free = next(number for number in range(1, len(taken) + 2) if number not in taken)
+    if wanted is None:
+        return former.number if former is not None else free
+    if wanted in taken:
+        raise UserError(f"--number {wanted}: is that of {taken[wanted]}; {free} is free")
+    return wanted
 
 
 def _job(
@@ -161,20 +216,37 @@ def _job(
     name: str,
     number: int,
     params: ModelParams | None,
-) -> tuple[Job, Image]:
-    """The job and the rectified left picture it was learnt from."""
+) -> tuple[Job, Taught]:
+    """The job, and what it was learnt from."""
     if isinstance(source, DrawingSource):
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
-        return teach_drawing(outlines, prepared.rectification, source.depth_mm or 0.0, name, number, params)
-    region = parse_region(source.region or "")
+        depth_mm = source.depth_mm or 0.0
+        job, picture = teach_drawing(outlines, prepared.rectification, depth_mm, name, number, params)
+        return job, Taught(picture, None, ())
+    region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
     rectification = prepared.rectification
     job = teach_job(left, right, rectification, region, name, number, exclude=exclude, params=params)
-    return job, rectification.left_image(left)
+    picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
+    cuts = cut_edges(job, picture, mask, rectification)
+    return job, Taught(picture, None if region is None else mask, cuts)
+
+
+def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
+    """What is cut, one sentence each."""
+    said = [
+        f"The region cuts {cut.text}. Only what is inside was learnt. Make it larger, or leave --region out: "
+        "then the whole picture is learnt from."
+        if cut.by_region
+        else f"The picture cuts {cut.text}. Teach from a pair that shows the whole part."
+        for cut in cuts[:MAX_CUTS]
+    ]
+    more = len(cuts) - MAX_CUTS
+    return [*said, f"It cuts {more} more edges."] if more > 0 else said
 
 
 def _check_name(name: str) -> None:

@@ -255,7 +255,7 @@ def _print(finding: Finding, rig: StereoRig, limits: Limits, console: Console) -
         words = {
             "OK": "ok",
             "NOT_OK": "too large",
-            "UNDECIDED": f"this view tells lengths to ±{sigma_percent:.2g} % only",
+            "UNDECIDED": f"length uncertainty of this view ±{sigma_percent:.2g} % only",
         }
         table.add_row(
             f"{escape(length.name)}, true {length.true_mm:.4g} mm",

@@ -1,4 +1,4 @@
-"""What will bite on this machine, before it does: each check with finding, consequence and remedy.
+"""Likely problems of this machine, before they stop a cell: each check with finding, consequence and remedy.
 
     examination  all checks for a configuration, in order
     machine      kernel cache, clock, processor, disk, serial port, ports to listen on

@@ -114,7 +114,7 @@ def _clock() -> Check:
 def _governor() -> Check:
     text = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     if text is None:
-        return Check("processor speed", Verdict.SKIP, "this machine does not say how it is governed")
+        return Check("processor speed", Verdict.SKIP, "no CPU frequency governor found")
     if text != "performance":
         return Check(
             "processor speed",

@@ -37,6 +37,14 @@ def write_atomically(path: Path, data: bytes, *, mode: int = 0o644, group: int =
     sync(path.parent)
 
 
+def write_file(path: Path, data: bytes) -> None:
+    """`write_atomically` for what a person asked for. Raises `FileFormatError` where the disc refuses."""
+    try:
+        write_atomically(path, data)
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
 def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
     """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
 

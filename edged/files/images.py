@@ -6,15 +6,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 
 from edged.domain import Image
 from edged.errors import ImageError
 
+SENSOR_BITS = (8, 10, 12, 14, 16)
+
 
 def load_image(path: Path) -> Image:
-    """Read an 8-bit grey image (H, W) uint8; colour files are converted when all channels agree.
+    """Read an image as 8-bit grey (H, W) uint8; colours and 16 bits are converted.
 
-    Raises `ImageError` for what cannot be read or is no image, has another depth, or is really coloured.
+    Raises `ImageError` for what cannot be read, is no image, or has floating-point pixels.
     """
     path = Path(path)
     if not path.is_file():
@@ -30,12 +33,18 @@ def decode_image(data: bytes, place: str) -> Image:
     """`load_image` of bytes; place : what a message calls them."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
-        raise ImageError(f"{place}: not an image that can be read (PNG, TIFF, BMP and JPEG are)")
+        raise ImageError(f"{place}: not an image that can be read; save it as PNG, TIFF, BMP or JPEG")
+    if image.dtype == np.uint16:
+        image = _as_8_bits(image)
     if image.dtype != np.uint8:
-        raise ImageError(f"{place}: {image.dtype} pixels, expected 8-bit grey")
+        raise ImageError(f"{place}: {image.dtype} pixels; save it with 8 or 16 bits")
     if image.ndim == 3:
-        colour = image[..., :3]
-        if np.ptp(colour.astype(np.int16), axis=2).max() > 0:
-            raise ImageError(f"{place}: a colour image, expected 8-bit grey")
-        image = colour[..., 0]
+        image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY) if image.shape[2] > 2 else image[..., 0]
     return np.ascontiguousarray(image, dtype=np.uint8)
+
+
+def _as_8_bits(image: MatLike) -> Image:
+    """The upper eight of the bits that a sensor has: cameras put 10, 12 or 14 of them into 16."""
+    bits = max(8, int(image.max()).bit_length())
+    bits = next(depth for depth in SENSOR_BITS if bits <= depth)
+    return np.asarray(np.asarray(image, np.uint16) >> (bits - 8), np.uint8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from edged.domain import SIDES
+from edged.domain import SIDES, Side
 from edged.errors import ImageError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -48,3 +48,22 @@ def find_pairs(folder: Path) -> list[ImagePair]:
         formats = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise ImageError(f"{folder}: no pictures NAME_left.* and NAME_right.* ({formats})")
     return [ImagePair(name, left, halves["right"][name]) for name, left in sorted(halves["left"].items())]
+
+
+def half_of(folder: Path, name: str, side: Side) -> Path:
+    """The file NAME_SIDE.* of a folder, of any of the `SUFFIXES`; NAME_SIDE.png where there is none."""
+    return next(
+        (path for suffix in SUFFIXES if (path := folder / f"{name}_{side}{suffix}").is_file()),
+        folder / f"{name}_{side}.png",
+    )
+
+
+def next_number(folder: Path, name: str) -> int:
+    """The number after the highest of NAME_NN_left.* and NAME_NN_right.* in a folder, 0 in an empty one."""
+    numbers = [-1]
+    for path in folder.iterdir():
+        stem, underscore, side = path.stem.rpartition("_")
+        digits = stem.removeprefix(f"{name}_")
+        if underscore and side in SIDES and digits != stem and digits.isdecimal():
+            numbers.append(int(digits))
+    return max(numbers) + 1

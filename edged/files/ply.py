@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.errors import FileFormatError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 
 COLOURS = {CONTOUR: (255, 120, 0), FACE: (40, 110, 170)}
@@ -49,7 +48,4 @@ def encode_ply(cloud: PointCloud) -> bytes:
 
 def save_ply(path: Path, cloud: PointCloud) -> None:
     """Write a PLY file as a whole. Raises `FileFormatError` where the disc refuses."""
-    try:
-        write_atomically(path, encode_ply(cloud))
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot write the points: {error.strerror or error}") from error
+    write_file(path, encode_ply(cloud))

@@ -12,7 +12,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.files.atomic import read_bytes, write_atomically
+from edged.files.atomic import read_bytes, write_file
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
@@ -44,7 +44,7 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
         else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
         "quality": dict(quality or {}),
     }
-    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+    write_file(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def keep_old_rig(path: Path) -> Path | None:
@@ -61,7 +61,7 @@ def keep_old_rig(path: Path) -> Path | None:
         identity = "old"
     safe = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in identity)[:60]
     kept = path.with_name(f"{path.stem}.{safe}{path.suffix}")
-    write_atomically(kept, data)
+    write_file(kept, data)
     return kept
 
 

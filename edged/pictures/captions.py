@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray, Measurement, NotMeasured, Reject, Target
+from edged.domain import FloatArray, Measurement, NearMiss, NotMeasured, Reject, Target
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 
@@ -19,11 +19,20 @@ REASONS = {
     Reject.LEFT_RIGHT_MISMATCH: "left and right image disagree",
     Reject.OUT_OF_VOLUME: "out of the allowed depth",
     Reject.TOLERANCE: "size out of tolerance",
-    Reject.AMBIGUOUS_ROTATION: "rotation in doubt",
+    Reject.AMBIGUOUS_ROTATION: "rotation ambiguous",
     Reject.LOW_SCORE: "score too low",
     Reject.CALIBRATION: "calibration does not hold",
     Reject.AMBIGUOUS_EDGE: "the reference may be another edge",
 }
+
+REMEDIES = {
+    Reject.FEW_EDGES: "is a part of it hidden, or out of one picture?",
+    Reject.RESIDUAL: "is this the part of the job, in focus?",
+    Reject.SIGMA_LIMIT: "more light, or a larger max_sigma_mm",
+    Reject.LEFT_RIGHT_MISMATCH: "do both cameras see it, sharp, and is the rig theirs?",
+    Reject.OUT_OF_VOLUME: "does it lie within depth_min_mm and depth_max_mm of the job?",
+}
+"""What to look at first, of what keeps a match from being measured."""
 
 MAX_TOLD = 3
 """Reasons in the headline; all are told with their part."""
@@ -44,12 +53,43 @@ def reasons(reject: Reject) -> list[str]:
     return [words for bit, words in REASONS.items() if reject & bit]
 
 
-def headline(job: Job, measured: Sequence[Measured], dismissed: Sequence[NotMeasured]) -> str:
+def why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> list[str]:
+    """Why there is no target, a line for each place that was seen, and what to try."""
+    lines = []
+    for one in dismissed:
+        remedies = [words for bit, words in REMEDIES.items() if one.reject & bit]
+        lines.append(
+            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px (score {one.match.score:.2f}), not "
+            "measured: "
+            f"{', '.join(reasons(one.reject))} ({one.reject.name}). Try: {' '.join(remedies) or 'look at it'}"
+        )
+    if not dismissed and nearest is not None:
+        match = nearest.match
+        lines.append(
+            f"best score {match.score:.2f} at {match.x_px:.0f}, {match.y_px:.0f} px, "
+            f"{nearest.needed_score:.2f} is needed. Try: light and focus as at teaching; a lower min_score "
+            "where parts may be half hidden"
+        )
+    elif not dismissed:
+        lines.append(
+            "nothing in the left picture is like the part. Try: is it in the picture, at the taught "
+            "distance, and in the taught light?"
+        )
+    return lines
+
+
+def headline(
+    job: Job,
+    measured: Sequence[Measured],
+    dismissed: Sequence[NotMeasured],
+    nearest: NearMiss | None = None,
+) -> str:
     """One line about the whole picture: the part, how many, score and place, or why there is none."""
     targets = [one.target for one in measured]
     good = [target for target in targets if not target.reject]
     if not targets and not dismissed:
-        return f"{job.name}: nothing in the left image scores {job.search.min_score:.2f} or more"
+        best = "nothing is like it" if nearest is None else f"the best scores {nearest.match.score:.2f}"
+        return f"{job.name}: {best}, {job.search.min_score:.2f} is needed"
     if not targets:
         told = sorted({word for one in dismissed for word in reasons(one.reject)})
         return f"{job.name}: {len(dismissed)} seen, none measured: {', '.join(told)}"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image, NotMeasured, Status, Target
+from edged.domain import SIDES, FloatArray, Image, NearMiss, NotMeasured, Status, Target
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -62,6 +62,7 @@ def draw_pair(
     measured: Sequence[Measured],
     dismissed: Sequence[NotMeasured] = (),
     status: Status = Status.OK,
+    nearest: NearMiss | None = None,
 ) -> Canvas:
     """(H, 2 * WIDTH_PX, 3) BGR: a title, both images with the evidence, and the numbers of every part.
 
@@ -91,7 +92,10 @@ def draw_pair(
         chosen = next((k for k, one in enumerate(features[0]) if one.is_reference), 0)
         draw_unrolled(chart, features[0][chosen], [side[0][chosen] for side in found])
         blocks.append(chart)
-    title = _title(headline(job, parts, dismissed), status, factor if any(features) else None, views[0].scale)
+    if nearest is not None:
+        draw_missed(views[0], np.array([nearest.match.x_px, nearest.match.y_px]))
+    words = headline(job, parts, dismissed, nearest)
+    title = _title(words, status, factor if any(features) else None, views[0].scale)
     return np.vstack([title, _side_by_side(views), _in_rows(blocks)])
 
 
@@ -120,7 +124,7 @@ def _views(
 def _side_by_side(views: tuple[View, View]) -> Canvas:
     """Both canvases with the cameras' names."""
     for view, name in zip(views, SIDES, strict=True):
-        words = f"{name} image" if view.scale == 1 else f"{name} image, {view.scale:.2g} times as large"
+        words = f"{name} image" if view.scale == 1 else f"{name} image, magnified {view.scale:.2g}×"
         write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
     height = max(view.canvas.shape[0] for view in views)
     images = np.hstack([_filled(view.canvas, height) for view in views])
@@ -204,7 +208,7 @@ def _legend(factor: float, scale: float) -> Canvas:
         ("reference", GOLD, 28),
         ("fitted", GREEN, 28),
         ("not measured", WHITE, -28),
-        (f"{bar_px:g} px, edge minus fit ({factor:g} x)", MAGENTA, round(bar_px * factor * scale)),
+        (f"{bar_px:g} px, edge minus fit (magnified {factor:g}×)", MAGENTA, round(bar_px * factor * scale)),
         ("edge of weight < 0.1", RED, 8),
     ]
     canvas = _paper(LEGEND_HEIGHT_PX)

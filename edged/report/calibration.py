@@ -85,7 +85,7 @@ def _fitted(calibration: Calibration) -> Table:
         ("left, right rms", f"{calibration.rms_left_px:.4f}, {calibration.rms_right_px:.4f} px"),
         ("epipolar rms", f"{calibration.epipolar_rms_px:.4f} px"),
         ("baseline", f"{calibration.rig.baseline_mm:.4f} mm"),
-        ("marks dropped as mistakes", str(calibration.outliers)),
+        ("marks rejected as outliers", str(calibration.outliers)),
     ]
     return Table(rows, ("fitted to all views", ""))
 
@@ -159,7 +159,7 @@ def _external(rig: StereoRig, rectification: Rectification) -> Table:
     rows = (
         ("before rectification", *before),
         ("after", f"{-rectification.baseline_mm:.4f}", "0", "0", "0", "0", "0"),
-        ("place of right in left", *place, *(f"{-value:.4f}" for value in turn)),
+        ("right camera in left frame", *place, *(f"{-value:.4f}" for value in turn)),
     )
     head = ("Table 2: right_from_left", "x mm", "y mm", "z mm", "turn x °", "turn y °", "turn z °")
     return Table(rows, head)
@@ -247,7 +247,7 @@ def _views(calibration: Calibration, held: Sequence[HeldOutView], views: Sequenc
             if measured is not None:
                 cells += [f"{measured.epipolar_rms_px:.4f}", f"{measured.scale:.6f}"]
         else:
-            cells.append(f"left out: {reasons.get(view.name, '')}")
+            cells.append(f"skipped: {reasons.get(view.name, '')}")
         rows.append((*cells, *[""] * (9 - len(cells))))
     head = (
         "view",

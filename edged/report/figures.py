@@ -50,8 +50,8 @@ def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Marku
     fields = np.floor(pixels / (camera.width / 8, camera.height / 6)).clip(0, (7, 5)).astype(int)
     share = 100 * len(np.unique(fields, axis=0)) / 48
     caption = (
-        f"{side}: {len(pixels)} marks in {share:.0f} % of the image; residuals {exaggeration:.0f} times "
-        f"too long, rms {rms:.4f} px"
+        f"{side}: {len(pixels)} marks in {share:.0f} % of the image; residuals "
+        f"magnified {exaggeration:.0f}×, rms {rms:.4f} px"
     )
     return chart.figure(caption)
 

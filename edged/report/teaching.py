@@ -8,18 +8,21 @@ from datetime import UTC, datetime
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup
 
 from edged import __version__
-from edged.domain import Image
+from edged.domain import FloatArray, Image
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
 from edged.report.page import Table, render
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import NOISE, Inspection
+from edged.vision.teaching.cuts import Cut
 
 _PICTURE_PX = 440
+_WIDTH_PX = 900
 _MARGIN_PX = 12
 
 
@@ -31,15 +34,30 @@ class _Level:
     caption: str
 
 
-def teaching_report(job: Job, rectified_left: Image, inspection: Inspection) -> str:
-    """The page. rectified_left (h, w) uint8 : the picture that was learnt, real or painted from a drawing."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What a job was learnt from.
+
+    rectified_left (h, w) uint8 : the picture, real or painted from a drawing.
+    region (h, w) uint8 : where in it the part is; None: anywhere.  cuts : what of the part goes on outside.
+    """
+
+    rectified_left: Image
+    region: Image | None
+    cuts: tuple[Cut, ...]
+
+
+def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
+    """The page."""
     title = f"Job {job.number}: {job.name}"
     return render(
         "teaching.html",
         title=title,
         heading=title,
         warnings=inspection.warnings,
-        levels=[_level(job, rectified_left, index) for index in range(len(job.shape.levels))],
+        picture=_where(job, taught),
+        cuts=[cut.text for cut in taught.cuts],
+        levels=[_level(job, taught.rectified_left, index) for index in range(len(job.shape.levels))],
         facts=_facts(job, inspection),
         noise=f"{NOISE:g}",
         round=inspection.round,
@@ -79,6 +97,31 @@ def inspection_to_json(job: Job, inspection: Inspection) -> Json:
         "circles": [{"name": circle.name, "radius_mm": circle.radius_mm} for circle in job.circles],
         "warnings": list(inspection.warnings),
     }
+
+
+def _where(job: Job, taught: Taught) -> str:
+    """The picture, base64 PNG, with the region (yellow), what was learnt (green) and what is cut (red)."""
+    height, width = taught.rectified_left.shape
+    zoom = _WIDTH_PX / width
+    size = (_WIDTH_PX, round(height * zoom))
+    canvas = cv2.cvtColor(
+        np.asarray(cv2.resize(taught.rectified_left, size, interpolation=cv2.INTER_AREA), np.uint8),
+        cv2.COLOR_GRAY2BGR,
+    )
+
+    def placed(points: FloatArray) -> npt.NDArray[np.int32]:
+        return np.asarray(np.rint(16 * ((points + 0.5) * zoom - 0.5)), np.int32)
+
+    for x, y in placed(job.shape.origin_px + job.shape.levels[0].points):
+        cv2.circle(canvas, (int(x), int(y)), 16, (60, 220, 60), -1, cv2.LINE_AA, 4)
+    if taught.region is not None:
+        outlines, _ = cv2.findContours(taught.region, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+        for outline in outlines:
+            cv2.polylines(canvas, [placed(outline[:, 0].astype(np.float64))], True, (0, 220, 255), 1, 16, 4)
+    for cut in taught.cuts:
+        cv2.polylines(canvas, [placed(cut.points)], False, (40, 40, 255), 2, cv2.LINE_AA, 4)
+    _, png = cv2.imencode(".png", canvas)
+    return base64.b64encode(png.tobytes()).decode()
 
 
 def _level(job: Job, picture: Image, index: int) -> _Level:
@@ -130,7 +173,7 @@ def _rivals(inspection: Inspection) -> Table:
     rows = [
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals
     ]
-    return Table(rows, ("turned by", "like itself"))
+    return Table(rows, ("turned by", "similarity"))
 
 
 def _drawing(job: Job) -> Markup:

@@ -14,7 +14,7 @@ from edged.vision.geometry.rigid import skew
 def robot_covariance(
     target: Target, robot_from_rig: FloatArray, registration: FloatArray | None
 ) -> FloatArray:
-    """(6, 6) of a target's pose in the robot's frame, with the doubt about the registration itself.
+    """(6, 6) of a target's pose in the robot's frame, with the registration uncertainty.
 
     registration (6, 6) : of a small motion that follows robot_from_rig; None: taken as exact. Its rotation w
     moves a point p by w x p, and turns every part by w.

@@ -50,7 +50,7 @@ class HandEye:
     rig : robot_from_rig (eye-to-hand) or flange_from_rig (eye-in-hand).
     board : flange_from_board (eye-to-hand) or robot_from_board (eye-in-hand).
     covariance (6, 6) : of a small motion (shift mm, rotation rad) that follows `rig`, from the scatter
-    between poses.  used (N,) bool : poses that were not left out as mistakes.
+    between poses.  used (N,) bool : poses that were not rejected as outliers.
     held_out_mm, held_out_rad (N,) : how far each pose is off for a fit of all others; NaN for a lost one.
     """
 
@@ -77,7 +77,7 @@ def hand_eye(
     For eye-in-hand A is flange_from_robot, and X is flange_from_rig. board_mm (M, 3) : marks over which the
     mismatch is counted, so that angles weigh by what they move. hold_out : also without each pose in turn.
     Start: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994,
-    doi:10.1109/70.326576; then one least squares over both unknowns with mistakes left out.
+    doi:10.1109/70.326576; then one least squares over both unknowns without outliers.
     Raises `CalibrationError` for too few poses and for motions that leave something open.
     """
     A = np.array(robot_from_flange, np.float64)
@@ -94,7 +94,7 @@ def hand_eye(
     span = board_mm - board_mm.mean(axis=0)
     marks = board_mm.mean(axis=0) + span[_hull(span)]
     X, Y = _start(A, B)
-    X, Y, used = _without_mistakes(A, B, X, Y, marks)
+    X, Y, used = _without_outliers(A, B, X, Y, marks)
     covariance = _covariance(A[used], B[used], X, Y, marks)
     nothing = np.full(len(A), np.nan)
     held_mm, held_rad = _held_out(A, B, X, Y, marks, used) if hold_out else (nothing, nothing)
@@ -179,7 +179,7 @@ def _refine(
     return X, Y
 
 
-def _without_mistakes(
+def _without_outliers(
     A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """Fit in which a pose weighs less the worse it agrees (Cauchy), then without those that disagree."""

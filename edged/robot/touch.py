@@ -8,11 +8,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
-from edged.vision.geometry.rigid import (
-    apply,
-    fit_rigid,
-    skew,
-)
+from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 
 TWIN_SHARE = 0.005
 """Points nearer to each other than this share of the whole spread say the same thing twice."""
@@ -26,20 +22,37 @@ MIRROR_GAIN = 20.0
 """A mirror image that fits so many times better is no accident."""
 
 
+STUDENT_LIMITS = ((3, 11.9), (6, 4.87), (9, 3.73), (12, 3.29), (18, 2.91), (30, 2.66))
+"""Degrees of freedom of the others' fit, and the root of the 0.999 quantile of F(3, them): a studentised
+error beyond it is no chance (R. Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, 2.2)."""
+STANDS_OUT = 2.0
+"""Times the next largest studentised error: with less, the points cannot tell which of two is wrong."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRegistration:
     """robot_from_rig from points that the robot touched.
 
     covariance (6, 6) : of a small motion (shift mm, rotation rad) about the robot's origin that follows it,
     from the residuals.
-    residuals_mm, left_out_mm (N,) : distance of each point from the fit of all, and of all others.
+    residuals_mm, held_out_mm (N,) : distance of each point from the fit of all, and of all others.
+    others_rms_mm (N,) : rms of the fit without each point.
+    studentised (N,) : held-out errors in units of what the others' fit lets expect.
+    culprit : index of the point that is wrong beyond chance, where one alone is; None where none is, or where
+    it cannot be told which.
+    All of these are NaN, and None, where the others do not determine a fit, as of three points.
+    lengths_mm : largest difference between the distances of two points in both frames.
     scale : best scale of the robot's over the rig's lengths; it should be 1. sigma_scale : of it.
     """
 
     robot_from_rig: FloatArray
     covariance: FloatArray
     residuals_mm: FloatArray
-    left_out_mm: FloatArray
+    held_out_mm: FloatArray
+    others_rms_mm: FloatArray
+    studentised: FloatArray
+    culprit: int | None
+    lengths_mm: float
     scale: float
     sigma_scale: float
 
@@ -68,27 +81,68 @@ def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistrati
     _check_units(similar.scale)
     _check_hand(rig, robot)
     fit = fit_rigid(rig, robot)
-    left_out = np.full(len(rig), np.nan)
-    if len(rig) > 3:
-        for k in range(len(rig)):
-            others = np.arange(len(rig)) != k
-            try:
-                without = fit_rigid(rig[others], robot[others]).to_from_source
-            except CalibrationError:  # the others lie on one line
-                continue
-            left_out[k] = float(np.linalg.norm(robot[k] - apply(without, rig[k])))
+    held_out, others_rms, studentised = _held_out(rig, robot)
+    freedom = 3 * len(rig) - 6
     extent = float(np.sqrt(np.sum((rig - rig.mean(axis=0)) ** 2)))
     # a fit states the shift of the rig's origin; as a motion of the whole frame it is that of the robot's
     frame = np.eye(6)
     frame[:3, 3:] = skew(fit.to_from_source[:3, 3])
+    # the variance is estimated from few residuals: errors follow Student's t, which is that much wider
+    covariance = fit.covariance * (freedom / (freedom - 2))
     return PointRegistration(
         fit.to_from_source,
-        frame @ fit.covariance @ frame.T,
+        frame @ covariance @ frame.T,
         np.linalg.norm(fit.residuals_mm, axis=1),
-        left_out,
+        held_out,
+        others_rms,
+        studentised,
+        _culprit(studentised),
+        float(np.abs(_distances(rig) - _distances(robot)).max()),
         similar.scale,
         similar.sigma_mm / extent,
     )
+
+
+def _held_out(rig: FloatArray, robot: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """For each point its error (N,) by the fit of the others, that fit's rms, and the error studentised.
+
+    A point far from the others has a large error by their fit also when it is right and one of them is
+    wrong: only in units of what that fit lets expect can errors of different points be compared.
+    """
+    held_out, rms, studentised = (np.full(len(rig), np.nan) for _ in range(3))
+    if len(rig) < 4:
+        return held_out, rms, studentised
+    for k in range(len(rig)):
+        others = np.arange(len(rig)) != k
+        try:
+            fit: RigidFit = fit_rigid(rig[others], robot[others])
+        except CalibrationError:  # the others lie on one line
+            continue
+        error = robot[k] - apply(fit.to_from_source, rig[k])
+        arm = np.concatenate([np.eye(3), -skew(fit.to_from_source[:3, :3] @ rig[k])], axis=1)
+        # exact points leave nothing; a nanometre keeps the division
+        expected = arm @ fit.covariance @ arm.T + (fit.sigma_mm**2 + 1e-12) * np.eye(3)
+        held_out[k] = float(np.linalg.norm(error))
+        rms[k] = float(np.sqrt(np.mean(np.sum(fit.residuals_mm**2, axis=1))))
+        studentised[k] = float(np.sqrt(error @ np.linalg.solve(expected, error) / 3))
+    return held_out, rms, studentised
+
+
+def _culprit(studentised: FloatArray) -> int | None:
+    """The one point that is wrong beyond chance."""
+    known = np.flatnonzero(np.isfinite(studentised))
+    if len(known) < 2:
+        return None
+    order = known[np.argsort(-studentised[known])]
+    freedom = 3 * (len(studentised) - 1) - 6
+    limit = next(value for least, value in reversed(STUDENT_LIMITS) if freedom >= least)
+    first, second = studentised[order[:2]]
+    return int(order[0]) if first > limit and first > STANDS_OUT * second else None
+
+
+def _distances(points: FloatArray) -> FloatArray:
+    """(N, N) between all points."""
+    return np.asarray(np.linalg.norm(points[:, None] - points, axis=2))
 
 
 def _check_spread(name: str, points: FloatArray) -> None:

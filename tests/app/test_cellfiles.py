@@ -60,11 +60,27 @@ def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
     }
 
 
+def test_mistakes_of_all_files_are_named_together(folder: Path) -> None:
+    """A misspelt key hides neither the rig's damage nor the job that is missing."""
+    config = folder / "cell.toml"
+    config.write_text(config.read_text().replace("[cycle]", "[cycle]\nperoid_s = 1"), "utf-8-sig")
+    (folder / "rig.json").write_text("{")
+    shutil.rmtree(folder / "jobs" / "flange")
+
+    with pytest.raises(ConfigError) as caught:
+        read_cell(config)
+
+    text = "\n".join(caught.value.problems)
+    assert all(part in text for part in ("peroid_s: unknown key", "rig.json", "no usable job 'flange'"))
+
+
 def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
     """The PLC could not tell them apart."""
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "twin")
 
-    with pytest.raises(ConfigError, match="both have the number 1"):
+    with pytest.raises(
+        ConfigError, match=r"twin and flange both have the number 1: change `number` in the job.toml"
+    ):
         read_cell(folder / "cell.toml")
 
 

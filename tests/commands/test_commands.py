@@ -57,9 +57,6 @@ def pristine(cell: VirtualCell, tmp_path_factory: pytest.TempPathFactory) -> Pat
         cv2.imwrite(str(folder / f"{side}.png"), image)
     cv2.imwrite(str(folder / "blank.png"), np.full_like(part.left, 50))
     cv2.imwrite(str(folder / "small.png"), np.ascontiguousarray(part.left[:240, :320]))
-    colour = cv2.applyColorMap(part.left.copy(), cv2.COLORMAP_JET)
-    cv2.imwrite(str(folder / "colour.png"), colour)
-    cv2.imwrite(str(folder / "deep.png"), part.left.astype(np.uint16) * 256)
     (folder / "text.png").write_text("no image")
     (folder / "empty.png").touch()
     return folder
@@ -175,8 +172,6 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
     [
         ({"left": "small.png"}, "left image: 320x240, the rig was calibrated for 640x480"),
         ({"right": "small.png"}, "right image: 320x240"),
-        ({"left": "colour.png"}, r"colour\.png: a colour image"),
-        ({"right": "deep.png"}, r"deep\.png: uint16"),
         ({"left": "text.png"}, r"text\.png: not an image"),
         ({"right": "empty.png"}, r"empty\.png: not an image"),
         ({"left": "nowhere.png"}, r"nowhere\.png: no such file"),
@@ -187,7 +182,7 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
         ({"rig": "nowhere.json"}, r"nowhere\.json: cannot read"),
         ({"rig": "left.png"}, r"left\.png"),
         ({"rig": "jobs/flange/job.toml"}, r"job\.toml"),
-        ({"overlay": "nowhere/picture.png"}, r"nowhere/picture\.png: cannot write"),
+        ({"overlay": "nowhere/picture.png"}, r"nowhere/picture\.png: there is no folder"),
     ],
 )
 def test_locate_refuses_what_it_cannot_use(
@@ -203,6 +198,13 @@ def test_locate_refuses_what_it_cannot_use(
     assert (code, out) == (2, "")
     assert re.search(expected, err)
     assert err.startswith("edged: ")
+
+
+def test_every_command_has_help_under_both_names(edged: Edged) -> None:
+    """-h as well as --help, also of commands of commands."""
+    for command in ((), ("teach",), ("calibrate",), ("register",), ("register", "touch"), ("rig", "convert")):
+        short, long = (edged(*command, name) for name in ("-h", "--help"))
+        assert (0, long[1]) == short[:2]
 
 
 def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:
@@ -239,7 +241,43 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
         assert found is not None
         assert abs(float(found[1]) - radius_mm) < 0.01
     assert load_job(folder / "jobs" / "flange").number == 4
+    assert "the job that was there is" in err
     assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
+
+
+def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
+    """A second job takes the next number by itself; one that is taken is refused with a free one."""
+    second = folder / "jobs" / "second"
+    code, _, err = edged(*teach_arguments(folder, output=second, name="second", number=1))
+    assert code == 2
+    assert "flange; 2 is free" in " ".join(err.split())
+    assert edged(*teach_arguments(folder, output=second, name="second"))[0] == 0
+    assert load_job(second).number == 2
+
+
+def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path) -> None:
+    """It is in the new job, and on the terminal."""
+    path = folder / "jobs" / "flange" / "job.toml"
+    path.write_text(path.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.04"))
+    code, _, err = edged(*teach_arguments(folder))
+
+    assert code == 0
+    assert "kept: limits.max_sigma_mm = 0.04 (teaching would set 0.2)" in " ".join(err.split())
+    assert load_job(folder / "jobs" / "flange").limits.max_sigma_mm == 0.04
+
+
+def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) -> None:
+    """On the terminal, for programs and in the report, which shows the region; the job is written."""
+    r = flange().region
+    narrow, report = f"{r.x},{r.y},{0.8 * r.width},{r.height}", folder / "report.html"
+    code, out, err = edged(*teach_arguments(folder, roi=narrow, report=report), "--json")
+
+    assert code == 0
+    assert "Warning: The region cuts c0, a disc of radius 14.0" in " ".join(err.split())
+    assert json.loads(out)["warnings"][0].startswith("The region cuts c0")
+    page = report.read_text()
+    assert "The region cuts c0" in page
+    assert "what is cut red" in page
 
 
 @pytest.mark.slow

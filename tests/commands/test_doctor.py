@@ -18,7 +18,6 @@ import pytest
 from rich.console import Console
 
 from edged.adapters.aravis import CameraInfo, aravis_missing
-from edged.commands.cameras import grab
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
 from edged.config import CameraSection, load
@@ -207,16 +206,6 @@ def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: Verdict) 
 
     assert "MTU 1500" in mtu.finding
     assert budget.verdict is verdict
-
-
-def test_grab_saves_pairs_for_calibrate_and_teach(folder: Path, tmp_path: Path) -> None:
-    """Under the names that the other commands look for, without loss."""
-    assert grab(folder / "cell.toml", tmp_path / "out", 2, "part", Console(stderr=True)) == 0
-    names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["part_00_left.png", "part_00_right.png", "part_01_left.png", "part_01_right.png"]
-    image = cv2.imread(str(tmp_path / "out" / names[0]), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    assert image.shape == (960, 1280)
 
 
 def nft(*rules: dict[str, object], policy: str = "accept") -> Rules:

@@ -133,7 +133,7 @@ def test_a_limit_below_the_noise_is_undecided(folder: Path) -> None:
     code, said = run(folder, board=SPEC, limits=Limits(0.3, 1e-4))
     assert code == 1
     assert said.startswith("UNDECIDED")
-    assert "this view tells lengths to" in said
+    assert "length uncertainty of this view" in said
 
 
 @pytest.mark.parametrize("images", [("blank.png", "right.png"), ("left.png", "blank.png")])

@@ -62,6 +62,28 @@ def test_loose_lines_arcs_and_bulges_become_closed_outlines(tmp_path: Path) -> N
     assert areas(read_dxf(saved(plate(), tmp_path))) == pytest.approx([hole, slot, outside], rel=1e-3)
 
 
+def test_every_point_lies_on_the_drawn_curve(tmp_path: Path) -> None:
+    """A drawing's sizes are exact: circles, arcs, bulges, ellipses and scaled blocks keep their radii."""
+    document = ezdxf.new(units=MM)
+    space = document.modelspace()
+    space.add_circle((10, 10), 14)
+    space.add_arc((50, 10), 1.6, 30, 200)
+    space.add_arc((50, 10), 1.6, 200, 30)
+    space.add_lwpolyline([(96, 0, 1), (104, 0, 1)], close=True, format="xyb")
+    space.add_polyline2d([(204, 0, -1), (196, 0, -1)], close=True, format="xyb")
+    space.add_ellipse((300, 0), major_axis=(9, 0), ratio=1)
+    block = document.blocks.new("hole")
+    block.add_circle((0, 0), 2)
+    space.add_blockref("hole", (400, 0), dxfattribs={"xscale": -3, "yscale": 3, "zscale": 3})
+
+    found = sorted(read_dxf(saved(document, tmp_path)), key=lambda outline: float(outline[0, 0]))
+
+    expected = [(10, 10, 14), (50, 10, 1.6), (100, 0, 4), (200, 0, 4), (300, 0, 9), (400, 0, 6)]
+    for (x, y, radius), outline in zip(expected, found, strict=True):
+        distances = np.linalg.norm(outline - (x, y), axis=1)
+        assert float(radius) == pytest.approx(distances, abs=1e-9)
+
+
 def test_units_are_converted(tmp_path: Path) -> None:
     """An inch is 25.4 mm; a drawing that does not say its unit is not guessed."""
     in_mm = areas(read_dxf(saved(plate(), tmp_path)))
@@ -266,8 +288,8 @@ def test_a_contour_is_text(tmp_path: Path) -> None:
     assert areas(read_contour(path)) == pytest.approx([2, 50])
     for text, expected in (
         ("0,0\n1\n", "line 2: expected x,y"),
-        ("0,0\n\n1,nan\n", "line 3: expected finite"),
-        ("", "no closed outline"),
+        ("0,0\n\n1,nan\n", "line 3: expected x,y in mm, got '1, nan'"),
+        ("", "empty"),
     ):
         path.write_text(text)
         with pytest.raises(FileFormatError, match=expected):

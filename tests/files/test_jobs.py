@@ -347,7 +347,7 @@ def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:
     for name in ("photos", "file"):
         with pytest.raises(FileFormatError, match=f"{name}: exists and is not a job folder"):
             save_job(tmp_path / name, make_job())
-    with pytest.raises(FileFormatError, match="cannot write"):
+    with pytest.raises(FileFormatError, match="is a file, expected a folder"):
         save_job(tmp_path / "file" / "flange", make_job())
     assert (tmp_path / "photos" / "cat.png").read_bytes() == b"meow"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "photos"]

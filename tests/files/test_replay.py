@@ -113,13 +113,12 @@ def test_a_first_pair_of_two_sizes_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> None:
-    """Wrong size, colour and damage are `FrameIncomplete` that names the file; the next pair is served."""
+    """Wrong size, floats and damage are `FrameIncomplete` that names the file; the next pair is served."""
     write_pairs(tmp_path, ["a", "b", "c", "d", "e"])
     cv2.imwrite(str(tmp_path / "b_left.png"), picture(7, (20, 20)))
     (tmp_path / "c_right.png").write_bytes(b"\x89PNG broken")
-    colour = np.zeros((12, 16, 3), np.uint8)
-    colour[..., 2] = 200
-    cv2.imwrite(str(tmp_path / "d_right.png"), colour)
+    (tmp_path / "d_right.png").unlink()
+    cv2.imwrite(str(tmp_path / "d_right.tif"), np.zeros((12, 16), np.float32))
 
     async def main():
         head = StereoHead(*replay_cameras(tmp_path), min_backoff_s=0.0)
@@ -132,13 +131,13 @@ def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> Non
         await head.close()
         return results
 
-    first, size, damage, colours, last = asyncio.run(main())
+    first, size, damage, floats, last = asyncio.run(main())
 
     assert (1, 5) == (first, last)
     assert "b_left.png: 20x20 pixels, expected 16x12" in size
     assert "camera right" in damage
     assert "c_right.png" in damage
-    assert "d_right.png: a colour image" in colours
+    assert "d_right.tif: float32 pixels" in floats
 
 
 def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(

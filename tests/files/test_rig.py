@@ -175,21 +175,27 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
 
 
 def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
-    """8-bit grey, also stored as three equal channels; colour, 16-bit and text are refused."""
+    """8-bit grey is as it was, colour and 16 bits are converted; the rest is refused with a remedy."""
     grey = np.random.default_rng(2).integers(0, 255, (20, 30), dtype=np.uint8)
-    cv2.imwrite(str(tmp_path / "grey.png"), grey)
+    grey[0, 0] = 255
+    for name in ("grey.png", "grey.bmp", "grey.tif"):
+        cv2.imwrite(str(tmp_path / name), grey)
+        assert np.array_equal(grey, load_image(tmp_path / name))
     cv2.imwrite(str(tmp_path / "three.png"), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
-    assert np.array_equal(grey, load_image(tmp_path / "grey.png"))
     assert np.array_equal(grey, load_image(tmp_path / "three.png"))
+    for bits in (10, 12, 14, 16):
+        cv2.imwrite(str(tmp_path / "deep.tif"), grey.astype(np.uint16) << (bits - 8))
+        assert np.array_equal(grey, load_image(tmp_path / "deep.tif"))
+    colour = np.dstack([grey, 255 - grey, grey])
+    cv2.imwrite(str(tmp_path / "colour.png"), colour)
+    assert np.abs(load_image(tmp_path / "colour.png") - colour @ [0.114, 0.587, 0.299]).max() <= 0.51
 
-    cv2.imwrite(str(tmp_path / "colour.png"), np.dstack([grey, 255 - grey, grey]))
-    cv2.imwrite(str(tmp_path / "deep.png"), grey.astype(np.uint16) * 256)
+    cv2.imwrite(str(tmp_path / "float.tif"), grey.astype(np.float32))
     (tmp_path / "text.png").write_text("no image")
     (tmp_path / "empty.png").touch()
     for name, message in [
-        ("colour.png", "colour image"),
-        ("deep.png", "uint16"),
-        ("text.png", "not an image"),
+        ("float.tif", "float32 pixels; save it with 8 or 16 bits"),
+        ("text.png", "save it as PNG"),
         ("empty.png", "not an image"),
         ("none.png", "no such file"),
     ]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cells import flange, frame_pair, pictures, pose, scene
 
-from edged.domain import FloatArray, Image, Reject, Slot3D, Status
+from edged.domain import FloatArray, Image, Match, NearMiss, Reject, Slot3D, Status
 from edged.pictures.captions import REASONS, feature_lines, headline, pose_lines, reasons, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -104,7 +104,9 @@ def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
     picture = drawn(job, Inspection((), ()))
     assert picture.shape == (TITLE_HEIGHT_PX + 960, 2 * WIDTH_PX, 3)
     assert count(picture, MAGENTA) == 0
-    assert headline(job, (), ()) == "flange: nothing in the left image scores 0.60 or more"
+    assert headline(job, (), ()) == "flange: nothing is like it, 0.60 is needed"
+    nearest = NearMiss(Match(320.0, 240.0, 0.0, 1.0, 1.0, 0.51), 0.6)
+    assert headline(job, (), (), nearest) == "flange: the best scores 0.51, 0.60 is needed"
 
 
 @pytest.mark.slow

@@ -19,6 +19,8 @@ MODEL = {
     "title": "Job 1",
     "heading": "Job 1",
     "warnings": (),
+    "picture": "",
+    "cuts": (),
     "levels": (),
     "facts": Table([("size", "radius 9 px")]),
     "noise": "3",

@@ -115,12 +115,32 @@ def test_pictures_of_a_folder_are_shown_in_turn(tmp_path: Path) -> None:
             cv2.imwrite(str(tmp_path / f"{name}_{side}.png"), np.full((48, 64), grey + more, np.uint8))
     cameras = build(SimOptions(images=tmp_path))
 
-    def seen(side: str, frame_id: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-        return cameras[side].exposure(ExposureRequest(frame_id, 0, 0, 1.0, 0.0, 32, 16))
+    def seen(side: str, frame_id: int, exposed_ms: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+        request = ExposureRequest(frame_id, exposed_ms * 1_000_000, 0, 1.0, 0.0, 32, 16)
+        return cameras[side].exposure(request)
 
-    assert [10, 20, 10] == [seen("left", n)[0, 0] for n in (1, 2, 3)]
-    assert seen("right", 2).shape == (16, 32)
-    assert (seen("right", 2) == 25).all()
+    assert [10, 20, 10] == [seen("left", n, 1000 * n)[0, 0] for n in (1, 2, 3)]
+    assert seen("right", 2, 2001).shape == (16, 32)
+    assert (seen("right", 2, 2001) == 25).all()
+
+
+def test_both_cameras_show_one_pair_also_after_one_was_unplugged(tmp_path: Path) -> None:
+    """Its frame numbers begin anew; what counts is when both expose."""
+    for name, grey in (("a", 10), ("b", 20), ("c", 30)):
+        for side in ("left", "right"):
+            cv2.imwrite(str(tmp_path / f"{name}_{side}.png"), np.full((48, 64), grey, np.uint8))
+    cameras = build(SimOptions(images=tmp_path))
+
+    def seen(side: str, frame_id: int, exposed_ms: int) -> int:
+        request = ExposureRequest(frame_id, exposed_ms * 1_000_000, 0, 1.0, 0.0, 64, 48)
+        return int(cameras[side].exposure(request)[0, 0])
+
+    before = [(seen("left", n, 1000 * n), seen("right", n, 1000 * n + 3)) for n in (1, 2)]
+    alone = seen("right", 3, 3000)  # the left one is unplugged
+    after = [(seen("left", n - 3, 1000 * n), seen("right", n, 1000 * n + 3)) for n in (4, 5)]
+    assert [(10, 10), (20, 20)] == before
+    assert 30 == alone
+    assert [(10, 10), (20, 20)] == after
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_the_touched_points_are_where_the_part_is(folder: Path) -> None:
     names, rig_mm, robot_mm = read_touched(folder / "touch" / "touched.csv")
 
     assert [pair.name for pair in pairs] == names
-    assert np.nanmax(register_points(rig_mm, robot_mm).left_out_mm) < 0.1
+    assert np.nanmax(register_points(rig_mm, robot_mm).held_out_mm) < 0.1
 
 
 def _place(rig: PreparedRig, job: Job, left: Path, right: Path) -> FloatArray:

@@ -178,7 +178,7 @@ def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> Non
         await head.open()
         facts, figures = camera_facts(head), camera_figures(head)
         assert {"left", "right"} == set(facts)
-        assert "41.5 °C; clock: its own; known to" in facts["left"]
+        assert "41.5 °C; clock: free-running, ±" in facts["left"]
         assert 41.5 == figures["camera_right_temperature_celsius"][1]
         assert 0.0 < figures["camera_left_clock_bound_seconds"][1] < 0.1
         assert 0 == figures["camera_left_images"][1]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import io
 import os
 import pty
 import random
+import re
 import shutil
 import socket
 import ssl
@@ -31,6 +33,7 @@ from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKey
 from cryptography.x509.oid import NameOID
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
+from rich.console import Console
 from scriptedhead import until
 from snapshots import make_snapshot
 
@@ -38,8 +41,9 @@ from edged import door
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
+from edged.commands.readregisters import read as read_command
 from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
-from edged.errors import CommandRefused, ListenError
+from edged.errors import CommandRefused, ListenError, UserError
 from edged.logs import LogLimit, fields_of
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
@@ -1079,3 +1083,45 @@ def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
             writer.close()
 
     serve_tls(ModbusSettings(port=0, tls=tls), test)
+
+
+# --- edged registers --read --------------------------------------------------------------------------
+
+
+def read_out(place: str, base_address: int = 0) -> str:
+    """What the command prints."""
+    out = io.StringIO()
+    assert 0 == read_command(place, base_address, 1, Console(file=out, width=200))
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    "settings", [ModbusSettings(port=0), ModbusSettings(port=0, word_order="low", base_address=1000)]
+)
+def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
+    """Result by name, lengths in mm, the exposure as a date; empty rows of the target table are left out."""
+
+    async def test(rig: Rig) -> None:
+        rig.server.announce(make_snapshot(7))
+        text = await asyncio.to_thread(read_out, f"127.0.0.1:{rig.server.port}", settings.base_address)
+        assert re.search(r"RESULT\s.*1\s.*OK", text)
+        assert re.search(r" X\s.*10000\s.*10.000 mm", text)
+        assert "2023-11-14 22:13:20" in text
+        assert "RESERVED" not in text
+        assert 1 == len(re.findall(r"T\d+_X\b", text))
+
+    serve(test, settings)
+
+
+def test_what_is_no_cell_is_named() -> None:
+    """Nobody there, a wrong base address, a wrong port: one line with what to look at."""
+    with pytest.raises(UserError, match=r"nothing answers at 127\.0\.0\.1"):
+        read_command("127.0.0.1:1", 0, 1, Console())
+    with pytest.raises(UserError, match="expected HOST or HOST:PORT"):
+        read_command("cell:port", 0, 1, Console())
+
+    async def test(rig: Rig) -> None:
+        with pytest.raises(UserError, match=r"another base address|base-address"):
+            await asyncio.to_thread(read_command, f"127.0.0.1:{rig.server.port}", 7, 1, Console())
+
+    serve(test)

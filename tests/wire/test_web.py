@@ -26,9 +26,22 @@ from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
-from edged.domain import CellPhase, CellState, ExposureDone, Frame, FramePair, Reject, Snapshot, Status
+from edged.domain import (
+    CellPhase,
+    CellState,
+    ExposureDone,
+    Frame,
+    FramePair,
+    Match,
+    NearMiss,
+    NotMeasured,
+    Reject,
+    Snapshot,
+    Status,
+)
 from edged.errors import ListenError
 from edged.passwords import hash_password
+from edged.plc.registers import Kind, Register
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
 
@@ -44,7 +57,10 @@ def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
         rectification=lambda: RECTIFICATION,
         jobs=lambda: [(1, "flange"), (2, "<script>alert(1)</script>")],
         facts=lambda: facts or {"Modbus": {"clients": 2}},
-        registers=lambda: [(300, "SEQ_HEAD", 7.0, "", "sequence"), (500, "F_X", float("nan"), "mm", "x")],
+        registers=lambda: [
+            (Register("SEQ_HEAD", 300, Kind.U32, "", "sequence"), 7),
+            (Register("F_X", 500, Kind.F32, "mm", "x"), float("nan")),
+        ],
         metrics=lambda: b"# HELP edged_x x\nedged_x 1\n",
     )
 
@@ -265,11 +281,33 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
     faults = page.status()["faults"]
     assert [(fault["cycle"], fault["text"], fault["has_picture"]) for fault in faults] == [
         (2, "cable", False),
-        (1, "nothing found", True),
+        (1, "", True),
     ]
     for cycle in range(51, 51 + 2 * FAULTS):
         measure(page, cycle, Status.NO_TARGET)
     assert len(page.status()["faults"]) == FAULTS
+
+
+def test_why_nothing_was_found_reaches_the_page() -> None:
+    """A match that could not be measured, with its place; else the best score, where, and what to try."""
+    page, match = Page("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
+    for cycle, found, expected in (
+        (
+            1,
+            {"dismissed": (NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)},
+            r"512, 300 px .*LEFT_RIGHT_MISMATCH.*Try",
+        ),
+        (
+            2,
+            {"nearest": NearMiss(replace(match, score=0.52), 0.6)},
+            r"0\.52 at 512, 300 px, 0\.60 is needed\. Try",
+        ),
+        (3, {}, r"nothing in the left picture is like the part\. Try"),
+    ):
+        page.take(replace(make_snapshot(cycle, Status.NO_TARGET), **found))
+        (line,) = page.status()["why"]
+        assert re.search(expected, line)
+        assert line == page.status()["faults"][0]["text"] or cycle > 1
 
 
 def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,11 +325,11 @@ def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_why_a_target_was_not_good_is_in_words() -> None:
-    """The operator reads "sigma limit", not 4."""
+    """The operator reads "sigma over its limit", not 4."""
     page = Page("cell", sources())
     page.take(make_snapshot(1, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
 
-    assert page.status()["faults"][0]["text"] == "sigma limit"
+    assert page.status()["faults"][0]["text"] == "sigma over its limit"
     assert page.history()[0].get("position_mm") is None
 
 
@@ -301,7 +339,7 @@ def test_numbers_that_are_none_are_null() -> None:
     async def test() -> None:
         async with served() as (_, session), session.get("/registers.json") as answer:
             rows = json.loads(await answer.text(), parse_constant=lambda name: pytest.fail(name))
-            assert [row["value"] for row in rows] == [7.0, None]
+            assert [(row["value"], row["text"]) for row in rows] == [(7, "7"), (None, "–")]
 
     run(test)
 

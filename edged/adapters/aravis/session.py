@@ -68,7 +68,7 @@ COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_pa
 
 
 JUMPS_S = 3600.0  # a line about a clock that jumps; one that runs too fast does so more than once a second
-RESTARTED = "it has been restarted, or gave up the connection"
+RESTARTED = "it was restarted, or dropped the connection"
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +208,7 @@ class Session:
             self._look()
             return  # USB tells by itself when it is unplugged
         device = self._camera.get_device()
-        with self._talking("looking whether it is alive"):
+        with self._talking("checking the connection"):
             device.write_register(HEARTBEAT_REGISTER, self._heartbeat_ms)
             privilege = device.read_register(CONTROL_PRIVILEGE_REGISTER)
             if privilege & CONTROLLED == 0:
@@ -221,7 +221,7 @@ class Session:
         device, features = self._camera.get_device(), self._features
         self._looked_s = time.monotonic()
         if features is not None:
-            with self._talking("asking how it is"):
+            with self._talking("reading its status"):
                 self.ptp = ptp_locked(device, features)
                 if features.exists("DeviceTemperature"):
                     self._temperature_c = float(device.get_float_feature_value("DeviceTemperature"))

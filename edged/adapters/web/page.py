@@ -21,6 +21,7 @@ from edged.domain import (
     SIDES,
     CellPhase,
     CellState,
+    CommandKind,
     Event,
     ExposureDone,
     FloatArray,
@@ -32,6 +33,9 @@ from edged.domain import (
 )
 from edged.logs import FaultMemory
 from edged.payload import Json, snapshot_to_json, state_to_json
+from edged.pictures.captions import reasons, why_nothing
+from edged.plc.registers import Number, Register
+from edged.plc.registers.readings import meaning_of, text_of
 from edged.vision.geometry.rectification import Rectification
 
 HISTORY = 600
@@ -51,14 +55,14 @@ class Sources:
     """Where the page gets what events do not tell; called on the event loop, at once.
 
     rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
-    shown.  registers : rows of address, name, value, unit, meaning; empty without a Modbus server.
+    shown.  registers : each with its value; empty without a Modbus server.
     metrics : Prometheus' text.
     """
 
     rectification: Callable[[], Rectification]
     jobs: Callable[[], Sequence[tuple[int, str]]]
     facts: Callable[[], Mapping[str, Mapping[str, Any]]]
-    registers: Callable[[], Sequence[tuple[int, str, float, str, str]]]
+    registers: Callable[[], Sequence[tuple[Register, Number]]]
     metrics: Callable[[], bytes]
 
 
@@ -129,6 +133,7 @@ class Page:
             "cell": self._cell,
             "state": None if self._state is None else state_to_json(self._state),
             "result": None if last is None else snapshot_to_json(last.snapshot),
+            "why": [] if last is None else _why(last.snapshot),
             "picture": None if last is None or last.pair is None else self._picture(last),
             "facts": {group: dict(values) for group, values in self._sources.facts().items()},
             "jobs": [{"number": number, "name": name} for number, name in self._sources.jobs()],
@@ -143,13 +148,16 @@ class Page:
         """The Modbus map with the values that a client would read now."""
         return [
             {
-                "address": address,
-                "name": name,
+                "address": register.address,
+                "name": register.name,
                 "value": value if math.isfinite(value) else None,
-                "unit": unit,
-                "help": help_,
+                # a browser's numbers have 53 bits, fewer than a time in ns needs
+                "text": text_of(register, value),
+                "unit": register.unit,
+                "meaning": meaning_of(register, value),
+                "help": register.help,
             }
-            for address, name, value, unit, help_ in self._sources.registers()
+            for register, value in self._sources.registers()
         ]
 
     def metrics(self) -> bytes:
@@ -272,13 +280,22 @@ def _trend(snapshot: Snapshot) -> Json:
     return point
 
 
+def _why(snapshot: Snapshot) -> list[str]:
+    """What is wrong with a cycle, in words; nothing with a good one, and with one that took pictures only."""
+    if snapshot.error:
+        return [snapshot.error]
+    if snapshot.status is Status.NO_TARGET:
+        grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
+        return [] if grabbed else why_nothing(snapshot.dismissed, snapshot.nearest)
+    return sorted({words for t in snapshot.targets if t.reject for words in reasons(t.reject)})
+
+
 def _fault(shown: Shown) -> Json:
     snapshot = shown.snapshot
-    reasons = sorted({name for t in snapshot_to_json(snapshot)["rejected"] for name in t["reject"]})
     return {
         "cycle": snapshot.cycle,
         "time_ns": snapshot.published_ns,
         "status": str(snapshot.status),
-        "text": snapshot.error or ", ".join(reasons).lower().replace("_", " ") or "nothing found",
+        "text": ". ".join(_why(snapshot)),
         "has_picture": shown.pair is not None,
     }

@@ -18,6 +18,7 @@ from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
+from edged.files.outputs import check_folder
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 
@@ -47,7 +48,7 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
     """The job of what `read_job` read; raises as `load_job`. folder : where, for messages."""
     path = Path(folder) / TEXT
     try:
-        data = tomllib.loads(files[TEXT].decode("utf-8"))
+        data = tomllib.loads(files[TEXT].decode("utf-8-sig"))
         file = JobFile.model_validate(data)
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
@@ -80,14 +81,20 @@ def job_folders(folder: Path) -> list[Path]:
     )
 
 
+def check_job_folder(folder: Path) -> None:
+    """Refuse a place where something else is, or where nothing can be written. Raises `UserError`."""
+    if folder.exists() and not (folder / "job.toml").is_file():
+        raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    check_folder(folder.resolve().parent if folder.exists() else folder)
+
+
 def save_job(folder: Path, job: Job) -> None:
     """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
 
     Raises `FileFormatError` where something else is in the way, or the disc refuses.
     """
     folder = Path(folder).resolve()
-    if folder.exists() and not (folder / TEXT).is_file():
-        raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
+    check_job_folder(folder)
     files = {
         TEXT: to_toml(job).encode(),
         SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),

@@ -21,7 +21,7 @@ import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.files.atomic import read_bytes, write_atomically
+from edged.files.atomic import read_bytes, write_file
 from edged.files.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation
 from edged.files.rigformats.lens import from_polynomial, to_polynomial
 from edged.vision.geometry.camera import CameraModel, StereoRig
@@ -83,7 +83,7 @@ def write(path: Path, rig: StereoRig, options: Options) -> tuple[str, ...]:
     texts["rel_pose.dat"] = _pose_text(invert(rig.right_from_left))
     make_folder(path)
     for name, text in texts.items():
-        write_atomically(path / name, text.encode())
+        write_file(path / name, text.encode())
     return tuple(notes)
 
 

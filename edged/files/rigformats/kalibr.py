@@ -14,7 +14,7 @@ import yaml
 
 from edged.domain import SIDES
 from edged.errors import FileFormatError, UserError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation
 from edged.files.rigformats.lens import as_radtan
 from edged.vision.geometry.camera import CameraModel, StereoRig
@@ -57,7 +57,7 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",
         }
-    write_atomically(path, yaml.safe_dump(document, default_flow_style=None).encode())
+    write_file(path, yaml.safe_dump(document, default_flow_style=None).encode())
     return (*lenses[0].note("left"), *lenses[1].note("right"))
 
 

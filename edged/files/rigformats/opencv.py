@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from edged.errors import FileFormatError, UserError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.rigformats.files import (
     UNITS_MM,
     Fields,
@@ -89,7 +89,7 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
         storage.write(f"D{number}", np.array([camera.distortion]))
     storage.write("R", rig.right_from_left[:3, :3])
     storage.write("T", rig.right_from_left[:3, 3:])
-    write_atomically(path, storage.releaseAndGetString().encode())
+    write_file(path, storage.releaseAndGetString().encode())
     return (*left.note("left"), *right.note("right"))
 
 

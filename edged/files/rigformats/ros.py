@@ -19,7 +19,7 @@ import yaml
 
 from edged.domain import FloatArray
 from edged.errors import FileFormatError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.rigformats.files import (
     Fields,
     Imported,
@@ -102,7 +102,7 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
             "projection_matrix": _matrix(projection),
         }
         text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-        write_atomically(path / f"{side}.yaml", text.encode())
+        write_file(path / f"{side}.yaml", text.encode())
     return (*left.note("left"), *right.note("right"))
 
 

@@ -1,6 +1,7 @@
 """From a snapshot to the numbers of the registers.
 
-Whatever is not a good, fresh result is encoded as such: INT32_MIN, NaN or 65535, never an old number.
+Whatever is not a good, fresh result is encoded as such: INT32_MIN, NaN or 65535. Stale results are
+never published.
 """
 
 from __future__ import annotations

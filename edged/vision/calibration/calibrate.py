@@ -371,8 +371,9 @@ def _check_determined(result: BundleResult) -> None:
         relative = sigma[rig.parameter_names.index(f"{side}.fx")] / camera.fx
         if not relative < _MAX_FOCAL_SIGMA or camera.fx <= 0 or camera.fy <= 0:
             raise CalibrationError(
-                f"{side} camera: these views leave its focal length open (sigma {100 * relative:.1f} %); "
-                "tilt the board by 20° to 40° in different directions and fill the image"
+                f"{side} camera: these views do not determine its focal length (sigma "
+                f"{100 * relative:.1f} %); tilt the board by 20° to 40° in different directions and fill the "
+                "image"
             )
 
 

@@ -65,7 +65,7 @@ def zhang(
             boards, pixels, size, np.eye(3), np.zeros(5), flags=flags
         )
     except cv2.error as error:
-        raise CalibrationError(f"{side} camera: no start values from these views: {error.err}") from error
+        raise CalibrationError(f"{side} camera: no initial values from these views: {error.err}") from error
     # OpenCV's threads make the last digits differ from run to run. Cut off, the same views give the
     # same calibration, bit for bit.
     poses = [

@@ -95,7 +95,7 @@ def _warnings(
     elif len(rivals) and rivals[0, 1] >= CONFUSABLE:
         angle, similarity = rivals[0]
         said.append(
-            f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % like itself: "
+            f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % similar: "
             "where the rest is hidden, results carry AMBIGUOUS_ROTATION. Light what makes the difference."
         )
     if reserve < WEAK_RESERVE:

@@ -146,7 +146,8 @@ def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
     if np.abs(distances - radius).max() > ROUND_MM or gaps.max() > ROUND_GAP_RAD:
         return None
-    return float(middle[0] + centre[0]), float(middle[1] + centre[1]), radius
+    # the drawing's own numbers, without the last bits of the fit
+    return round(float(middle[0] + centre[0]), 9), round(float(middle[1] + centre[1]), 9), round(radius, 9)
 
 
 def _features(

@@ -32,7 +32,7 @@ from edged.vision.teaching.features import (
     outline_mask,
     part_frame,
 )
-from edged.vision.teaching.region import Area, painted_region
+from edged.vision.teaching.region import Area, Region, painted_region
 
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
@@ -47,21 +47,22 @@ def teach(
     left: Image,
     right: Image,
     rectification: Rectification,
-    region: Area,
+    region: Area | None,
     name: str,
     number: int = 1,
     *,
     exclude: Sequence[Area] = (),
     params: ModelParams | None = None,
 ) -> Job:
-    """Learn the part inside a region.
+    """Learn the part inside a region; None is the whole picture.
 
     left, right : raw images (H, W) uint8.  region, exclude : where the part is in the left one, and what of
     that is not the part.  params : thresholds of the shape model.
     Raises `TeachError` when the region shows no usable shape or no circle that both cameras see, `ImageError`
     when the images do not fit the rig.
     """
-    view = TeachingView(StereoImages.of(rectification, left, right), _mask(region, exclude, rectification))
+    mask = taught_mask(region, exclude, rectification)
+    view = TeachingView(StereoImages.of(rectification, left, right), mask)
     ellipses = find_ellipses(view.images.rectified_left, view.mask)
     try:
         circles = _circles(view, ellipses)
@@ -102,8 +103,7 @@ def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[FoundCirc
     """The circles of the face, measured together, largest first."""
     if not ellipses:
         raise TeachError(
-            "no circle found inside the region, and no face with straight edges: a job needs a feature that "
-            "both cameras see"
+            "no circle found, and no face with straight edges: a job needs a feature that both cameras see"
         )
     face, reference = _reference(view.images, ellipses)
     found = _in_order([reference, *_others(view.images, ellipses, face, reference)])
@@ -175,10 +175,11 @@ def _job(
     )
 
 
-def _mask(region: Area, exclude: Sequence[Area], rectification: Rectification) -> Image:
-    """(h, w) uint8: the region as it lies in the rectified left image."""
+def taught_mask(region: Area | None, exclude: Sequence[Area], rectification: Rectification) -> Image:
+    """(h, w) uint8: what is learnt from, as it lies in the rectified left image; None: the whole picture."""
     camera = rectification.rig.left
-    raw = painted_region(region, exclude, camera.width, camera.height)
+    whole = Region(0, 0, camera.width, camera.height)
+    raw = painted_region(region or whole, exclude, camera.width, camera.height)
     mask = np.where(rectification.left_image(raw) > 127, 255, 0).astype(np.uint8)
     return np.asarray(np.minimum(mask, rectification.valid_left))
 

@@ -229,6 +229,26 @@ def test_what_only_one_camera_shows_is_dismissed_with_its_place() -> None:
         assert tuple(picture[TITLE_HEIGHT_PX + y, x]) == RED
 
 
+def test_a_narrow_miss_says_where_and_by_how_much() -> None:
+    """Half hidden, below the least score: the best place is told; an empty table has none."""
+    here = cell("disc")
+    left, right = here.see(pose())
+    empty = np.full_like(left, 40)
+    (good,) = found(here, here.job, pose()).targets
+    strict = replace(here.job, search=replace(here.job.search, min_score=1.0))
+    missed = locate(
+        frame_pair(np.where(np.arange(640) < good.match.x_px - 70, 40, left), right), strict, here.rig
+    )
+
+    assert missed.status is Status.NO_TARGET
+    assert missed.nearest is not None
+    assert (missed.nearest.match.x_px, missed.nearest.match.y_px) == pytest.approx(
+        (good.match.x_px, good.match.y_px), abs=1.0
+    )
+    assert missed.nearest.match.score < missed.nearest.needed_score == 1.0
+    assert locate(frame_pair(empty, empty), strict, here.rig).nearest is None
+
+
 def test_an_ambiguous_rotation_is_refused() -> None:
     """What the search could not decide, straight edges do not decide either: refused with that reason."""
     here = cell("plate")

@@ -64,13 +64,13 @@ def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
 
 
 def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
-    """Position to microns, the true rotation, through a saved and loaded job."""
+    """The drawing's own sizes, position to microns, the true rotation, through a saved and loaded job."""
     rig = cells.small_rig()
     outlines = read_dxf(flange_drawing(tmp_path))
     job, _ = teach_drawing(outlines, make_rectification(rig), DEPTH_MM, "flange")
     save_job(tmp_path / "flange", job)
     job = load_job(tmp_path / "flange")
-    assert [round(circle.radius_mm, 2) for circle in job.circles] == [14.0, 1.6, 1.6, 1.6, 1.6, 0.9]
+    assert [14.0, 1.6, 1.6, 1.6, 1.6, 0.9] == [circle.radius_mm for circle in job.circles]
 
     for turn_deg, tilt_deg in ((0.0, 0.0), (77.0, 6.0)):
         where = cells.pose((5.0, -3.0, DEPTH_MM + 4), turn_deg, tilt_deg)
@@ -129,6 +129,8 @@ def test_the_source_is_a_pair_or_a_drawing() -> None:
     nothing, none = PairSource(None, None, None), DrawingSource(None, None, None, [], None)
     assert chosen_source(pair, none) is pair
     assert chosen_source(nothing, drawing) is drawing
+    whole = replace(pair, region=None)
+    assert chosen_source(whole, none) is whole
     for one, other, expected in (
         (nothing, none, "either"),
         (pair, drawing, "either"),

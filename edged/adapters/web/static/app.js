@@ -84,7 +84,7 @@ function marks(mark, side, { width, height }) {
 
 // --- result ---
 
-function showResult(result) {
+function showResult(result, why) {
   const place = $("reading");
   if (!result) return place.replaceChildren("nothing measured yet");
   const parts = [];
@@ -107,7 +107,7 @@ function showResult(result) {
     table.append(body);
     parts.push(table);
   }
-  if (!parts.length) parts.push(element("p", {}, result.error || words(result.status)));
+  if (!parts.length) parts.push(element("p", {}, words(result.status)), ...why.map((text) => element("p", {}, text)));
   const total = result.timing_ms.total;
   const stages = Object.entries(result.timing_ms).filter(([name]) => name !== "total");
   parts.push(element("p", { class: "muted" }, `${fixed(total, 0)} ms: ${stages.map(([name, ms]) => `${name} ${fixed(ms, 0)}`).join(", ")}`));
@@ -201,7 +201,12 @@ async function loadRegisters() {
   if (!answer.ok) return;
   const wanted = $("find").value.trim().toLowerCase();
   const rows = (await answer.json()).filter((r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted);
-  $("words").replaceChildren(...rows.map((r) => row("td", [String(r.address), r.name, r.value === null ? "–" : String(Number(r.value.toPrecision(9))), r.unit, r.help])));
+  $("words").replaceChildren(...rows.map(registerRow));
+}
+
+function registerRow(r) {
+  const value = element("td", { class: "value" }, r.text, r.meaning ? element("span", { class: "muted" }, ` ${r.meaning}`) : "");
+  return element("tr", {}, element("td", {}, String(r.address)), element("td", {}, r.name), value, element("td", {}, r.unit), element("td", {}, r.help));
 }
 
 $("registers").addEventListener("toggle", () => {
@@ -219,7 +224,7 @@ function show(status) {
   $("logout").hidden = !status.protected;
   showHead(status);
   showPictures(status.picture);
-  showResult(status.result);
+  showResult(status.result, status.why);
   showTrends();
   showFacts(status.facts);
   showFaults(status.faults);

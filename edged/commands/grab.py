@@ -1,0 +1,229 @@
+"""`edged grab`: pairs of pictures from the configured cameras, each on the disc before the next is taken."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from rich.console import Console
+
+from edged.app.cameras import head_of
+from edged.config import load
+from edged.domain import FloatArray, FramePair, Image
+from edged.errors import CaptureError, FileFormatError
+from edged.files.atomic import write_atomically
+from edged.files.outputs import check_folder
+from edged.files.pairs import next_number
+from edged.sim.world import VirtualWorld
+
+BLOCK_PX = 16
+"""Pictures are compared by the means of such blocks: noise of 3 grey values moves one by 0.2."""
+MOVING_GREY, MOVING_SHARE = 2.5, 0.002
+"""More blocks change by more between two exposures of a board that moves by a third of a pixel."""
+CHANGED_GREY, CHANGED_SHARE = 10.0, 0.02
+"""More blocks differ by more from the last pair when the board lies elsewhere."""
+LOOK_AGAIN_S = 0.2
+PATIENCE_S = 60.0
+MAX_FAULTS = 5
+"""Captures in a row that failed, before grabbing ends; a single lost frame is the network's."""
+
+
+class Head(Protocol):
+    """What is needed of a stereo head."""
+
+    async def open(self) -> None:
+        """Connect."""
+
+    async def capture(self) -> FramePair:
+        """One pair."""
+
+    async def close(self) -> None:
+        """Disconnect."""
+
+
+@dataclass(slots=True)
+class Movement:
+    """Has the view changed since the last pair, and does it rest?"""
+
+    _taken: tuple[FloatArray, FloatArray] | None = None
+    _before: tuple[FloatArray, FloatArray] | None = None
+
+    def rests_anew(self, pair: FramePair) -> bool:
+        """Whether a pair shows something else than the last one taken, and the same as the one before it."""
+        now = _blocks(pair.left.image), _blocks(pair.right.image)
+        before, self._before = self._before, now
+        if self._taken is not None and not _differ(now, self._taken, CHANGED_GREY, CHANGED_SHARE):
+            return False
+        return before is not None and not _differ(now, before, MOVING_GREY, MOVING_SHARE)
+
+    def take(self, pair: FramePair) -> None:
+        """This one was kept: the next must differ from it."""
+        self._taken = _blocks(pair.left.image), _blocks(pair.right.image)
+
+
+def _blocks(image: Image) -> FloatArray:
+    """Means of blocks, with the brightness of the whole divided out: lamps flicker."""
+    height, width = image.shape
+    size = max(1, width // BLOCK_PX), max(1, height // BLOCK_PX)
+    means = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA).astype(np.float64)
+    return np.asarray(means * (100.0 / max(float(means.mean()), 1.0)))
+
+
+def _differ(
+    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray], grey: float, share: float
+) -> bool:
+    """Whether more than a share of the blocks of either camera differ by more than so many grey values."""
+    return any(
+        a.shape != b.shape or float(np.mean(np.abs(a - b) > grey)) > share
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+def grab(config: Path, output: Path, count: int, name: str, console: Console) -> int:
+    """Save pairs as NAME_NN_left.png, NAME_NN_right.png; 0 when all were taken, else 1.
+
+    A terminal is asked before each pair but a single one; without one, a pair is taken whenever the view has
+    changed and rests. Numbers go on after those in the folder; nothing is overwritten, and what was taken
+    stays whatever comes after.
+    """
+    section = load(config).cameras
+    check_folder(output)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+    session = Grab(output, name, count, console)
+    when = session.at_once if count == 1 else session.asked if sys.stdin.isatty() else session.resting
+    try:
+        if section.source.startswith("virtual"):
+            when = session.at_once  # each exposure is another scene
+            with VirtualWorld(gige=section.source == "virtual") as world:
+                asyncio.run(session.run(head_of(section, world), when))
+        else:
+            asyncio.run(session.run(head_of(section), when))
+    except KeyboardInterrupt:
+        console.print("ended by ctrl-C", highlight=False)
+    finally:
+        console.print(session.summary, highlight=False, markup=False, soft_wrap=True)
+    return 0 if session.taken == count else 1
+
+
+@dataclass(slots=True)
+class Grab:
+    """Some pairs of one head into a folder."""
+
+    output: Path
+    name: str
+    count: int
+    console: Console
+    taken: int = 0
+    skew_ms: float = 0.0
+    movement: Movement = field(default_factory=Movement)
+
+    @property
+    def summary(self) -> str:
+        """How many pairs there are now, and where."""
+        number = f"{self.taken}" if self.taken == self.count else f"{self.taken} of {self.count}"
+        return f"{number} pair(s) in {self.output}, skew up to {self.skew_ms:.2f} ms"
+
+    async def run(self, head: Head, when: Callable[[Head], Awaitable[FramePair | None]]) -> None:
+        """Take pairs until there are enough, or `when` gives none. Raises `CaptureError`."""
+        try:
+            await head.open()
+            while self.taken < self.count:
+                pair = await when(head)
+                if pair is None:
+                    return
+                self._keep(pair)
+        finally:
+            await head.close()
+
+    async def at_once(self, head: Head) -> FramePair | None:
+        """The next exposure."""
+        return await self._captured(head)
+
+    async def asked(self, head: Head) -> FramePair | None:
+        """The next exposure after Enter; None after `q`, or when standard input ends."""
+        self._say(f"{self.taken + 1} of {self.count}: place the board, then press Enter (q Enter: end)")
+        line = await _line(sys.stdin.fileno())
+        if not line or line.strip().lower() in ("q", "quit"):
+            return None
+        return await self._captured(head)
+
+    async def resting(self, head: Head) -> FramePair | None:
+        """The next exposure whose view has changed and rests; None when nothing does for a long time."""
+        if self.taken:
+            self._say(f"{self.taken + 1} of {self.count}: waiting until the view has changed and rests")
+        until_s = asyncio.get_running_loop().time() + PATIENCE_S
+        while asyncio.get_running_loop().time() < until_s:
+            pair = await self._captured(head)
+            if self.movement.rests_anew(pair):
+                return pair
+            await asyncio.sleep(LOOK_AGAIN_S)
+        self._say(
+            f"in {PATIENCE_S:.0f} s the view never changed and rested: move the board, then keep it still"
+        )
+        return None
+
+    async def _captured(self, head: Head) -> FramePair:
+        """A pair, after a few faults at most. Raises the last `CaptureError`."""
+        for _ in range(MAX_FAULTS - 1):
+            try:
+                return await head.capture()
+            except CaptureError as error:
+                self._say(f"{error}; trying again")
+                await asyncio.sleep(LOOK_AGAIN_S)
+        return await head.capture()
+
+    def _keep(self, pair: FramePair) -> None:
+        """Write a pair under the next free number. Raises `FileFormatError`, and then has written nothing."""
+        stem = f"{self.name}_{next_number(self.output, self.name):02d}"
+        written: list[Path] = []
+        try:
+            for side, frame in (("left", pair.left), ("right", pair.right)):
+                _, png = cv2.imencode(".png", frame.image)
+                path = self.output / f"{stem}_{side}.png"
+                write_atomically(path, png.tobytes())
+                written.append(path)
+        except BaseException as error:
+            for path in written:
+                path.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise FileFormatError(
+                    f"{self.output}: cannot be written: {error.strerror or error}"
+                ) from error
+            raise
+        self.movement.take(pair)
+        self.taken += 1
+        skew_ms = abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6
+        self.skew_ms = max(self.skew_ms, skew_ms)
+        if self.count > 1:
+            self._say(f"{self.taken} of {self.count}: {stem}, skew {skew_ms:.2f} ms")
+
+    def _say(self, text: str) -> None:
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+async def _line(descriptor: int) -> str:
+    """The next line of a file, "" at its end; cancelled, nothing waits for it any more."""
+    loop = asyncio.get_running_loop()
+    heard = b""
+    while not heard.endswith(b"\n"):
+        ready = asyncio.Event()
+        loop.add_reader(descriptor, ready.set)
+        try:
+            await ready.wait()
+        finally:
+            loop.remove_reader(descriptor)
+        more = os.read(descriptor, 4096)
+        if not more:
+            break
+        heard += more
+    return heard.decode(errors="replace")

@@ -1,0 +1,106 @@
+"""`edged registers --read`: what the registers of a cell say now, in words. It only reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from rich.console import Console
+from rich.table import Table
+
+from edged.errors import UserError
+from edged.plc.registers import (
+    BLOCKS,
+    CONSTANTS,
+    INT32_MIN,
+    MAGIC,
+    MAP_VERSION,
+    TABLE,
+    Block,
+    Kind,
+    Number,
+    WordOrder,
+    decode,
+)
+from edged.plc.registers.readings import meaning_of, text_of
+
+PORT = 1502
+ANSWER_S = 2.0
+PROBE_U32 = 0x01020304
+
+
+def read(place: str, base_address: int, unit_id: int, console: Console) -> int:
+    """Read every block of a cell and print values with their meaning; nothing is written to it.
+
+    place : HOST or HOST:PORT. Blocks of the target table are shown as far as they hold a part. The word order
+    is found out. Raises `UserError` for what does not answer, or is no cell of this map.
+    """
+    host, port = _host_and_port(place)
+    client = ModbusTcpClient(host, port=port, timeout=ANSWER_S)
+    try:
+        if not client.connect():  # type: ignore[no-untyped-call]  # pymodbus says no type
+            raise UserError(f"--read {place}: nothing answers at {host}, port {port}")
+        order = _word_order(place, _words(client, place, CONSTANTS, base_address, unit_id))
+        table = Table("address", "name", "value", "unit", "meaning")
+        for block in BLOCKS:
+            values = decode(block, _words(client, place, block, base_address, unit_id), order)
+            if block in TABLE and _is_empty(block, values):
+                continue
+            table.add_section()
+            for one in block.registers:
+                if not one.name.startswith("RESERVED"):
+                    value = values[one.name]
+                    shown = (text_of(one, value), one.unit, meaning_of(one, value))
+                    table.add_row(str(one.address + base_address), one.name, *shown)
+        console.print(table)
+    finally:
+        client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
+    return 0
+
+
+def _host_and_port(place: str) -> tuple[str, int]:
+    host, colon, port = place.rpartition(":")
+    if not colon or (":" in host and not host.endswith("]")):
+        return place, PORT
+    if not port.isdecimal() or not 0 < int(port) < 65536 or not host:
+        raise UserError(f"--read {place}: expected HOST or HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
+def _words(
+    client: ModbusTcpClient, place: str, block: Block, base_address: int, unit_id: int
+) -> Sequence[int]:
+    try:
+        answer = client.read_holding_registers(
+            base_address + block.address, count=block.words, device_id=unit_id
+        )
+    except ModbusException as error:
+        raise UserError(f"--read {place}: {block.name}: {error}") from error
+    if answer.isError():
+        raise UserError(f"--read {place}: {block.name}: {answer}; are --base-address and --unit-id right?")
+    return list(answer.registers)
+
+
+def _is_empty(block: Block, values: Mapping[str, Number]) -> bool:
+    """Whether a row of the target table holds no part."""
+    lengths = [values[one.name] for one in block.registers if one.kind is Kind.I32]
+    return all(value == INT32_MIN for value in lengths)
+
+
+def _word_order(place: str, words: Sequence[int]) -> WordOrder:
+    """As the constants tell it. Raises `UserError` for another device, and for another map."""
+    orders: tuple[WordOrder, ...] = ("high", "low")
+    for order in orders:
+        constants = decode(CONSTANTS, words, order)
+        if constants["MAGIC"] != MAGIC:
+            raise UserError(
+                f"--read {place}: MAGIC is {constants['MAGIC']}: no edged cell, or another base address"
+            )
+        if constants["MAP_VERSION"] != MAP_VERSION:
+            raise UserError(
+                f"--read {place}: the cell's map is version {constants['MAP_VERSION']}, this is {MAP_VERSION}"
+            )
+        if constants["PROBE_U32"] == PROBE_U32:
+            return order
+    raise UserError(f"--read {place}: PROBE_U32 is right in no word order; does a gateway change words?")

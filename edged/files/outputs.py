@@ -1,0 +1,65 @@
+"""Where a command is going to write: found out before its work begins, not after it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from edged.errors import FileFormatError, UserError
+
+
+def check_outputs(
+    outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None
+) -> None:
+    """Refuse files that cannot be written, two outputs in one file, and an output that is an input.
+
+    outputs, inputs : by the name of their option or argument; None: not wanted.
+    Raises `UserError` that names them.
+    """
+    named: dict[Path, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        place = path.resolve()
+        if place in named:
+            raise UserError(f"{named[place]} and {option} are the same file, {path}: expected two")
+        named[place] = option
+        _check_file(path)
+    for option, path in (inputs or {}).items():
+        if path is not None and path.resolve() in named:
+            output = named[path.resolve()]
+            raise UserError(f"{output} is {option}, {path}, which would be lost; expected another file")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder that is none, or that cannot be made or written into. Raises `FileFormatError`."""
+    if path.exists():
+        if not path.is_dir():
+            raise FileFormatError(f"{path}: is a file, expected a folder to write")
+        _check_takes(path, path)
+        return
+    above = next(folder for folder in path.resolve().parents if folder.exists())
+    if not above.is_dir():
+        raise FileFormatError(f"{path}: {above} is a file, expected a folder")
+    _check_takes(path, above)
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise FileFormatError(f"{path}: is a folder, expected a file to write")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise FileFormatError(f"{path}: there is no folder {folder} to write into")
+    _check_takes(path, folder)
+
+
+def _check_takes(path: Path, folder: Path) -> None:
+    """A file is written beside its place and renamed, so the folder decides: it takes one for a moment."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileFormatError(
+            f"{path}: cannot be written into {folder}: {error.strerror or error}"
+        ) from error

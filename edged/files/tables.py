@@ -1,0 +1,94 @@
+"""Tables of numbers as people have them: from Excel, from a robot's log, typed by hand.
+
+Cells are separated by commas, semicolons, tabs or spaces; with another separator than the comma, a comma is
+the decimal sign. Lines without a number at the top are a header; what follows `#` is a comment.
+"""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes
+
+MAX_LINES = 600_000
+_DECIMAL_COMMA = re.compile(r"[-+−]?\d+,\d+(?:[eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Cells of a line, and its number in the file from 1; a blank line has none."""
+
+    number: int
+    cells: tuple[str, ...]
+
+
+def read_text(path: Path, what: str) -> str:
+    """A text file, with or without a byte order mark. Raises `FileFormatError`."""
+    data = read_bytes(path, what)
+    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not UTF-8 text (save it as UTF-8): {error}") from error
+
+
+def read_table(path: Path, what: str = "a table") -> list[Line]:
+    """The lines of a table, blank ones included, without header and comments. Raises `FileFormatError`."""
+    found: list[Line] = []
+    is_header = True
+    for number, line in enumerate(read_text(path, what).splitlines(), 1):
+        content = line.split("#")[0].strip()
+        if content:
+            cells = split(content)
+            is_header = is_header and not any(_is_number(cell) for cell in cells)
+            if not is_header:
+                found.append(Line(number, cells))
+        elif not line.strip() and found:
+            found.append(Line(number, ()))
+        if len(found) > MAX_LINES:
+            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
+    if not any(line.cells for line in found):
+        raise FileFormatError(f"{path}: empty: no line with numbers in it")
+    return found
+
+
+def split(content: str) -> tuple[str, ...]:
+    """The cells of a line."""
+    for separator in (";", "\t"):
+        if separator in content:
+            return tuple(_plain(cell) for cell in content.split(separator))
+    words = content.split()
+    if (
+        len(words) > 1
+        and not any("," in word.strip(",") and not _DECIMAL_COMMA.fullmatch(word) for word in words)
+        and not any(word.endswith(",") for word in words)
+    ):
+        return tuple(_plain(word) for word in words)
+    return tuple(cell.strip().strip('"').strip() for cell in content.split(","))
+
+
+def number_of(cell: str) -> float:
+    """A finite number. Raises ValueError that says what is there instead."""
+    value = float(cell.replace("−", "-"))
+    if not math.isfinite(value):
+        raise ValueError(f"expected finite numbers, got {cell!r}")
+    return value
+
+
+def _plain(cell: str) -> str:
+    """Without quotes, and with a decimal point."""
+    text = cell.strip().strip('"').strip()
+    return text.replace(",", ".") if _DECIMAL_COMMA.fullmatch(text) else text
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace("−", "-"))
+    except ValueError:
+        return False
+    return True

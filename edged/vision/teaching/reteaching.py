@@ -1,0 +1,97 @@
+"""Teaching again over a job that people have edited: their changes stay, and what cannot stay is said."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from edged.vision.part.job import DEPTH_SHARE, Job, Limits, MeasurementSpec, known_radius
+from edged.vision.shape.search import SearchParams
+
+SAME_SHARE = 0.02
+"""Taught tolerances of one part differ by less from one teaching to the next: the rest was edited."""
+
+
+def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
+    """The taught job with what was edited in the one that it replaces, and a line for each such thing.
+
+    Limits and search parameters that are not as teaching sets them, and measurements, as far as the features
+    that they are of are there again.
+    """
+    said: list[str] = []
+    limits = _limits(former, taught, said)
+    search = _search(former, taught, said)
+    measurements, witness = _measurements(former, taught, said)
+    if gone := sorted(_names(former) - _names(taught)):
+        said.append(f"no longer there, or renamed by hand before: {', '.join(gone)}")
+    if former.reference != taught.reference:
+        said.append(f"reference is {taught.reference}; it was {former.reference}")
+    return replace(taught, limits=limits, search=search, measurements=measurements, witness=witness), tuple(
+        said
+    )
+
+
+def _names(job: Job) -> set[str]:
+    return {*(c.name for c in job.circles), *(s.name for s in job.slots), *(e.name for e in job.edges)}
+
+
+def _limits(former: Job, taught: Job, said: list[str]) -> Limits:
+    was, now = former.limits, taught.limits
+    depth_mm = float(former.rig_from_part[2, 3])
+    usual = depth_mm * (1 - DEPTH_SHARE), depth_mm * (1 + DEPTH_SHARE)
+    if not all(abs(a - b) < 1e-6 * depth_mm for a, b in zip(was.depth_mm, usual, strict=True)):
+        now = replace(now, depth_mm=was.depth_mm)
+        said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
+    for name in (one.name for one in fields(Limits) if one.name != "depth_mm"):
+        before, after = getattr(was, name), getattr(now, name)
+        if _differ(before, after):
+            now = replace(now, **{name: before})
+            said.append(_kept(f"limits.{name}", before, after))
+    return now
+
+
+def _search(former: Job, taught: Job, said: list[str]) -> SearchParams:
+    changed = {}
+    for one in fields(SearchParams):
+        before, after = getattr(former.search, one.name), getattr(taught.search, one.name)
+        if _differ(before, after):
+            changed[one.name] = before
+            said.append(_kept(f"search.{one.name}", before, after))
+    return replace(taught.search, **changed)
+
+
+def _measurements(
+    former: Job, taught: Job, said: list[str]
+) -> tuple[tuple[MeasurementSpec, ...], str | None]:
+    """Those of the former job, with the taught size where nobody had stated another."""
+    by_teaching = {one.name: one for one in known_radius(former.circles, former.reference)[0]}
+    fresh = {one.name: one for one in taught.measurements}
+    kept: list[MeasurementSpec] = []
+    for one in former.measurements:
+        if one == by_teaching.get(one.name):
+            continue  # nobody touched it: the taught job has its own
+        if any(former.kind_of(name) != taught.kind_of(name) for name in one.of):
+            said.append(f"measurement {one.name} is dropped: {', '.join(one.of)} is not there any more")
+            continue
+        kept.append(one)
+        if one != fresh.pop(one.name, None):
+            said.append(f"kept: measurement {one.name}")
+    everything = (*fresh.values(), *kept)
+    witness = former.witness if former.witness in {one.name for one in everything} else taught.witness
+    return everything, witness
+
+
+def _differ(before: object, after: object) -> bool:
+    """Whether a value was edited: not what teaching gives, within what one teaching differs from another."""
+    if isinstance(before, float) and isinstance(after, float):
+        return abs(before - after) > SAME_SHARE * abs(after)
+    return before != after
+
+
+def _kept(name: str, before: object, after: object) -> str:
+    return f"kept: {name} = {_text(before)} (teaching would set {_text(after)})"
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_text(one) for one in value) + "]"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,44 @@
+"""One word about a calibration: good, usable or repeat, why, and what to add."""
+
+from __future__ import annotations
+
+import pytest
+from boards import board_poses, synthetic_views
+from rigs import make_rig
+
+from edged.vision.boards.board import Chessboard
+from edged.vision.calibration.calibrate import calibrate_stereo
+from edged.vision.calibration.crossvalidation import hold_out
+from edged.vision.calibration.verdict import judge_calibration
+
+BOARD = Chessboard(11, 8, 4.0)
+RIG = make_rig("division")
+SIZE = (RIG.left.width, RIG.left.height)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("views", "sigma_px", "grade", "why"),
+    [
+        (20, 0.02, "good", "20 views"),
+        (8, 0.02, "usable", "8 views"),
+        (14, 1.0, "repeat", "epipolar rms of held-out views 1."),
+    ],
+)
+def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grade: str, why: str) -> None:
+    """The worst finding decides and is said; what is not good has a view to add."""
+    poses = board_poses(RIG, BOARD, views, 0)
+    calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, sigma_px, 0), SIZE, SIZE, "division")
+    verdict = judge_calibration(calibration, hold_out(calibration))
+
+    assert grade == verdict.grade
+    assert any(why in text for text in verdict.why)
+    assert (grade == "good") == (verdict.add == "")
+    assert str(verdict).startswith(f"verdict: {grade}: ")
+
+
+def test_what_was_not_held_out_is_not_praised() -> None:
+    """Without held-out views nothing but the fit speaks for a calibration."""
+    poses = board_poses(RIG, BOARD, 8, 0)
+    calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, 0.02, 0), SIZE, SIZE, "division")
+    assert "repeat" == judge_calibration(calibration, ()).grade
