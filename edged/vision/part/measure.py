@@ -27,8 +27,7 @@ from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
-from edged.vision.part.prediction import match_in_raw
-from edged.vision.part.secondview import is_contradicted
+from edged.vision.part.prediction import is_contradicted, match_in_raw
 from edged.vision.part.sizes import measure_sizes, place
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch

@@ -1,14 +1,31 @@
-"""Where a taught part should be seen, by its match alone."""
+"""Where a taught part should be seen, by its match: in the left image, and in the right one.
+
+The right camera is a second witness of how a part is turned. The search decides in the left image. A bar that
+lies over the part may have its edge just where another rotation has one, and seen from one side nothing tells it
+from the part's own. From the other side it lies elsewhere, as it is nearer to the cameras: what only one of two
+rotations expects must be there in both views.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from edged.domain import FloatArray, Match
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Match, Target
+from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
+from edged.vision.shape.ambiguity import MIN_APART, Sight, look_at, surroundings, turned, turns
 from edged.vision.shape.search import ShapeMatch
+
+CLEAR = 0.5
+"""More of what a rotation alone expects is there than is not, by so much: no other one is looked for."""
+AGAINST = 0.05
+"""By so much more the right image shows of what only the other rotation expects."""
 
 
 def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
@@ -21,3 +38,59 @@ def match_in_raw(rectification: Rectification, match: ShapeMatch) -> Match:
     """A match as it is reported: its place in the left image as the camera delivers it."""
     x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
     return Match(float(x), float(y), match.angle_rad, match.scale_x, match.scale_y, match.score)
+
+
+def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: Target) -> bool:
+    """Whether the right image speaks for another rotation than that of a match that was measured."""
+    model = job.shape
+    all_turns = turns(model)
+    if model.round or not len(all_turns.motions):
+        return False
+    normal = target.rig_from_part[:3, 2]
+    face = Plane(normal, float(normal @ target.position_mm))
+    pose = np.array([match.x_px, match.y_px, *match.linear.ravel(), *match.tilt])
+    everything = np.arange(len(model.levels[0].points))
+    sight = _look(images, job, face, pose, everything)
+    if sight is None:
+        return False
+    light = surroundings(sight, job.search.min_contrast)
+    known = light.shows(sight).astype(np.float64) - light.denies(sight)
+    for own, foreign, motion in zip(all_turns.own, all_turns.foreign, all_turns.motions, strict=True):
+        if own.sum() < MIN_APART or known[own].mean() > CLEAR:
+            continue
+        others = np.flatnonzero(foreign)
+        other = _look(images, job, face, turned(pose, motion), others) if len(others) >= MIN_APART else None
+        if other is None:
+            continue
+        theirs = light.shows(other).astype(np.float64) - light.denies(other)
+        if known[own].mean() < theirs.mean() - AGAINST:
+            return True
+    return False
+
+
+def _look(
+    images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: npt.NDArray[np.int64]
+) -> Sight | None:
+    """What the raw right image shows of points of the model on the face; None where it does not see them."""
+    level = job.shape.levels[0]
+    places, normals = level.points[points], level.normals[points]
+    along = np.column_stack([-normals[:, 1], normals[:, 0]])
+    rig = images.rig
+
+    def in_right(model_px: FloatArray) -> FloatArray:
+        depth = 1.0 + model_px @ pose[6:]
+        left = model_px @ pose[2:6].reshape(2, 2).T / depth[:, None] + pose[:2]
+        space = face.meet(images.rays("left", left))
+        return rig.right.project(apply(rig.right_from_left, space))
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        middle, step = in_right(places), in_right(places + along) - in_right(places - along)
+        length = np.linalg.norm(step, axis=1)
+        out = in_right(places + normals) - middle
+        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]
+        across *= np.where(np.sum(across * out, axis=1) < 0, -1.0, 1.0)[:, None]
+    if not np.isfinite(across).all():
+        return None
+    scale = 0.5 * float(np.median(length))
+    placed = np.ascontiguousarray(np.column_stack([middle, across]))
+    return look_at(images.right, job.shape, placed, 0, points, scale) if math.isfinite(scale) else None
