@@ -2,8 +2,8 @@
 
 The right camera is a second witness of how a part is turned. The search decides in the left image. A bar that
 lies over the part may have its edge just where another rotation has one, and seen from one side nothing tells
-it from the part's own. From the other side it lies elsewhere, as it is nearer to the cameras: what only one of
-two rotations expects must be there in both views.
+it from the part's own. From the other side it lies elsewhere, as it is nearer to the cameras: what only one
+of two rotations expects must be there in both views.
 """
 
 from __future__ import annotations
