@@ -157,12 +157,19 @@ def camera_facts(head: StereoHead) -> dict[str, str]:
         parts = [] if health.temperature_c is None else [f"{health.temperature_c:.1f} °C"]
         bound = "" if health.clock_bound_ns is None else f", ±{health.clock_bound_ns * 1e-3:.0f} µs"
         parts.append(f"clock: {'PTP' if health.ptp else 'free-running'}{bound}")
+        if health.gamma != 1.0:
+            parts.append(f"Gamma {health.gamma:g}")
         if health.complete is not None:
             parts.append(f"{health.complete} images, {health.failed or 0} damaged")
         if health.resent is not None:
             parts.append(f"packets: {health.resent} resent, {health.lost or 0} lost")
         facts[camera] = "; ".join(parts)
     return facts
+
+
+def camera_gammas(head: StereoHead) -> dict[str, float]:
+    """The response that each open camera states: the exponent between light and grey value."""
+    return {camera: health.gamma for camera, health in _healths(head)}
 
 
 def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:

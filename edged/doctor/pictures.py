@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Iterator
 
-from edged.app.cameras import camera_facts, head_of
+from edged.app.cameras import camera_facts, camera_gammas, head_of
 from edged.config import Config
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
@@ -39,7 +39,7 @@ REMEDIES: dict[type[EdgedError], str] = {
 
 
 def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
-    """One check: open the cameras, take a few pairs, and see whether they fit the rig."""
+    """Open the cameras, take a few pairs, and see whether they and the cameras' response fit the rig."""
     source, mode = config.cameras.source, config.cameras.trigger.mode
     if mode == "line" or config.cycle.mode == "external" or config.cameras.trigger.first_line:
         yield Check("test pictures", Verdict.SKIP, "somebody else triggers the cameras: run it and see")
@@ -47,14 +47,14 @@ def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
     try:
         if source.startswith("virtual"):
             with VirtualWorld(gige=source == "virtual") as world:
-                yield asyncio.run(_shoot(config, rig, world))
+                yield from asyncio.run(_shoot(config, rig, world))
         else:
-            yield asyncio.run(_shoot(config, rig, None))
+            yield from asyncio.run(_shoot(config, rig, None))
     except EdgedError as error:
         yield Check("test pictures", Verdict.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
 
 
-async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> Check:
+async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> list[Check]:
     head = head_of(config.cameras, world)
     times_ms, skews_ms, faults = [], [], list[CaptureError]()
     sizes = [(camera.height, camera.width) for camera in (rig.left, rig.right)]
@@ -70,14 +70,16 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
             times_ms.append((time.perf_counter() - start) * 1e3)
             skews_ms.append(abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6)
             if [pair.left.image.shape, pair.right.image.shape] != sizes:
-                return Check(
-                    "test pictures",
-                    Verdict.BAD,
-                    f"{pair.left.image.shape[::-1]} and {pair.right.image.shape[::-1]} pixels",
-                    "the rig was calibrated for another size: every cycle fails",
-                    "calibrate again, or set Width and Height as they were",
-                )
-        facts = camera_facts(head)
+                return [
+                    Check(
+                        "test pictures",
+                        Verdict.BAD,
+                        f"{pair.left.image.shape[::-1]} and {pair.right.image.shape[::-1]} pixels",
+                        "the rig was calibrated for another size: every cycle fails",
+                        "calibrate again, or set Width and Height as they were",
+                    )
+                ]
+        facts, gammas = camera_facts(head), camera_gammas(head)
     finally:
         await head.close()
     text = f"{len(times_ms)} of {TRIGGERS} pairs"
@@ -86,14 +88,31 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
         text += f", skew up to {max(skews_ms):.2f} ms"
     text += "".join(f"; {side}: {fact}" for side, fact in facts.items())
     if faults:
-        return Check(
-            "test pictures",
-            Verdict.BAD,
-            f"{text}; {faults[0]}",
-            "CAPTURE_FAULT in such cycles",
-            _remedy(faults[0]),
-        )
-    return Check("test pictures", Verdict.OK, text)
+        return [
+            Check(
+                "test pictures",
+                Verdict.BAD,
+                f"{text}; {faults[0]}",
+                "CAPTURE_FAULT in such cycles",
+                _remedy(faults[0]),
+            ),
+            *_responses(rig, gammas),
+        ]
+    return [Check("test pictures", Verdict.OK, text), *_responses(rig, gammas)]
+
+
+def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
+    """Of each camera that says that its grey values are not in proportion to the light."""
+    for side, gamma in gammas.items():
+        calibrated = rig.left.gamma if side == "left" else rig.right.gamma
+        if gamma != 1.0 or calibrated != 1.0:
+            yield Check(
+                f"{side} response",
+                Verdict.WARN,
+                f"the camera's Gamma is {gamma:g}, the calibration measured {calibrated:g}",
+                "a response that the calibration does not know moves every edge: radii by about 10 µm",
+                f"set Gamma = 1.0 under cameras.{side}.features and calibrate again",
+            )
 
 
 def _remedy(error: EdgedError) -> str:

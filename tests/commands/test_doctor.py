@@ -138,6 +138,21 @@ def test_pictures_of_another_size_are_named(folder: Path) -> None:
 
 
 @pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
+    """A camera whose Gamma is 0.5, as it says itself: with the remedy, and of the other one not a word."""
+    edit(folder, 'source = "virtual-inprocess"', 'source = "virtual"')
+    path = edit(folder, "max_skew_ms = 25.0", "max_skew_ms = 1000.0")
+    path.write_text(path.read_text() + "\n[cameras.left.features]\nGamma = 0.5\n")
+    found = checks(path, trigger=True)
+
+    assert found["test pictures"].verdict is Verdict.OK
+    assert found["left response"].verdict is Verdict.WARN
+    assert "Gamma is 0.5" in found["left response"].finding
+    assert "cameras.left.features" in found["left response"].remedy
+    assert "right response" not in found
+
+
+@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
 def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
     """With those that do: it is mostly a mistyped serial number."""
     cameras = '[cameras.left]\ndevice = "NOT-THERE-1"\n[cameras.right]\ndevice = "NOT-THERE-2"\n\n[modbus]'

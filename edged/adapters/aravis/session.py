@@ -36,7 +36,7 @@ from edged.adapters.aravis.library import (
     translated,
 )
 from edged.adapters.aravis.settings import AravisSettings
-from edged.adapters.aravis.setup import Placement, set_up
+from edged.adapters.aravis.setup import Placement, gamma_in_effect, set_up
 from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
 from edged.errors import CameraBusy, CameraRestarted, CameraUnreachable, FrameTimeout
@@ -78,6 +78,7 @@ class Health:
     temperature_c : None where it does not tell. clock_bound_ns : of its clock's map, None without one.
     ptp : its clock is locked to the PTP network. complete, failed : images since it was opened.
     resent, lost : packets that came on request, and that never came. None: the driver does not count them.
+    gamma : exponent in effect between light and grey value, as the camera says; 1 for a linear one.
     """
 
     temperature_c: float | None = None
@@ -87,6 +88,7 @@ class Health:
     failed: int | None = None
     resent: int | None = None
     lost: int | None = None
+    gamma: float = 1.0
 
 
 class Session:
@@ -115,6 +117,7 @@ class Session:
         self._features: Features | None = None
         self._actions = 0
         self._temperature_c: float | None = None
+        self._gamma = 1.0
         self._looked_s = 0.0
         self._library = library(name)
         self._on_lost = lost
@@ -236,7 +239,8 @@ class Session:
         latest = self.clock.readings[-1:]
         mapped = self.clock.at(latest[0].device_ns) if latest else None
         bound_ns = mapped.bound_ns if mapped is not None else None
-        return Health(self._temperature_c, bound_ns, self.ptp, *(counts.get(name) for name in COUNTS))
+        complete, failed, resent, lost = (counts.get(name) for name in COUNTS)
+        return Health(self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma)
 
     def close(self) -> None:
         """Take everything down, politely if the camera still answers; never raises."""
@@ -295,6 +299,8 @@ class Session:
             camera.stop_acquisition()  # a host that crashed may have left it running
         self._features = features = Features(self.name, device)
         placement = set_up(self.name, camera, features, settings)
+        with self._talking("asking for its response"):
+            self._gamma = gamma_in_effect(features)
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
         for _ in range(CLOCK_READINGS):
             self._read_clock()

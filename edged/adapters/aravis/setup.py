@@ -61,6 +61,14 @@ def set_up(name: str, camera: Any, features: Features, settings: AravisSettings)
     return placement
 
 
+def gamma_in_effect(features: Features) -> float:
+    """The exponent between light and grey values that the camera states; 1 where it states none."""
+    if features.exists("GammaEnable") and features.value("GammaEnable") is False:
+        return 1.0
+    gamma = features.value("Gamma") if features.exists("Gamma") else None
+    return float(gamma) if isinstance(gamma, int | float) and gamma > 0 else 1.0
+
+
 def _check_serial(name: str, camera: Any, settings: AravisSettings) -> None:
     found, expected = camera.get_device_serial_number(), settings.serial
     if expected and found != expected:

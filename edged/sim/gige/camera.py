@@ -333,6 +333,10 @@ class GigeCamera:
             raise ValueError(
                 f"exposure gave {image.dtype} {image.shape}, expected uint8 {(request.height, request.width)}"
             )
+        gamma = self.registers.number(g.GAMMA, 1.0)
+        if gamma != 1.0:
+            levels = np.rint(255.0 * (np.arange(256) / 255.0) ** gamma).astype(np.uint8)
+            image = levels[image]
         self._last_image = image
         return image
 
