@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -129,6 +130,17 @@ class Curve:
             points, normals, speed = _slot(self, share)
         return Outline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
 
+    def spread(self, count: int, margin_mm: float = 0.0) -> Outline:
+        """`outline` at so many places, evenly spread."""
+        if self.kind != "circle":
+            return self.outline((np.arange(count) + 0.5) / count, margin_mm)
+        x, y, radius = self.parameters
+        normals, speed = _around(count)
+        points = np.empty((count, 3))
+        points[:, :2] = (x, y) + radius * normals
+        points[:, 2] = self.height_mm
+        return Outline(points, normals, speed)
+
 
 class Outline(NamedTuple):
     """Samples of curves: points (N, 3), u, v and height; normals (N, 2) in the face.
@@ -147,9 +159,21 @@ Samples = tuple[FloatArray, FloatArray, FloatArray]
 
 def _circle(curve: Curve, share: FloatArray) -> Samples:
     x, y, radius = curve.parameters
-    phase = 2 * np.pi * share
+    normals, speed = _at_phase(2 * np.pi * share)
+    return (x, y) + radius * normals, normals, speed
+
+
+def _at_phase(phase: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normals (N, 2) and speed (N, 3) of any circle."""
     normals = np.column_stack([np.cos(phase), np.sin(phase)])
-    return (x, y) + radius * normals, normals, np.column_stack([normals, np.ones(len(share))])
+    return normals, np.column_stack([normals, np.ones(len(phase))])
+
+
+@lru_cache(maxsize=64)  # of a job's few circles at two spacings
+def _around(count: int) -> tuple[FloatArray, FloatArray]:
+    normals, speed = _at_phase(2 * np.pi * (np.arange(count) + 0.5) / count)
+    normals.flags.writeable = speed.flags.writeable = False
+    return normals, speed
 
 
 def _edge(curve: Curve, share: FloatArray, margin_mm: float) -> Samples:

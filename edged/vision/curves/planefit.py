@@ -330,7 +330,7 @@ class _State:
                 return None
             fewest = MIN_SPOKES_AROUND if curve.closed else MIN_SPOKES
             count = min(max(int(size_px / spacing_px), fewest), MAX_SPOKES)
-            outlines.append(curve.outline((np.arange(count) + 0.5) / count, MARGIN_PX / scale))
+            outlines.append(curve.spread(count, MARGIN_PX / scale))
         starts = np.cumsum([0, *(len(one.points) for one in outlines)])
         speed = np.zeros((starts[-1], max(curve.free for curve in self.curves)))
         for k, one in enumerate(outlines):

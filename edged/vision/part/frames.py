@@ -12,6 +12,8 @@ from edged.vision.curves.planefit import CurveFit, PlaneFit, derived
 from edged.vision.part.job import Job
 from edged.vision.part.sizes import place
 
+_PLACE_AND_RADIUS = np.ix_([0, 1, 2, 6], [0, 1, 2, 6])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCircle:
@@ -40,15 +42,16 @@ def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
     lift[:3, 3], lift[:3, 4] = u, v
     lift[3:6, 1], lift[3:6, 2] = -v, u
     lift[6, 5] = 1.0
-    used = np.r_[0:PLANE_PARAMETERS, where]
-    covariance = lift @ fit.covariance[np.ix_(used, used)] @ lift.T
-    keep = [0, 1, 2, 6]
+    plane, known = slice(0, PLANE_PARAMETERS), np.empty((6, 6))
+    known[:3, :3], known[:3, 3:] = fit.covariance[plane, plane], fit.covariance[plane, where]
+    known[3:, :3], known[3:, 3:] = fit.covariance[where, plane], fit.covariance[where, where]
+    covariance = lift @ known @ lift.T
     circle = Circle3D(
         name,
         face.to_rig(np.array([[x, y, height]]))[0],
         n if n[2] < 0 else -n,
         float(radius),
-        covariance[np.ix_(keep, keep)],
+        covariance[_PLACE_AND_RADIUS],
     )
     return FoundCircle(circle, covariance[:6, :6], one)
 

@@ -84,13 +84,12 @@ def _look(
         return rig.right.project(apply(rig.right_from_left, space))
 
     with np.errstate(invalid="ignore", divide="ignore"):
-        middle, step = in_right(places), in_right(places + along) - in_right(places - along)
+        seen = in_right(np.concatenate([places, places + along]))
+        middle, step = seen[: len(places)], seen[len(places) :] - seen[: len(places)]
         length = np.linalg.norm(step, axis=1)
-        out = in_right(places + normals) - middle
-        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]
-        across *= np.where(np.sum(across * out, axis=1) < 0, -1.0, 1.0)[:, None]
+        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]  # no image is a mirror's
     if not np.isfinite(across).all():
         return None
-    scale = 0.5 * float(np.median(length))
+    scale = float(np.median(length))
     placed = np.ascontiguousarray(np.column_stack([middle, across]))
     return look_at(images.right, job.shape, placed, 0, points, scale) if math.isfinite(scale) else None
