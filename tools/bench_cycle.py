@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Time the product's own cycle: rectify, find and measure, with a job as `teach` makes it.
 
-    tools/bench cycle [--scenes N] [--rounds N] [--large] [--json FILE] [--flame FILE.svg]
+    tools/bench cycle [--scenes N] [--rounds N] [--large] [--growth] [--json FILE] [--flame FILE.svg]
 
 The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
 the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
 (pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed:
 what else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
+--growth: how the time grows with pixels, parts, and the ranges of angle and size, with the exponent.
 --flame: where the time goes, drawn by py-spy.
 What jitters least are counts: of candidates followed, of fits, of steps; they guard the tests.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -187,6 +189,56 @@ def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
     ]
 
 
+def growth_rows(rounds: int) -> list[tuple[str, list[float], list[float], float]]:
+    """What grows: name, its values, the times in ms beside them, and the exponent of the line in logs."""
+    rows = []
+
+    def add(name: str, values: list[float], times: list[float]) -> None:
+        exponent = float(np.polyfit(np.log(values), np.log(times), 1)[0])
+        rows.append((name, values, times, exponent))
+
+    sizes = ((640, 480), (1280, 960), *LARGE)
+    cells = [bench(2, size) for size in sizes]
+    stages = [stage_rows(cell, rounds) for cell in cells]
+    megapixels = [1e-6 * width * height for width, height in sizes]
+    add("find, by megapixels", megapixels, [stage[0].median_ms for stage in stages])
+    add("measure, by megapixels", megapixels, [stage[1].median_ms for stage in stages])
+    whole = [cycle_row("", cell, rounds) for cell in cells]
+    add("cycle, by megapixels", megapixels, [row.median_ms for row in whole])
+    parts = [1, 2, 4]
+    crowd = [cycle_row("", bench(2, parts=count), rounds) for count in parts]
+    add("cycle, by parts", [float(count) for count in parts], [row.median_ms for row in crowd])
+    cell = cells[1]
+    degrees = [5.0, 20.0, 90.0, 360.0]
+    add(
+        "find, by the range of the angle, degrees",
+        degrees,
+        [_searched(cell, rounds, angle_extent_rad=math.radians(value)) for value in degrees],
+    )
+    percent = [0.5, 2.0, 8.0, 32.0]
+    add(
+        "find, by the range of the size, percent",
+        percent,
+        [_searched(cell, rounds, scale_min=1 - value / 200, scale_max=1 + value / 200) for value in percent],
+    )
+    return rows
+
+
+def _searched(cell: Bench, rounds: int, **ranges: float) -> float:
+    """Median time of a search with other ranges, ms."""
+    job = replace(cell.job, search=replace(cell.job.search, **ranges))
+    images = [StereoImages.of(cell.rig.rectification, *pair).rectified_left for pair in cell.pairs]
+    valid, works = cell.rig.rectification.valid_left, []
+    for image in images:
+
+        def find(image: Image = image) -> None:
+            with cell.rig.workspaces.lend() as work:
+                find_shapes(image, job.shape, job.search, valid, work)
+
+        works.append((find, lambda image=image: search_floor(image)))
+    return timed("", "f", works, rounds).median_ms
+
+
 @contextlib.contextmanager
 def counting() -> Iterator[Counter[str]]:
     """Count how often the work of a cycle is done; names as in COUNTED."""
@@ -246,6 +298,7 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=25)
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--large", action="store_true", help="5 and 12 megapixels, too")
+    parser.add_argument("--growth", action="store_true", help="how the time grows, with exponents")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--flame", type=Path)
     parser.add_argument("--only-cycle", action="store_true", help="whole cycles and nothing else")
@@ -279,8 +332,15 @@ def main() -> int:
     print("|---|---:|")
     for what, count in work.items():
         print(f"| {what} | {count:.1f} |")
+    growth = growth_rows(max(options.rounds // 4, 3)) if options.growth else []
+    if growth:
+        print("\n| what grows | at | ms | exponent |")
+        print("|---|---|---|---:|")
+        for name, values, times, exponent in growth:
+            at, ms = (", ".join(f"{value:.3g}" for value in row) for row in (values, times))
+            print(f"| {name} | {at} | {ms} | {exponent:.2f} |")
     if options.json is not None:
-        document = {"rows": [asdict(row) for row in rows], "work": work}
+        document = {"rows": [asdict(row) for row in rows], "work": work, "growth": growth}
         options.json.write_text(json.dumps(document, indent=1) + "\n")
     if options.flame is not None:
         draw_flames(options.flame)
