@@ -42,6 +42,22 @@ def grab(
 
 
 @app.command()
+def board(
+    spec: Annotated[str, typer.Argument(help="for example chessboard:11x8:15 (inner corners, square in mm)")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="PDF file to write")],
+    paper: Annotated[
+        str | None, typer.Option(help="A5 to A1 or letter; the smallest of A5 to A1 that fits if not given")
+    ] = None,
+) -> None:
+    """Draw a calibration board to print, with rulers that tell whether the printer kept the scale."""
+    from rich.console import Console
+
+    from edged.commands.board import board as command
+
+    raise typer.Exit(command(spec, paper, output, Console(stderr=True)))
+
+
+@app.command()
 def calibrate(
     directory: Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")],
     board: Annotated[str, typer.Option(help="for example chessboard:11x8:4.0 (inner corners, square in mm)")],

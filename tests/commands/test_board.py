@@ -1,0 +1,82 @@
+"""`edged board`: what is printed is found by the detector, in the size that was asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pypdfium2
+import pytest
+from rich.console import Console
+
+from edged.commands.board import PAPERS, board
+from edged.domain import Image
+from edged.errors import CalibrationError, UserError
+from edged.vision.boards.board import Detection, parse_board
+from edged.vision.boards.detection import detect_board
+
+DPI = 150
+SPECS = ["chessboard:11x8:15", "dots:7x7:20", "charuco:12x9:15:11:5X5_250", "circles:4x11:15:8"]
+
+
+def printed(spec: str, folder: Path, paper: str | None = None) -> Image:
+    """The page as a renderer that is not ours draws it."""
+    board(spec, paper, folder / "board.pdf", Console(quiet=True))
+    page = pypdfium2.PdfDocument(folder / "board.pdf")[0]
+    return np.ascontiguousarray(np.squeeze(page.render(scale=DPI / 72, grayscale=True).to_numpy()))
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_the_printed_board_is_found_in_its_size(spec: str, tmp_path: Path) -> None:
+    """Every mark, and each distance of two to a thousandth: rounding of the page to whole px."""
+    wanted = parse_board(spec)
+    found = detect_board(np.asarray(cv2.GaussianBlur(printed(spec, tmp_path), (0, 0), 0.8), np.uint8), wanted)
+    assert isinstance(found, Detection)
+    assert len(wanted.points_mm) == len(found.ids)
+    seen = found.pixels[np.argsort(found.ids)] * 25.4 / DPI
+    far = np.array([0, len(wanted.points_mm) - 1])
+    true = float(np.linalg.norm(np.diff(wanted.points_mm[far], axis=0)))
+    assert pytest.approx(true, rel=1e-3) == float(np.linalg.norm(np.diff(seen[far], axis=0)))
+
+
+def test_the_rulers_have_their_length(tmp_path: Path) -> None:
+    """The one across the page: 200 mm of ink below the board."""
+    page = printed("chessboard:11x8:15", tmp_path)
+    rows = [np.flatnonzero(row < 128) for row in page]
+    longest = max((row for row in rows if len(row) and np.ptp(row) + 1 == len(row)), key=len)
+    assert pytest.approx(200.0, abs=0.3) == len(longest) * 25.4 / DPI
+
+
+def test_the_smallest_paper_that_fits_is_taken(tmp_path: Path) -> None:
+    """And the one that was asked for if it fits, also on its side."""
+    assert printed("chessboard:5x4:10", tmp_path).shape[0] < 1.01 * PAPERS["A5"][1] / 25.4 * DPI
+    wide = printed("chessboard:11x8:15", tmp_path, "a4")
+    assert wide.shape[1] > wide.shape[0]
+
+
+@pytest.mark.parametrize(
+    ("spec", "paper", "name", "message"),
+    [
+        ("chessboard:11x8:30", "A4", "b.pdf", "A4 has 210 x 297 mm; a pitch of"),
+        ("chessboard:11x8:300", None, "b.pdf", "A1 has"),
+        ("chessboard:11x8:15", "A9", "b.pdf", "expected one of A5, A4"),
+        ("chessboard:11x8:15", None, "b.png", "ends in .pdf"),
+        ("chess:11x8:15", None, "b.pdf", "not a kind of board"),
+    ],
+)
+def test_what_cannot_be_printed_is_named(
+    spec: str, paper: str | None, name: str, message: str, tmp_path: Path
+) -> None:
+    """The board, the paper and what would fit; nothing is written."""
+    with pytest.raises((UserError, CalibrationError), match=message):
+        board(spec, paper, tmp_path / name, Console(quiet=True))
+    assert [] == list(tmp_path.iterdir())
+
+
+def test_the_pitch_that_is_offered_fits(tmp_path: Path) -> None:
+    """As the message says."""
+    with pytest.raises(UserError) as caught:
+        board("chessboard:11x8:30", "A4", tmp_path / "b.pdf", Console(quiet=True))
+    pitch = str(caught.value).partition("a pitch of ")[2].split()[0]
+    assert 0 == board(f"chessboard:11x8:{pitch}", "A4", tmp_path / "b.pdf", Console(quiet=True))
