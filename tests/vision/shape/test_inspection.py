@@ -96,7 +96,7 @@ def test_teach_writes_the_page_and_the_facts(tmp_path: Path, capsys: pytest.Capt
     page, facts = (tmp_path / "flange.html").read_text(), json.loads(capsys.readouterr().out)
 
     assert [] == HtmlPage(page).open
-    assert page.count("data:image/png;base64,") == len(facts["levels"])
+    assert 1 + len(facts["levels"]) == page.count("data:image/png;base64,")  # the region, and each level
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")  # a name, not an address
     drawing = page[page.index("<svg") : page.index("</svg>")]
     assert all(f">{circle['name']}</text>" in drawing for circle in facts["circles"])
