@@ -60,6 +60,10 @@ CYCLE_S = 0.02
 IMAGE = np.zeros((2, 2), np.uint8)
 GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
 NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE)
+WORK_S, REST_S = 200.0, 100.0
+"""For so long somebody works on the configuration and reloads it more than anything else happens."""
+WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
+"""What is worked on, each once in twenty minutes: a defect of two quick reloads shows within an hour."""
 LUCK = ("camera", "clock", "restart", "reload", "reload", "reloads")
 SECTIONS = (
     "cell",
@@ -353,6 +357,7 @@ class World:
 
     def reload(self, section: str) -> None:
         """As `Daemon.reload`: servers that changed are made anew, then the cycle hears of the rest."""
+        self.book.counts["sections reloaded"] += 1
         self.book.counts[f"reload {section}"] += 1
         head = None
         if section == "modbus":
@@ -440,17 +445,15 @@ class Soak:
     """One run: careful, cyclic and careless clients, a trigger, an observer, and bad luck.
 
     block_s : for how long the generated function block takes part (a scan takes a millisecond of real time).
-    until : the violation that ends the run. only : the one section that is reloaded, and no other bad luck.
+    until : the violation that ends the run.
     """
 
-    def __init__(self, seed: int, block_s: float = 0.0, until: str = "", only: str = "") -> None:
+    def __init__(self, seed: int, block_s: float = 0.0, until: str = "") -> None:
         self.dice = random.Random(seed)
         self.book = Book(until)
         self.loop = VirtualLoop(self._vision_s)
         self.clients = 1
         self._block_s = block_s
-        self._sections = (only,) if only else SECTIONS
-        self._luck = ("reloads",) if only else LUCK
 
     def run(self, seconds: float) -> Book:
         """Simulate; returns what was counted and every violation."""
@@ -665,9 +668,21 @@ class Soak:
 
     async def _bad_luck(self) -> None:
         """Dead cameras, a clock that is set, a daemon that is stopped or killed, reloads of every section."""
+        works_until_s = rests_until_s = self.loop.time()
+        bag, sections = list[tuple[str, ...]](), SECTIONS
         while self._going:
             await asyncio.sleep(self.dice.expovariate(1 / 10.0))
-            what = self.dice.choice(self._luck)
+            now_s = self.loop.time()
+            if now_s > rests_until_s:
+                bag = bag or self.dice.sample(WORKED_ON, len(WORKED_ON))
+                sections = bag.pop()
+                works_until_s = now_s + WORK_S
+                rests_until_s = works_until_s + REST_S
+                self.book.counts["work on one section"] += 1
+            if now_s < works_until_s and self.dice.random() < 0.75:
+                await self._reload_often(sections)
+                continue
+            what = self.dice.choice(LUCK)
             self.book.counts[what] += 1
             if what == "camera":
                 self.world.broken = True
@@ -677,18 +692,30 @@ class Soak:
                 self.world.wall_shift_s += self.dice.choice((-3600.0, -1.0, -0.02, 0.02, 1.0, 3600.0))
             elif what == "restart":
                 await self.world.reboot()
+            elif what == "reload":
+                await self._reload(self.dice.choice(SECTIONS))
             else:
-                section = self.dice.choice(self._sections)
-                for _ in range(1 if what == "reload" else 4):
-                    await self._while_commands_wait()
-                    again = self.dice.random() < 0.5
-                    self.world.reload(section if again else self.dice.choice(self._sections))
-                    await asyncio.sleep(self.dice.choice((0.0, 0.001, 0.1, 1.0)))
+                await self._reload_often(SECTIONS)
 
-    async def _while_commands_wait(self) -> None:
+    async def _reload_often(self, sections: Sequence[str]) -> None:
+        """Several times, one soon after the other, half of them of the same section."""
+        section = self.dice.choice(sections)
+        for _ in range(4):
+            again = self.dice.random() < 0.5
+            await self._reload(section if again else self.dice.choice(sections))
+
+    async def _reload(self, section: str) -> None:
+        await self._while_commands_wait(section)
+        self.world.reload(section)
+        await asyncio.sleep(self.dice.choice((0.0, 0.001, 0.1, 1.0)))
+
+    async def _while_commands_wait(self, section: str) -> None:
         """What goes wrong at a reload goes wrong for commands that were accepted before it."""
+        trigger, wanted = self.world.trigger, 1 if section in ("modbus", "zenoh") else 2
         for _ in range(self.dice.choice((0, 100, 500))):
-            if len(self.book.open) + self.world.trigger.waiting > 1:
+            waiting = 0 if section == "zenoh" else len(self.book.open)
+            waiting += 0 if section == "modbus" else trigger.waiting
+            if waiting >= wanted:
                 return
             await asyncio.sleep(0.01)
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure the daemon as a service: endurance, kill -9, broken disks and clocks, start, stop, status page.
+"""Measure the daemon as a service: endurance, kill -9, power cuts, broken disks, clocks, start, stop, page.
 
 Run it with `tools/bench service [--only PART ...]`; it prints Markdown. The cell is small (320x240, one
 circle), because this is about the service: loop, publishers, recorder, and a PLC in another process that
@@ -47,6 +47,7 @@ from servicefaults import (
     tmpfs,
 )
 from smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
+from statewriters import survive
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
@@ -199,6 +200,18 @@ def killing(folder: Path, kills: int, seed: int) -> None:
         print(f"* {problem}")
 
 
+def cutting(folder: Path, cuts: int, seed: int) -> None:
+    """Power cuts while everything that lasts is written: what any disk may keep, read back."""
+    cell = SmallCell(folder / "template", source="virtual-inprocess")
+    recorder_log = logging.getLogger("edged.adapters.recorder")
+    recorder_log.setLevel(logging.ERROR)  # that a start sweeps is what happens here all the time
+    flaws = survive(cell.config, folder, cuts, seed)
+    recorder_log.setLevel(logging.NOTSET)
+    print(f"\n| power cuts | neither the old state nor the new |\n|---:|---:|\n| {cuts} | {len(flaws)} |")
+    for problem in flaws[:20]:
+        print(f"* {problem}")
+
+
 def _replayed(report: dict[str, Any]) -> str:
     return f"{report['same']}, {len(report['different'])}"
 
@@ -281,14 +294,15 @@ def _imports_s() -> float:
     return float(run.stdout)
 
 
-PARTS = ("start", "endurance", "kill", "faults", "page")
+PARTS = ("start", "endurance", "kill", "power", "faults", "page")
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", action="append", choices=PARTS, help="repeat for several; default: all")
     parser.add_argument("--cycles", type=int, default=1000, help="of the endurance run")
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1, help="of the moments of the kills")
+    parser.add_argument("--cuts", type=int, default=1000, help="of the power")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments of kills and power cuts")
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument(
         "--seconds", type=float, default=6.0, help="for each fault, and each phase of the page"
@@ -301,6 +315,7 @@ if __name__ == "__main__":
         "start": lambda folder: starting(folder, given.starts),
         "endurance": lambda folder: endurance(folder, given.cycles),
         "kill": lambda folder: killing(folder, given.kills, given.seed),
+        "power": lambda folder: cutting(folder, given.cuts, given.seed),
         "faults": lambda folder: breaking(folder, given.seconds),
         "page": lambda folder: page_cost(folder, given.seconds),
     }

@@ -27,6 +27,10 @@ def main(hours: float, seed: int, block_hours: float) -> int:
     for what, count in sorted(book.counts.items()):
         print(f"  {count:9d}  {what}")
     print(f"  {len(book.violations):9d}  violations")
+    print(
+        f"{book.counts['accepted']:,} commands, {book.counts['starts'] - 1:,} restarts, "
+        f"{book.counts['sections reloaded']:,} reloads, {len(book.violations)} violations"
+    )
     for violation in book.violations[:20]:
         print(f"             {violation}")
     return 1 if book.violations else 0

@@ -11,6 +11,7 @@ next, and no gap between two counts more than `MAX_GAP` of the limit.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import shutil
 import time
@@ -25,6 +26,7 @@ from typing import NamedTuple
 from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
 from edged.errors import ImageError
 from edged.files import recording
+from edged.files.atomic import make_folders
 from edged.logs import FaultMemory
 
 log = logging.getLogger(__name__)
@@ -159,7 +161,7 @@ class Recorder:
 
     def _take_stock(self) -> None:
         folder = self._settings.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folders(folder)
         if removed := recording.sweep(folder):
             log.warning("%s: removed %d unfinished file(s) of an earlier run", folder, removed)
         self._kept, self._kept_bytes, self._seen = {True: deque(), False: deque()}, 0, None
@@ -236,5 +238,5 @@ class Recorder:
         if not fingerprints:
             return
         used = {entry.fingerprint for ring in self._kept.values() for entry, _, _ in ring}
-        for fingerprint in fingerprints - used - {self._setup()[0]}:
-            shutil.rmtree(recording.setup_folder(self._settings.folder, fingerprint), ignore_errors=True)
+        with contextlib.suppress(OSError):  # it costs a little room only, and the next start tries again
+            recording.forget_setups(self._settings.folder, fingerprints - used - {self._setup()[0]})

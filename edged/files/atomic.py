@@ -51,7 +51,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
     keep : beside it, where a former folder that was not empty remains; what was there before is removed.
     Returns whether there was one. Raises `OSError`; then nothing has changed.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(folder.parent)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         for name, data in files.items():
@@ -59,6 +59,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
             file.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(file, data)
         draft.chmod(0o755)  # mkdtemp makes it private
+        sync_folders(draft)
         in_use = folder.exists() and any(folder.iterdir())
         if in_use:
             if keep is not None and keep.exists():
@@ -69,11 +70,12 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
+    sync(folder.parent)  # before what was there is touched: a disc may keep the later change alone
     if in_use and keep is not None:
         draft.rename(keep)
+        sync(folder.parent)
     elif in_use:
         shutil.rmtree(draft, ignore_errors=True)
-    sync(folder.parent)
     return in_use
 
 
@@ -99,13 +101,27 @@ def exchange(one: Path, other: Path) -> None:
     aside.rename(one)
 
 
+def make_folders(folder: Path) -> None:
+    """Make a folder, and those that it is in, where they are missing; they last. Raises `OSError`."""
+    missing = [place for place in (folder, *folder.parents) if not place.is_dir()]
+    for place in reversed(missing):
+        place.mkdir(exist_ok=True)
+        sync(place.parent)
+
+
 def sync(folder: Path) -> None:
-    """Bring the names in a folder to the disc."""
-    directory = os.open(folder, os.O_RDONLY)
+    """Bring the names in a folder, or the content of a file, to the disc."""
+    opened = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(directory)
+        os.fsync(opened)
     finally:
-        os.close(directory)
+        os.close(opened)
+
+
+def sync_folders(folder: Path) -> None:
+    """Bring the names in a folder and in all folders inside it to the disc."""
+    for place, _, _ in os.walk(folder):
+        sync(Path(place))
 
 
 def read_bytes(path: Path, what: str) -> bytes:

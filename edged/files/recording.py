@@ -14,8 +14,9 @@ import json
 import platform
 import re
 import shutil
+import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -27,7 +28,14 @@ import cv2
 from edged import __version__
 from edged.domain import SIDES, Frame, FramePair, Image, Snapshot
 from edged.errors import FileFormatError, ImageError
-from edged.files.atomic import MAX_FILE_BYTES, read_bytes, replace_folder, write_atomically
+from edged.files.atomic import (
+    MAX_FILE_BYTES,
+    make_folders,
+    read_bytes,
+    replace_folder,
+    sync,
+    write_atomically,
+)
 from edged.files.images import decode_image
 from edged.payload import Json, snapshot_to_json
 
@@ -136,7 +144,7 @@ def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair:
     """Write one recording into FOLDER/cycles. Raises `OSError`."""
     utc = recorded.astimezone(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
     cycles = folder / "cycles"
-    cycles.mkdir(parents=True, exist_ok=True)
+    make_folders(cycles)
     path = cycles / f"{index:09d}_{utc}_{snapshot.status}_{snapshot.fingerprint}.zip"
     write_atomically(path, encode(snapshot, pair))
     return Entry(path, index, recorded, str(snapshot.status), snapshot.fingerprint)
@@ -160,6 +168,18 @@ def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> No
     target = setup_folder(folder, fingerprint)
     if not target.is_dir():
         replace_folder(target, files)
+
+
+def forget_setups(folder: Path, fingerprints: Iterable[str]) -> None:
+    """Remove setups that no recording stands on any more; each is whole or not there. Raises `OSError`."""
+    unused = [place for name in fingerprints if (place := setup_folder(folder, name)).is_dir()]
+    if unused and (folder / "cycles").is_dir():
+        sync(folder / "cycles")  # that the recordings are gone has to last first
+    for place in unused:
+        aside = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+        place.replace(aside)
+        sync(place.parent)
+        shutil.rmtree(aside, ignore_errors=True)  # `sweep` removes what is left
 
 
 def setup_folder(folder: Path, fingerprint: str) -> Path:

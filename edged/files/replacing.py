@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from edged.files.atomic import exchange, sync, write_atomically
+from edged.files.atomic import exchange, make_folders, sync, sync_folders, write_atomically
 from edged.files.private import write_private
 
 
@@ -26,7 +26,7 @@ def replace_files(
     replaced. private : of the files, those that others must not read. Returns whether anything is kept.
     Raises `OSError`; then nothing has changed.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(folder.parent)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         draft.chmod(0o755)  # mkdtemp makes it private
@@ -38,6 +38,7 @@ def replace_files(
                 write_private(file, data, like=folder / name)
             else:
                 write_atomically(file, data)
+        sync_folders(draft)
         if not folder.is_dir():
             draft.replace(folder)
             sync(folder.parent)
@@ -46,7 +47,8 @@ def replace_files(
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    # what is the draft's name now is the former folder: the files that stay are in both
+    sync(folder.parent)  # before the former folder, whose name is the draft's now, is taken apart
+    # the files that stay are in both
     for name in staying:
         (draft / name).unlink()
     if replaced:
@@ -76,6 +78,8 @@ def _link_others(folder: Path, draft: Path, replaced: Collection[str]) -> list[s
                 os.link(folder / relative, draft / relative, follow_symlinks=False)
             except OSError:  # a file system without links, or a file of somebody else's
                 shutil.copy2(folder / relative, draft / relative, follow_symlinks=False)
+                if not (draft / relative).is_symlink():
+                    sync(draft / relative)
             staying.append(relative)
     _remove_empty(draft, than=folder)
     return staying
