@@ -35,7 +35,7 @@ import numpy as np
 from edged.commands.demo import region_of_part
 from edged.domain import Frame, FramePair, Image
 from edged.pipeline import PreparedRig, inspect, prepare
-from edged.sim.cell import VirtualCell, demo_part, demo_rig, stereo_views
+from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import Placed
 from edged.vision.curves import planefit
 from edged.vision.geometry.camera import CameraModel, StereoRig
@@ -49,7 +49,9 @@ from edged.vision.teaching.pair import teach
 Pair = tuple[Image, Image]
 LEVELS = 4
 LARGE = ((2448, 2048), (4096, 3000))
-APART_MM = 34.0
+PLACES_MM = ((-17.0, -15.0), (17.0, 15.0), (17.0, -15.0), (-17.0, 15.0))
+"""Of parts beside each other, all in view of both cameras."""
+SCENES = 1000
 COUNTED = {
     "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted
     "fits on a coarse level": (refine, "settle"),
@@ -89,11 +91,11 @@ def bench(scenes: int, size: tuple[int, int] = (1280, 960), parts: int = 1) -> B
     views = stereo_views(cell.rig)
     pairs = []
     for number in range(scenes):
-        scene = cell.scene(cell.pose(number))
-        for further in range(1, parts):
-            pose = cell.pose(number).copy()
-            pose[:2, 3] = cell.pose(0)[:2, 3] + APART_MM * np.array([(-1) ** further, further // 2])
-            scene = replace(scene, parts=(*scene.parts, Placed(demo_part(), pose)))
+        poses = [cell.pose(number + SCENES * further) for further in range(parts)]
+        for pose, place in zip(poses, PLACES_MM if parts > 1 else (), strict=False):
+            pose[:3, 3] = np.array(Motion().centre_mm) + (*place, 0.0)
+        scene = cell.scene(poses[0])
+        scene = replace(scene, parts=tuple(Placed(demo_part(), pose) for pose in poses))
         pairs.append(
             tuple(
                 views[side].render(scene, np.random.default_rng((number, k))) for k, side in enumerate(views)
@@ -314,7 +316,7 @@ def main() -> int:
             rows.append(cycle_row("cycle, two cores", cell, options.rounds))
     with on_cores(1):
         rows += stage_rows(cell, options.rounds)
-        rows.append(cycle_row("cycle with three parts, one core", bench(4, parts=3), options.rounds))
+        rows.append(cycle_row("cycle with four parts, one core", bench(4, parts=4), options.rounds))
         for size in LARGE if options.large else ():
             large = bench(2, size)
             label = f", {size[0]}x{size[1]}"
