@@ -93,7 +93,7 @@ def bench(scenes: int, size: tuple[int, int] = (1280, 960), parts: int = 1) -> B
     for number in range(scenes):
         poses = [cell.pose(number + SCENES * further) for further in range(parts)]
         for pose, place in zip(poses, PLACES_MM if parts > 1 else (), strict=False):
-            pose[:3, 3] = np.array(Motion().centre_mm) + (*place, 0.0)
+            pose[:3, 3] = np.add(Motion().centre_mm, (*place, 0.0))
         scene = cell.scene(poses[0])
         scene = replace(scene, parts=tuple(Placed(demo_part(), pose) for pose in poses))
         pairs.append(
