@@ -103,7 +103,9 @@ def sim(
 def registers(
     format: Annotated[
         str,
-        typer.Option("--format", help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python"),
+        typer.Option(
+            "--format", help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python, rapid"
+        ),
     ] = "md",
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="folder for the files of twincat")

@@ -13,6 +13,7 @@ from edged.errors import UserError
 from edged.plc.clients import (
     plcopen_source,
     python_source,
+    rapid_source,
     scl_source,
     structured_text_source,
     twincat_files,
@@ -131,5 +132,6 @@ FORMATS: dict[str, Callable[[], str]] = {
     "scl": scl_source,
     "urscript": urscript_source,
     "python": python_source,
+    "rapid": rapid_source,
 }
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {"twincat": twincat_files}

@@ -20,7 +20,8 @@ from pymodbus.client import ModbusTcpClient
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
-from edged.adapters.modbus.lines import LineStatus, parse
+from edged.adapters.modbus.lines import parse
+from edged.plc.lines import LineStatus
 from edged.plc.registers import Option
 from edged.robot.orientations import Brand, transform_of
 

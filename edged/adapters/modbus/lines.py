@@ -6,7 +6,7 @@ what a command is, whose turn it is or how long a result is valid: each line bec
 
     7,LOCATE,0                                           sequence, command, job
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
-    7,0,2,412.300000,...,0.153000                        the answer, see `Answer`
+    7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.Answer`
 
 A line that came twice, because its answer was lost, is carried out once: the sequence is the same.
 """
@@ -14,7 +14,6 @@ A line that came twice, because its answer was lost, is carried out once: the se
 from __future__ import annotations
 
 import asyncio
-import enum
 import itertools
 import math
 from dataclasses import dataclass
@@ -30,63 +29,16 @@ from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
+from edged.plc.lines import MAX_LINE_BYTES, UNKNOWN, Answer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
 
-MAX_LINE_BYTES = 256
 MAX_CLIENTS = 8
 TIMEOUT_S = 10.0
 """Of a command; then the cell answers NACK, TIMEOUT."""
 POLL_S = 0.005
 SEND_S = 5.0
 """A robot that does not read its answer for so long is hung up on."""
-UNKNOWN = -1.0
-
-
-class LineStatus(enum.IntEnum):
-    """Second field of an answer. 1 to 8: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
-
-    OK = 0
-    """Carried out; after LOCATE and NEXT: the pose may be used."""
-    NOT_VALID = 110
-    """Measured, but too old, or acknowledged."""
-    RIG_FRAME = 111
-    """The rig is not registered to the robot."""
-    SIMULATED = 112
-    """From a virtual cell, and `allow_simulated` is not set."""
-    TAKEN_OVER = 113
-    """Another client's command took the place of this one."""
-    NOT_YOUR_TURN = 114
-    """Another client holds the right to write."""
-    MAY_NOT_WRITE = 115
-    """The robot's address is not in `modbus.writers`."""
-    NOT_UNDERSTOOD = 116
-    """No request, or a number that is none."""
-    NO_FURTHER = 117
-    """NEXT, and there is no further target."""
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What is sent back; the pose is 0, sigmas and age are -1 where there are none.
-
-    remaining : targets that NEXT can still give. pose : as the brand writes it. sigma : of X, Y, Z in its
-    unit of length. age_s : since the exposure.
-    """
-
-    sequence: int
-    status: int
-    remaining: int = 0
-    pose: tuple[float, ...] = ()
-    sigma: tuple[float, ...] = (UNKNOWN,) * 3
-    age_s: float = UNKNOWN
-
-    def line(self, brand: Brand) -> bytes:
-        """As it is sent: always the same number of fields."""
-        pose = self.pose or (0.0,) * (7 if brand is Brand.ABB else 6)
-        numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
-        whole = (str(self.sequence), str(int(self.status)), str(self.remaining))
-        return (",".join((*whole, *numbers)) + "\n").encode()
 
 
 class _Refused(Exception):

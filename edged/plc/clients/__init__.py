@@ -6,6 +6,7 @@ and SIMATIC S7 (`scl`); `urscript` for Universal Robots, `python` for PCs.
 
 from edged.plc.clients.plcopen import plcopen_source
 from edged.plc.clients.python import python_source
+from edged.plc.clients.rapid import rapid_source
 from edged.plc.clients.scl import scl_source
 from edged.plc.clients.structured_text import structured_text_source
 from edged.plc.clients.twincat import twincat_files
@@ -14,6 +15,7 @@ from edged.plc.clients.urscript import urscript_source
 __all__ = [
     "plcopen_source",
     "python_source",
+    "rapid_source",
     "scl_source",
     "structured_text_source",
     "twincat_files",

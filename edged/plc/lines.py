@@ -1,0 +1,85 @@
+"""Lines of text that robots without Modbus talk in: what an answer consists of, and what its status says.
+
+The schema of `[modbus.socket]`, as `edged.plc.registers` is that of the registers: the server answers by it,
+and the clients in the robots' languages are written from it.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+from edged.robot.orientations import Brand
+
+MAX_LINE_BYTES = 256
+UNKNOWN = -1.0
+"""A sigma, or an age, that is not known."""
+POSE_NAMES: dict[Brand, tuple[str, ...]] = {
+    brand: ("X", "Y", "Z", "Q1", "Q2", "Q3", "Q4") if brand is Brand.ABB else ("X", "Y", "Z", "A", "B", "C")
+    for brand in Brand
+}
+"""Numbers of a pose, in the order of `edged.robot.orientations.pose_of`."""
+
+
+def answer_fields(brand: Brand) -> tuple[str, ...]:
+    """Names of an answer's fields, in their order.
+
+    >>> answer_fields(Brand.KUKA)[:4]
+    ('SEQUENCE', 'STATUS', 'REMAINING', 'X')
+    """
+    return (
+        "SEQUENCE",
+        "STATUS",
+        "REMAINING",
+        *POSE_NAMES[brand],
+        "SIGMA_X",
+        "SIGMA_Y",
+        "SIGMA_Z",
+        "AGE",
+    )
+
+
+class LineStatus(enum.IntEnum):
+    """Second field of an answer. 1 to 8: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
+
+    OK = 0
+    """Carried out; after LOCATE and NEXT: the pose may be used."""
+    NOT_VALID = 110
+    """Measured, but too old, or acknowledged."""
+    RIG_FRAME = 111
+    """The rig is not registered to the robot."""
+    SIMULATED = 112
+    """From a virtual cell, and `allow_simulated` is not set."""
+    TAKEN_OVER = 113
+    """Another client's command took the place of this one."""
+    NOT_YOUR_TURN = 114
+    """Another client holds the right to write."""
+    MAY_NOT_WRITE = 115
+    """The robot's address is not in `modbus.writers`."""
+    NOT_UNDERSTOOD = 116
+    """No request, or a number that is none."""
+    NO_FURTHER = 117
+    """NEXT, and there is no further target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is sent back; the pose is 0, sigmas and age are -1 where there are none.
+
+    remaining : targets that NEXT can still give. pose : as the brand writes it. sigma : of X, Y, Z in its
+    unit of length. age_s : since the exposure.
+    """
+
+    sequence: int
+    status: int
+    remaining: int = 0
+    pose: tuple[float, ...] = ()
+    sigma: tuple[float, ...] = (UNKNOWN,) * 3
+    age_s: float = UNKNOWN
+
+    def line(self, brand: Brand) -> bytes:
+        """As it is sent: always the same number of fields."""
+        pose = self.pose or (0.0,) * len(POSE_NAMES[brand])
+        numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
+        whole = (str(self.sequence), str(int(self.status)), str(self.remaining))
+        return (",".join((*whole, *numbers)) + "\n").encode()

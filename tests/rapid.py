@@ -1,0 +1,333 @@
+r"""RAPID as ABB's controllers run it, as far as `edged registers --format rapid` uses it.
+
+After the "Technical reference manual: RAPID kernel" (declarations, statements, error recovery: an error runs
+the ERROR clause of the routine that called the instruction) and "RAPID Instructions, Functions and Data
+types" (`SocketCreate` to `SocketClose`, `ClkRead`, `StrToVal`, `NOrient`; `string` of at most 80 characters,
+`num` in 32 bits, names of at most 32).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+import time
+from typing import Any
+
+from robotlanguage import (
+    Array,
+    Assign,
+    Call,
+    Parameter,
+    Program,
+    Record,
+    Return,
+    Routine,
+    Types,
+    block,
+    single,
+)
+
+MAX_TEXT = 80
+NAME = r"[A-Za-z_]\w{0,31}"
+
+
+class RapidError(Exception):
+    """ERRNO; the instruction's documented name."""
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        raise TypeError(f"{value!r} is no string of {MAX_TEXT} characters")
+    return value
+
+
+def _literal(value: str) -> str:
+    r"""Two hexadecimal digits after a backslash are a character ("string", "Limitations")."""
+    assert value[0] == '"', value
+    return _text(re.sub(r"\\([0-9A-F]{2})", lambda found: chr(int(found[1], 16)), value[1:-1]))
+
+
+def _num(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise TypeError(f"{value!r} is no num")
+    return single(value)
+
+
+def _byte(value: Any) -> int:
+    if not float(value).is_integer() or not 0 <= value <= 255:
+        raise TypeError(f"{value!r} is no byte")
+    return int(value)
+
+
+def _bool(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{value!r} is no bool")
+    return value
+
+
+TYPES = Types(
+    {
+        "num": (0, _num),
+        "byte": (0, _byte),
+        "bool": (False, _bool),
+        "string": ("", _text),
+        "text": ("", _text),
+        "literal": ("", _literal),
+        "errnum": (0, lambda value: value),
+        "socketdev": (None, lambda value: value),
+        "clock": (None, lambda value: value),
+    },
+    {
+        "pos": {"x": "num", "y": "num", "z": "num"},
+        "orient": {"q1": "num", "q2": "num", "q3": "num", "q4": "num"},
+        "pose": {"trans": "pos", "rot": "orient"},
+    },
+)
+DECLARATION = re.compile(
+    rf"(?P<local>LOCAL )?(?P<kind>VAR|PERS|CONST) (?P<type>\w+) (?P<name>{NAME})"
+    r"(?:\{(?P<size>\d+)\})?(?::=(?P<initial>[^;]+))?;$"
+)
+HEAD = re.compile(
+    rf"(?:LOCAL )?(?P<keyword>FUNC|PROC)(?: (?P<returns>\w+))? (?P<name>{NAME})\((?P<parameters>.*)\)$"
+)
+PARAMETER = re.compile(rf"(?P<inout>INOUT )?(?P<type>\w+) (?P<name>{NAME})$")
+
+
+class _Syntax:
+    """RAPID's statements: simple ones end with a semicolon, the words of blocks do not."""
+
+    def opens_if(self, line: str) -> str | None:
+        found = re.match(r"IF (.+) THEN$", line)
+        return found[1] if found else None
+
+    def opens_else_if(self, line: str) -> str | None:
+        found = re.match(r"ELSEIF (.+) THEN$", line)
+        return found[1] if found else None
+
+    def opens_while(self, line: str) -> str | None:
+        found = re.match(r"WHILE (.+) DO$", line)
+        return found[1] if found else None
+
+    def opens_for(self, line: str) -> tuple[str, str, str] | None:
+        found = re.match(rf"FOR ({NAME}) FROM (.+) TO (.+) DO$", line)
+        return (found[1], found[2], found[3]) if found else None
+
+    def simple(self, line: str) -> Any:
+        assert line.endswith(";"), f"no semicolon: {line}"
+        text = line[:-1]
+        if text == "RETURN" or text.startswith("RETURN "):
+            return Return(text[7:])
+        if found := re.match(rf"((?:{NAME})(?:\.\w+|\{{[^}}]*\}})*):=(.+)$", text):
+            return Assign(found[1], found[2])
+        found = re.match(rf"({NAME})(?: (.+))?$", text)
+        assert found is not None, f"no statement: {line}"
+        return Call(found[1], found[2] or "")
+
+
+def lines_of(source: str) -> list[str]:
+    """Without comments (outside of strings, which hold no "!" here) and empty lines."""
+    assert source.isascii()
+    lines = [line.partition("!")[0].strip() for line in source.splitlines()]
+    return [line for line in lines if line]
+
+
+def load(source: str, sockets: Sockets) -> Program:
+    """The module, ready to be called."""
+    program = Program(TYPES, "=", "{}")
+    lines = lines_of(source)
+    assert re.match(rf"MODULE {NAME}$", lines[0]) and lines[-1] == "ENDMODULE"
+    program.builtins = {name.upper(): getattr(sockets, method) for name, method in BUILTINS.items()}
+    program.on_error = RapidError
+    sockets.program = program
+    at = 1
+    while at < len(lines) - 1:
+        if found := DECLARATION.match(lines[at]):
+            size = int(found["size"] or 0)
+            assert found["kind"] != "PERS" or (not found["local"] and found["initial"]), lines[at]
+            made = TYPES.array(found["type"], size) if size else TYPES.variable(found["type"])
+            program.globals[found["name"].upper()] = made
+            if found["initial"]:
+                made.set(program.evaluate(found["initial"]).get())
+            at += 1
+        else:
+            at = _routine(program, lines, at)
+    for name in ("ERR_SOCK_TIMEOUT", "ERR_SOCK_CLOSED"):
+        program.globals[name] = TYPES.variable("errnum", name)
+    program.globals["ERRNO"] = sockets.errno
+    return program
+
+
+def _routine(program: Program, lines: list[str], at: int) -> int:
+    head = HEAD.match(lines[at])
+    assert head is not None, lines[at]
+    assert (head["keyword"] == "FUNC") == (head["returns"] is not None)
+    parameters = []
+    for text in filter(None, head["parameters"].split(",")):
+        found = PARAMETER.match(text)
+        assert found is not None, text
+        parameters.append(Parameter(found["name"].upper(), found["type"], bool(found["inout"])))
+    routine = Routine(head["name"], parameters, head["returns"] or "")
+    at += 1
+    while found := DECLARATION.match(lines[at]):
+        assert found["kind"] == "VAR" and not found["local"]
+        routine.locals.append(
+            (found["name"].upper(), found["type"], int(found["size"] or 0), found["initial"] or "")
+        )
+        at += 1
+    end = "END" + head["keyword"]
+    routine.body, at = block(lines, at, _Syntax(), {"ERROR", end})
+    if lines[at] == "ERROR":
+        routine.handler, at = block(lines, at + 1, _Syntax(), {end})
+    assert head["name"].upper() not in program.routines
+    program.routines[head["name"].upper()] = routine
+    return at + 1
+
+
+BUILTINS = {
+    "SocketClose": "socket_close",
+    "SocketCreate": "socket_create",
+    "SocketConnect": "socket_connect",
+    "SocketSend": "socket_send",
+    "SocketReceive": "socket_receive",
+    "ClkStop": "clk_stop",
+    "ClkReset": "clk_reset",
+    "ClkStart": "clk_start",
+    "ClkRead": "clk_read",
+    "NumToStr": "num_to_str",
+    "StrToVal": "str_to_val",
+    "StrLen": "str_len",
+    "ByteToStr": "byte_to_str",
+    "NOrient": "n_orient",
+}
+
+
+def _options(arguments: tuple[Any, ...]) -> dict[str, Any]:
+    return dict(one for one in arguments if isinstance(one, tuple))
+
+
+class Sockets:
+    """The controller's socket messaging and clock. piece : bytes that the network brings at a time."""
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        self.port = port
+        self.piece = piece
+        self.errno = TYPES.variable("errnum", "")
+        self.open: set[socket.socket] = set()
+        self.started_s: float | None = None
+        self.passed_s = 0.0
+        self.program: Program
+
+    def close(self) -> None:
+        """Power off."""
+        for one in self.open:
+            one.close()
+        self.open.clear()
+
+    def _raise(self, name: str) -> None:
+        self.errno.value = name
+        raise RapidError(name)
+
+    def socket_close(self, device: Any) -> None:
+        """Of a socket that is closed: nothing."""
+        if device.get() is not None:
+            device.get().close()
+            self.open.discard(device.get())
+            device.value = None
+
+    def socket_create(self, device: Any) -> None:
+        """Raises for a socket that was created and not closed ("SocketCreate", "Error handling")."""
+        assert device.get() is None, "ERR_SOCK_..: created twice"
+        made = socket.socket()
+        device.value = made
+        self.open.add(made)
+
+    def socket_connect(self, device: Any, address: Any, port: Any, time_: Any) -> None:
+        """In \\Time seconds, 60 unless given; the program's address is the cell of this test."""
+        assert re.fullmatch(r"\d+\.\d+\.\d+\.\d+", address.get()) and port.get() == 1503
+        device.get().settimeout(float(time_[1].get()))
+        try:
+            device.get().connect(("127.0.0.1", self.port))
+        except TimeoutError:
+            self._raise("ERR_SOCK_TIMEOUT")
+        except OSError:
+            self._raise("ERR_SOCK_CLOSED")
+
+    def socket_send(self, device: Any, *options: Any) -> None:
+        """\\Str."""
+        if device.get() is None:
+            self._raise("ERR_SOCK_CLOSED")
+        try:
+            device.get().sendall(_text(_options(options)["str"].get()).encode("latin-1"))
+        except OSError:
+            self._raise("ERR_SOCK_CLOSED")
+
+    def socket_receive(self, device: Any, *options: Any) -> None:
+        """\\Data, \\NoRecBytes, \\Time."""
+        given = _options(options)
+        assert {"data", "norecbytes", "time"} == set(given) and given["time"].get() > 0
+        if device.get() is None:
+            self._raise("ERR_SOCK_CLOSED")
+        device.get().settimeout(float(given["time"].get()))
+        try:
+            data = device.get().recv(min(self.piece, 1024))
+        except TimeoutError:
+            self._raise("ERR_SOCK_TIMEOUT")
+        except OSError:
+            data = b""
+        if not data:
+            self._raise("ERR_SOCK_CLOSED")
+        array = given["data"]
+        assert isinstance(array, Array) and len(array.elements) == 1024
+        for place, byte in zip(array.elements, data, strict=False):
+            place.value = byte
+        given["norecbytes"].set(len(data))
+
+    def clk_stop(self, clock: Any) -> None:
+        """It stands."""
+        if self.started_s is not None:
+            self.passed_s += time.monotonic() - self.started_s
+            self.started_s = None
+
+    def clk_reset(self, clock: Any) -> None:
+        """Only a clock that stands is certainly set to 0 ("ClkReset")."""
+        assert self.started_s is None
+        self.passed_s = 0.0
+
+    def clk_start(self, clock: Any) -> None:
+        """It runs."""
+        self.started_s = time.monotonic()
+
+    def clk_read(self, clock: Any) -> float:
+        """Seconds, to 1 ms ("ClkRead")."""
+        running = 0.0 if self.started_s is None else time.monotonic() - self.started_s
+        return round(self.passed_s + running, 3)
+
+    def num_to_str(self, value: Any, decimals: Any) -> str:
+        """With so many decimals."""
+        return _text(f"{_num(value.get()):.{int(decimals.get())}f}")
+
+    def str_to_val(self, text: Any, place: Any) -> bool:
+        """FALSE, and the place is as it was, for a text that is no num."""
+        if not re.fullmatch(r"-?\d+(\.\d+)?([eE][-+]?\d+)?", text.get()):
+            return False
+        place.set(float(text.get()))
+        return True
+
+    def str_len(self, text: Any) -> int:
+        """Characters."""
+        return len(text.get())
+
+    def byte_to_str(self, byte: Any, *options: Any) -> str:
+        """\\Char: the character of that code."""
+        assert ("char", None) in options
+        return chr(_byte(byte.get()))
+
+    def n_orient(self, rotation: Any) -> Record:
+        """Of length 1; what is far from it is an error ("NOrient": rounding only)."""
+        record: Record = TYPES.copied(rotation.get())
+        length = math.sqrt(sum(one.value**2 for one in record.fields.values()))
+        assert abs(length - 1) < 1e-4, length
+        for one in record.fields.values():
+            one.set(one.value / length)
+        return record

@@ -1,0 +1,324 @@
+"""The clients in the robots' languages, executed against the socket of a running cell and of a lying one."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+import rapid
+from livecell import LiveCell
+from snapshots import make_target
+
+from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.commands.registers import render
+from edged.domain import Target
+from edged.plc.clients.robotlines import Failure
+from edged.plc.lines import LineStatus, answer_fields
+from edged.plc.registers import StatusBit
+from edged.robot.orientations import Brand, transform_of
+from edged.vision.geometry.rigid import rotation_matrix, transform
+
+WAIT_S = 20.0
+
+
+class Side(Protocol):
+    """A robot that runs its program. Each request gives the pose's numbers, or None: do not move."""
+
+    brand: Brand
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None: ...
+    def next(self) -> tuple[float, ...] | None: ...
+    def acknowledge(self) -> None: ...
+    def error(self) -> int: ...
+    def remaining(self) -> int: ...
+    def sigma_age(self) -> tuple[float, ...]: ...
+    def close(self) -> None: ...
+
+
+class Abb:
+    """An ABB controller."""
+
+    brand = Brand.ABB
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        self.sockets = rapid.Sockets(port, piece)
+        self.program = rapid.load(render("rapid"), self.sockets)
+        self.part = rapid.TYPES.variable("pose")
+
+    def _pose(self, ok: bool) -> tuple[float, ...] | None:
+        plain = self.part.value.plain()
+        return (*plain["trans"].values(), *plain["rot"].values()) if ok else None
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedLocate", job, timeout_s, self.part))
+
+    def next(self) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedNext", 5, self.part))
+
+    def acknowledge(self) -> None:
+        self.program.call("EdgedAcknowledge")
+
+    def error(self) -> int:
+        return int(self.program.named("edged_error").get())
+
+    def remaining(self) -> int:
+        return int(self.program.named("edged_remaining").get())
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = self.program.named("edged_sigma").get().plain()
+        return (*sigma.values(), self.program.named("edged_age").get())
+
+    def close(self) -> None:
+        self.sockets.close()
+
+
+SIDES: list[type[Any]] = [Abb]
+sides = pytest.mark.parametrize("make", SIDES, ids=lambda one: one.__name__)
+
+
+@contextlib.contextmanager
+def running(
+    make: type[Any],
+    port: int | None = None,
+    line_port: int = 0,
+    piece: int = 1024,
+    **changes: Any,
+) -> Iterator[tuple[LiveCell, Side]]:
+    """A cell that is ready, and the robot of that brand beside it."""
+    brand = make.brand
+    line = LineSettings(line_port, brand, allow_simulated=False)
+    cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=line))
+    cell.setup = dataclasses.replace(cell.setup, **changes)
+    with cell:
+        until(lambda: bits(cell) & StatusBit.READY)
+        side = make(port or cell.server.line_port, piece)
+        try:
+            yield cell, side
+        finally:
+            side.close()
+
+
+def bits(cell: LiveCell) -> int:
+    """STATUS_BITS of the cell."""
+    values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+    return int(values["STATUS_BITS"])
+
+
+def until(condition: Callable[[], Any]) -> Any:
+    """Wait for something true."""
+    deadline_s = time.monotonic() + WAIT_S
+    while not (value := condition()):
+        assert time.monotonic() < deadline_s, "not in time"
+        time.sleep(0.005)
+    return value
+
+
+def posed(generator: np.random.Generator) -> Target:
+    """A target anywhere within 1.5 m, turned anyhow."""
+    axis = generator.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * generator.uniform(0, np.pi)
+    rig_from_part = transform(rotation_matrix(turn), generator.uniform(-1500, 1500, 3))
+    return dataclasses.replace(make_target(), rig_from_part=rig_from_part)
+
+
+class Liar:
+    """A cell that answers what it is told: `answers` are bytes, made of the request; None hangs up."""
+
+    def __init__(self, *answers: Callable[[str], bytes | None]) -> None:
+        self.answers = answers
+        self.requests: list[str] = []
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self.listener.getsockname()[1])
+        self.ended = threading.Event()
+        self.thread = threading.Thread(target=self._serve)
+
+    def __enter__(self) -> Liar:
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.ended.set()
+        self.listener.close()
+        self.thread.join(10)
+
+    def _serve(self) -> None:
+        links: list[socket.socket] = []
+        for answer in self.answers:
+            link, _ = self.listener.accept()
+            links.append(link)
+            request = link.makefile("rb").readline().decode()
+            self.requests.append(request)
+            said = answer(request)
+            if said is None:
+                link.close()
+            else:
+                with contextlib.suppress(OSError):
+                    link.sendall(said)
+        self.ended.wait(30)
+        for link in links:
+            link.close()
+
+
+def honest(brand: Brand, sequence: str, **changes: str) -> str:
+    """An answer of the cell with some fields changed, without its end."""
+    values = dict.fromkeys(answer_fields(brand), "0.000000") | {"SEQUENCE": sequence, "STATUS": "0"}
+    values |= {"REMAINING": "0", "X": "400.000000", "AGE": "0.100000"}
+    values |= {"Q1": "1.000000"} if brand is Brand.ABB else {}
+    return ",".join((values | changes).values())
+
+
+@sides
+def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
+    """Any pose, however the network cuts the line: to 1 µm and 0.001° and what a robot's 32 bits hold."""
+    generator = np.random.default_rng(7)
+    with running(make, piece=7) as (cell, side):
+        for _ in range(12):
+            target = posed(generator)
+            cell.targets = (target,)
+            numbers = side.locate()
+            assert numbers is not None, side.error()
+            pose = transform_of(side.brand, numbers)
+            np.testing.assert_allclose(pose[:3, 3], target.rig_from_part[:3, 3], atol=1.2e-3)
+            np.testing.assert_allclose(pose[:3, :3], target.rig_from_part[:3, :3], atol=5e-5)
+            *sigma, age_s = side.sigma_age()
+            np.testing.assert_allclose(sigma, target.sigma_mm, atol=1e-4)
+            assert 0 <= age_s < WAIT_S
+        assert 12 == cell.head.captures
+
+
+@sides
+def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
+    """NEXT gives the others of the same picture; after the acknowledgement there is nothing to move by."""
+    with running(make) as (cell, side):
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        seen = [(side.locate(1) or (0,))[0]]
+        counts = [side.remaining()]
+        for _ in range(2):
+            seen.append((side.next() or (0,))[0])
+            counts.append(side.remaining())
+        assert ([10.0, 20.0, 30.0], [2, 1, 0], 1) == (seen, counts, cell.head.captures)
+        assert (None, LineStatus.NO_FURTHER) == (side.next(), side.error())
+        side.acknowledge()
+        assert 0 == side.error()
+        assert (None, Failure.NO_LINK) == (side.next(), side.error())
+        assert not bits(cell) & StatusBit.RESULT_VALID
+
+
+@sides
+def test_what_is_no_result_gives_no_pose(make: type[Any]) -> None:
+    """Nothing found, an unknown job, a dead camera: None, and the cell's reason."""
+    with running(make) as (cell, side):
+        assert (None, 2) == (side.locate(99), side.error())
+        cell.targets = ()
+        assert (None, 102) == (side.locate(), side.error())
+        cell.head.broken = True
+        assert (None, 6) == (side.locate(), side.error())
+        cell.head.broken = False
+        cell.targets = (make_target(),)
+        until(lambda: side.locate() is not None)
+        assert 0 == side.error()
+
+
+@sides
+@pytest.mark.parametrize(
+    "changes, status",
+    [({"robot_from_rig": None}, LineStatus.RIG_FRAME), ({"simulated": True}, LineStatus.SIMULATED)],
+)
+def test_no_robot_moves_by_the_rigs_frame_or_a_virtual_cell(
+    make: type[Any], changes: dict[str, Any], status: int
+) -> None:
+    """None, and which of the two it is."""
+    with running(make, **changes) as (_, side):
+        assert (None, status) == (side.locate(), side.error())
+
+
+LIES: dict[str, tuple[Callable[[Brand, str], bytes], int]] = {
+    "of the request before": (lambda b, s: f"{honest(b, str(int(s) - 1))}\n".encode(), Failure.OTHERS),
+    "of another robot": (lambda b, _: f"{honest(b, '4711')}\n".encode(), Failure.OTHERS),
+    "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.NO_ANSWER),
+    "one field more": (lambda b, s: f"{honest(b, s)},1.0\n".encode(), Failure.NO_ANSWER),
+    "a word": (lambda b, s: f"{honest(b, s, Y='left')}\n".encode(), Failure.NO_ANSWER),
+    "an empty field": (lambda b, s: f"{honest(b, s, Z='')}\n".encode(), Failure.NO_ANSWER),
+    "not a number": (lambda b, s: f"{honest(b, s, Z='nan')}\n".encode(), Failure.NO_ANSWER),
+    "two points": (lambda b, s: f"{honest(b, s, Z='1.2.3')}\n".encode(), Failure.NO_ANSWER),
+    "a sign within": (lambda b, s: f"{honest(b, s, Z='1-2')}\n".encode(), Failure.NO_ANSWER),
+    "an empty line": (lambda *_: b"\n", Failure.NO_ANSWER),
+    "two lines": (lambda b, s: f"{honest(b, s)}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a line before": (lambda b, s: f"hello\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a flood": (lambda *_: b"1" * 900, Failure.NO_ANSWER),
+    "other bytes": (lambda *_: bytes(range(128, 200)) + b"\n", Failure.NO_ANSWER),
+    "half a line": (lambda b, s: honest(b, s).encode(), Failure.LATE),
+    "nothing": (lambda *_: b"", Failure.LATE),
+    "another failure": (lambda b, s: f"{honest(b, s, STATUS='102')}\n".encode(), 102),
+}
+
+
+@sides
+@pytest.mark.parametrize("lie", LIES)
+def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], lie: str) -> None:
+    """Old, foreign, torn, too long, no numbers: None and why; and the next request is answered as ever."""
+    said, failure = LIES[lie]
+    brand: Brand = make.brand
+    right = f"{honest(brand, '2')}\n".encode()
+    with Liar(lambda request: said(brand, request.partition(",")[0]), lambda _: right) as liar:
+        side = make(liar.port, 1024)
+        try:
+            assert None is side.locate(timeout_s=0.3)
+            assert failure == side.error()
+            numbers = side.locate(timeout_s=5.0)
+            assert (400.0, 0) == (numbers and numbers[0], side.error())
+            assert ["1,LOCATE,0", "2,LOCATE,0"] == [one.strip() for one in liar.requests]
+        finally:
+            side.close()
+
+
+@sides
+def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
+    """Whether nobody listens or the cell hangs up on the request; nothing waits for the time-out."""
+    with Liar(lambda _: None) as liar:
+        side = make(liar.port, 1024)
+        try:
+            assert (None, Failure.NO_LINK) == (side.locate(timeout_s=15.0), side.error())
+        finally:
+            side.close()
+    side = make(liar.port, 1024)
+    try:
+        assert (None, Failure.NO_LINK) == (side.locate(), side.error())
+        assert (None, Failure.NO_LINK) == (side.next(), side.error())
+    finally:
+        side.close()
+
+
+@sides
+def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
+    """After a time-out the next pose is one that was measured for the request that gets it."""
+    with running(make) as (cell, side):
+        cell.slow_s = 0.4
+        cell.targets = (make_target(x_mm=10.0),)
+        assert (None, Failure.LATE) == (side.locate(timeout_s=0.1), side.error())
+        cell.slow_s = 0.0
+        cell.targets = (make_target(x_mm=20.0),)
+        numbers = until(side.locate)
+        assert 20.0 == numbers[0]
+
+
+@sides
+def test_a_cell_that_was_started_anew_is_spoken_to_as_before(make: type[Any]) -> None:
+    """While it is down a command fails; afterwards the same program goes on, also with a used sequence."""
+    with running(make) as (cell, side):
+        port = cell.server.line_port
+        assert side.locate() is not None
+    assert (None, Failure.NO_LINK) == (side.locate(), side.error())
+    with running(make, line_port=port) as (cell, fresh):
+        assert all(fresh.locate() is not None for _ in range(3))
+        fresh.close()
+        assert until(side.locate)
+        assert 4 == cell.head.captures
+        side.close()
