@@ -11,6 +11,7 @@ from pathlib import Path
 
 from edged.errors import UserError
 from edged.plc.clients import (
+    karel_files,
     plcopen_source,
     python_source,
     rapid_source,
@@ -134,4 +135,7 @@ FORMATS: dict[str, Callable[[], str]] = {
     "python": python_source,
     "rapid": rapid_source,
 }
-SEVERAL: dict[str, Callable[[], dict[str, str]]] = {"twincat": twincat_files}
+SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
+    "twincat": twincat_files,
+    "karel": karel_files,
+}

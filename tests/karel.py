@@ -1,0 +1,343 @@
+"""KAREL as FANUC's controllers run it, as far as `edged registers --format karel` uses it.
+
+After the "KAREL Reference Manual" (MARRC75KR07091E): statements (appendix A), data types (INTEGER of 32
+bits, REAL of 24, STRING up to 254), names of at most 12 characters, uninitialised variables that
+may not be read, built-in routines by their parameters, socket messaging. A routine is declared before it is
+used.
+"""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import time
+from typing import Any
+
+from robotlanguage import Assign, Call, Parameter, Program, Record, Return, Routine, Types, block, single
+
+NAME = r"[A-Za-z]\w{0,11}"
+
+
+class Uninitialised:
+    """What a variable holds that was given nothing."""
+
+
+UNINIT = Uninitialised()
+
+
+def _integer(value: Any) -> Any:
+    if value is UNINIT:
+        return value
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 2**31:
+        raise TypeError(f"{value!r} is no INTEGER")
+    return value
+
+
+def _real(value: Any) -> Any:
+    if value is UNINIT:
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r} is no REAL")
+    return single(value)
+
+
+def _boolean(value: Any) -> Any:
+    if value is not UNINIT and not isinstance(value, bool):
+        raise TypeError(f"{value!r} is no BOOLEAN")
+    return value
+
+
+def _string(size: int) -> Any:
+    def fitted(value: Any) -> Any:
+        if value is not UNINIT and (not isinstance(value, str) or len(value) > size):
+            raise TypeError(f"{value!r} is no STRING[{size}]")
+        return value
+
+    return fitted
+
+
+def _literal(value: str) -> str:
+    assert value[0] == "'", value
+    return value[1:-1]
+
+
+TYPES = Types(
+    {
+        "INTEGER": (UNINIT, _integer),
+        "REAL": (UNINIT, _real),
+        "BOOLEAN": (UNINIT, _boolean),
+        "FILE": (None, lambda value: value),
+        "STRING": (UNINIT, _string(254)),
+        "text": ("", _string(254)),
+        "literal": ("", _literal),
+        **{f"STRING[{size}]": (UNINIT, _string(size)) for size in (40, 128)},
+    },
+    {"XYZWPR": dict.fromkeys(("x", "y", "z", "w", "p", "r"), "REAL") | {"config_data": "STRING"}},
+)
+TYPE = r"(?:ARRAY\[(?P<size>\d+)\] OF )?(?P<type>\w+(?:\[\d+\])?)"
+DECLARATION = re.compile(rf"(?P<name>{NAME}) : {TYPE}$")
+HEAD = re.compile(rf"ROUTINE (?P<name>{NAME})(?:\((?P<parameters>.*)\))?(?: : (?P<returns>\w+))?$")
+
+
+class _Syntax:
+    """KAREL's statements, one a line."""
+
+    def opens_if(self, line: str) -> str | None:
+        found = re.match(r"IF (.+) THEN$", line)
+        return found[1] if found else None
+
+    def opens_else_if(self, line: str) -> str | None:
+        return None
+
+    def opens_while(self, line: str) -> str | None:
+        found = re.match(r"WHILE (.+) DO$", line)
+        return found[1] if found else None
+
+    def opens_for(self, line: str) -> tuple[str, str, str] | None:
+        found = re.match(rf"FOR ({NAME}) = (.+) TO (.+) DO$", line)
+        return (found[1], found[2], found[3]) if found else None
+
+    def simple(self, line: str) -> Any:
+        if found := re.match(r"RETURN(?:\((.+)\))?$", line):
+            return Return(found[1] or "")
+        if found := re.match(r"(READ|WRITE) (\w+) \((\w+)(?:::(\w+))?\)$", line):
+            return Call(f"{found[1]}_FILE", ", ".join(filter(None, found.groups()[1:])))
+        if found := re.match(r"OPEN FILE (\w+) \('RW', (\w+)\)$", line):
+            return Call("OPEN_FILE", f"{found[1]}, {found[2]}")
+        if found := re.match(r"CLOSE FILE (\w+)$", line):
+            return Call("CLOSE_FILE", found[1])
+        if found := re.match(r"DELAY (\w+)$", line):
+            return Call("DELAY", found[1])
+        if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*) = (.+)$", line):
+            return Assign(found[1], found[2])
+        found = re.match(rf"({NAME})(?:\((.*)\))?$", line)
+        assert found is not None, f"no statement: {line}"
+        return Call(found[1], found[2] or "")
+
+
+def load(source: str, controller: Controller) -> Program:
+    """The program, with its routines; `RUN` is its body."""
+    assert source.isascii() and max(map(len, source.splitlines())) <= 252
+    lines = [line.partition("--")[0].strip() for line in source.splitlines()]
+    lines = [line for line in lines if line and not line.startswith("%")]
+    found = re.match(rf"PROGRAM ({NAME})$", lines[0])
+    assert found is not None and lines[-1] == f"END {found[1]}"
+    program = _Karel(TYPES, "=", "[]")
+    program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
+    for name in ("ATR_IA",):
+        program.globals[name] = TYPES.variable("STRING", name)
+    at = 1
+    if lines[at] == "CONST":
+        at += 1
+        while constant := re.match(rf"({NAME}) = (.+)$", lines[at]):
+            value = program.evaluate(constant[2]).get()
+            made = TYPES.variable("STRING" if isinstance(value, str) else "INTEGER", value)
+            made.is_constant = True
+            program.globals[constant[1].upper()] = made
+            at += 1
+    assert lines[at] == "VAR"
+    at += 1
+    while declared := DECLARATION.match(lines[at]):
+        size = int(declared["size"] or 0)
+        kind = declared["type"]
+        program.globals[declared["name"].upper()] = TYPES.array(kind, size) if size else TYPES.variable(kind)
+        at += 1
+    while lines[at] != "BEGIN":
+        at = _routine(program, lines, at)
+    body, at = block(lines, at + 1, _Syntax(), {lines[-1].upper()})
+    assert at == len(lines) - 1
+    program.routines["RUN"] = Routine("RUN", [], "", [], body)
+    return program
+
+
+class _Karel(Program):
+    """KAREL: nothing uninitialised is read; a routine is declared before it is used."""
+
+    def evaluate(self, text: str) -> Any:
+        """A value."""
+        value = super().evaluate(text)
+        assert value.get() is not UNINIT, f"{text} is uninitialised"
+        return value
+
+    def place(self, text: str) -> Any:
+        """A variable, perhaps uninitialised."""
+        return super().evaluate(text)
+
+
+def _routine(program: Program, lines: list[str], at: int) -> int:
+    head = HEAD.match(lines[at])
+    assert head is not None, lines[at]
+    parameters = []
+    for text in filter(None, (head["parameters"] or "").split("; ")):
+        declared = DECLARATION.match(text)
+        assert declared is not None, text
+        parameters.append(Parameter(declared["name"].upper(), declared["type"], by_reference=False))
+    routine = Routine(head["name"], parameters, head["returns"] or "")
+    at += 1
+    if lines[at] == "VAR":
+        at += 1
+        while declared := DECLARATION.match(lines[at]):
+            routine.locals.append(
+                (declared["name"].upper(), declared["type"], int(declared["size"] or 0), "")
+            )
+            at += 1
+    assert lines[at] == "BEGIN", lines[at]
+    start = at
+    routine.body, at = block(lines, at + 1, _Syntax(), {f"END {head['name']}".upper()})
+    used = set(re.findall(rf"({NAME})\(", "\n".join(lines[start:at])))
+    known = {*program.routines, head["name"].upper(), *BUILTINS, "RETURN"}
+    assert {name.upper() for name in used} <= known, f"{head['name']} uses what is declared later"
+    program.routines[head["name"].upper()] = routine
+    return at + 1
+
+
+BUILTINS = (
+    *("CNV_INT_STR", "CHR", "ORD", "STR_LEN", "ROUND", "UNINIT", "IO_STATUS", "BYTES_AHEAD", "READ_FILE"),
+    *("WRITE_FILE", "OPEN_FILE", "CLOSE_FILE", "DELAY", "SET_FILE_ATR", "MSG_CONNECT", "MSG_DISCO", "CURPOS"),
+    *("SET_POS_REG", "SET_INT_REG", "SET_REAL_REG", "GET_TPE_PRM"),
+)
+
+
+class Controller:
+    """Registers, one client tag, and the arguments of the TP program.
+
+    piece : bytes that have arrived at a time. keeps_ends : whether `READ` leaves an end of line in its
+    string.
+    """
+
+    def __init__(self, port: int, piece: int = 1024, *, keeps_ends: bool = False) -> None:
+        self.port = port
+        self.piece = piece
+        self.keeps_ends = keeps_ends
+        self.link: socket.socket | None = None
+        self.is_open = False
+        self.status = 0
+        self.arguments: tuple[int, ...] = ()
+        self.registers: dict[int, float] = {}
+        self.positions: dict[int, Record] = {}
+
+    def cnv_int_str(self, number: Any, width: Any, base: Any, target: Any) -> None:
+        """With a blank before it."""
+        assert (1, 0) == (width.get(), base.get())
+        target.set(f" {number.get()}")
+
+    def chr(self, code: Any) -> str:
+        """A character."""
+        return chr(code.get())
+
+    def ord(self, text: Any, index: Any) -> int:
+        """The code of the index-th character, from 1."""
+        assert 1 <= index.get() <= len(text.get())
+        return ord(text.get()[index.get() - 1])
+
+    def str_len(self, text: Any) -> int:
+        """Characters."""
+        return len(text.get())
+
+    def round(self, value: Any) -> int:
+        """To the next whole number."""
+        return round(float(value.get()))
+
+    def uninit(self, place: Any) -> bool:
+        """Whether it was given nothing."""
+        return place.get() is UNINIT
+
+    def io_status(self, _file: Any) -> int:
+        """Of the last operation."""
+        return self.status
+
+    def set_file_atr(self, _file: Any, attribute: Any) -> None:
+        """Interactive."""
+        assert attribute.get() == "ATR_IA" and not self.is_open
+
+    def msg_connect(self, tag: Any, status: Any) -> None:
+        """Connect the client tag."""
+        assert tag.get() == "C3:" and self.link is None
+        try:
+            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=5)
+            status.set(0)
+        except OSError:
+            status.set(67)
+
+    def msg_disco(self, tag: Any, status: Any) -> None:
+        """Hang up; of a tag that is not connected: a status, no error."""
+        assert tag.get() == "C3:"
+        status.set(0 if self.link else 1)
+        if self.link:
+            self.link.close()
+            self.link = None
+
+    def open_file(self, _file: Any, _tag: Any) -> None:
+        """Of a connected tag."""
+        assert self.link is not None
+        self.is_open, self.status = True, 0
+
+    def close_file(self, _file: Any) -> None:
+        """It must be open."""
+        assert self.is_open
+        self.is_open = False
+
+    def write_file(self, _file: Any, text: Any) -> None:
+        """At once (ATR_IA)."""
+        assert self.is_open and self.link is not None
+        try:
+            self.link.sendall(text.get().encode("ascii"))
+        except OSError:
+            self.status = 2
+
+    def bytes_ahead(self, _file: Any, count: Any, status: Any) -> None:
+        """What has arrived; of a link that is gone nothing comes any more."""
+        assert self.is_open and self.link is not None
+        status.set(0)
+        try:
+            ready = select.select([self.link], [], [], 0)[0]
+            count.set(len(self.link.recv(self.piece, socket.MSG_PEEK)) if ready else 0)
+        except OSError:
+            count.set(0)
+
+    def read_file(self, _file: Any, target: Any, count: Any) -> None:
+        """So many characters, or up to the end of a line, which is taken and not given."""
+        assert self.is_open and self.link is not None
+        data = self.link.recv(count.get(), socket.MSG_PEEK)
+        assert len(data) == count.get(), "it would wait for ever"
+        line, end, _ = data.partition(b"\n")
+        if self.keeps_ends:
+            line, end = data, b""
+        self.link.recv(len(line) + len(end))
+        target.set(line.decode("latin-1"))
+
+    def delay(self, milliseconds: Any) -> None:
+        """Wait."""
+        time.sleep(milliseconds.get() / 1000)
+
+    def curpos(self, _limits: Any, _axes: Any) -> Record:
+        """Anywhere, with a configuration."""
+        record: Record = TYPES.initial("XYZWPR")
+        for name, one in record.fields.items():
+            one.set("NUT000" if name == "config_data" else 1.0)
+        return record
+
+    def set_pos_reg(self, number: Any, pose: Any, status: Any) -> None:
+        """PR 1 to 100."""
+        status.set(0 if 1 <= number.get() <= 100 else 17)
+        self.positions[number.get()] = TYPES.copied(pose.get())
+
+    def set_int_reg(self, number: Any, value: Any, status: Any) -> None:
+        """A whole number."""
+        assert isinstance(value.get(), int)
+        self.registers[number.get()] = value.get()
+        status.set(0)
+
+    def set_real_reg(self, number: Any, value: Any, status: Any) -> None:
+        """A number."""
+        self.registers[number.get()] = value.get()
+        status.set(0)
+
+    def get_tpe_prm(self, number: Any, kind: Any, whole: Any, _real: Any, _text: Any, status: Any) -> None:
+        """Type 1: a whole number."""
+        given = number.get() <= len(self.arguments)
+        status.set(0 if given else 17042)
+        if given:
+            kind.set(1)
+            whole.set(self.arguments[number.get() - 1])
