@@ -108,7 +108,7 @@ def registers(
         ),
     ] = "md",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="folder for the files of twincat, karel")
+        Path | None, typer.Option("--output", "-o", help="folder for the files of twincat, karel, krl")
     ] = None,
     read: Annotated[
         str | None, typer.Option("--read", help="HOST[:PORT] of a cell: print what its registers say")

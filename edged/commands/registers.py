@@ -12,6 +12,7 @@ from pathlib import Path
 from edged.errors import UserError
 from edged.plc.clients import (
     karel_files,
+    krl_files,
     plcopen_source,
     python_source,
     rapid_source,
@@ -138,4 +139,5 @@ FORMATS: dict[str, Callable[[], str]] = {
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "twincat": twincat_files,
     "karel": karel_files,
+    "krl": krl_files,
 }

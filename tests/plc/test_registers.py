@@ -78,7 +78,8 @@ def test_every_listing_names_every_register() -> None:
         for register in block.registers:
             assert f"| {register.address} | {register.name} |" in markdown
     with pytest.raises(
-        UserError, match="expected md, csv, json, st, plcopen, scl, urscript, python, rapid, twincat, karel"
+        UserError,
+        match="expected md, csv, json, st, plcopen, scl, urscript, python, rapid, twincat, karel, krl",
     ):
         render("xml")
 

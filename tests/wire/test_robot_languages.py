@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Protocol
 
 import karel
+import krl
 import numpy as np
 import pytest
 import rapid
@@ -21,6 +22,7 @@ from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.commands.registers import render
 from edged.domain import Target
 from edged.plc.clients.karel import karel_files
+from edged.plc.clients.krl import krl_files
 from edged.plc.clients.robotlines import Failure
 from edged.plc.lines import LineStatus, answer_fields
 from edged.plc.registers import StatusBit
@@ -134,7 +136,50 @@ class FanucWithEnds(Fanuc):
     excuses: ClassVar[dict[str, Lie]] = {}
 
 
-SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds]
+class Kuka:
+    """A KUKA controller: one call measures, fetches the targets and acknowledges."""
+
+    brand = Brand.KUKA
+    excuses: ClassVar[dict[str, Lie]] = {  # no line ever ends: nothing has been received
+        "a flood": (lambda *_: b"1" * 900, Failure.LATE),
+    }
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        files = krl_files()
+        self.controller = krl.Controller(files["edged.xml"], port, piece)
+        self.program = krl.load(files, self.controller)
+        self.given = 0
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        is_found = self.program.call("EDGED_LOCATE", job, timeout_s)
+        assert not self.controller.is_initialised
+        self.given = 0
+        assert is_found == (self.count() > 0)
+        return self.next()
+
+    def count(self) -> int:
+        return int(self.program.named("EDGED_COUNT").get())
+
+    def next(self) -> tuple[float, ...] | None:
+        if self.given >= self.count():
+            return None
+        self.given += 1
+        return tuple(self.program.named("EDGED_PART").element(self.given).get().plain().values())
+
+    def error(self) -> int:
+        return int(self.program.named("EDGED_ERROR").get())
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = (one.get() for one in self.program.named("EDGED_SIGMA").elements)
+        return (*sigma, self.program.named("EDGED_AGE").get())
+
+    def close(self) -> None:
+        if self.controller.link:
+            self.controller.link.close()
+            self.controller.link = None
+
+
+SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka]
 talkers = pytest.mark.parametrize("make", [Abb], ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
 sides = pytest.mark.parametrize("make", SIDES, ids=lambda one: one.__name__)
@@ -281,6 +326,17 @@ def test_one_call_fetches_every_target_and_acknowledges(make: type[Any]) -> None
             assert (taken, more) == tuple(side.controller.registers[number] for number in (82, 83))
             assert not bits(cell) & StatusBit.RESULT_VALID
         assert 3 == cell.head.captures
+
+
+def test_krl_fetches_as_many_targets_as_it_has_room_for() -> None:
+    """Ten of the twelve, each its own; then the result is withdrawn."""
+    with running(Kuka) as (cell, side):
+        cell.targets = tuple(make_target(x_mm=10.0 + i) for i in range(12))
+        seen = [(side.locate() or (0,))[0], *((side.next() or (0,))[0] for _ in range(9))]
+        assert [10.0 + i for i in range(10)] == seen
+        assert None is side.next()
+        assert 2 == side.program.named("EDGED_REMAINING").get()
+        assert not bits(cell) & StatusBit.RESULT_VALID
 
 
 @sides

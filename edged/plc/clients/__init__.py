@@ -5,6 +5,7 @@ and SIMATIC S7 (`scl`); `urscript` for Universal Robots, `python` for PCs.
 """
 
 from edged.plc.clients.karel import karel_files
+from edged.plc.clients.krl import krl_files
 from edged.plc.clients.plcopen import plcopen_source
 from edged.plc.clients.python import python_source
 from edged.plc.clients.rapid import rapid_source
@@ -15,6 +16,7 @@ from edged.plc.clients.urscript import urscript_source
 
 __all__ = [
     "karel_files",
+    "krl_files",
     "plcopen_source",
     "python_source",
     "rapid_source",

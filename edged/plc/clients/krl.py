@@ -1,0 +1,384 @@
+"""The robot's side in KRL, for KUKA controllers with the option KUKA.EthernetKRL 2.2 or later.
+
+From "KUKA.EthernetKRL 2.2" (KST EthernetKRL 2.2 V1) and "KUKA.Ethernet KRL 3.0" (KST Ethernet KRL 3.0 V3):
+
+* 6.1.2 "XML structure for data reception": RAW with TYPE STREAM and EOS takes lines that are no XML; EOS 10
+  is the line feed, at most 3600 bytes. 6.1.1: ENVIRONMENT Program closes the link with the program.
+* 6.2.4 "Sending data": with a string, EOS of the SEND section is appended. EKI 3.0 sends up to the first zero
+  unless the length is given; so the request fills its array, with blanks, which the cell ignores.
+* 6.2.5 "Reading out data": a string to be read into is initialised first.
+* 6.2.7 "EKI_STATUS": MSG_NO is 0 without an error, BUFF the lines that wait. Errors are shown on the smartHMI
+  and stop the program unless MESSAGES DISPLAY is "disabled"; closing what is not open cannot be silenced: a
+  link is closed only while its flag (ALIVE) says that it is there.
+
+From the "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators": names of
+at most 24 characters; arrays are handed over as OUT; INT of 32 bits, whose quotient is whole; REAL of 32 bits;
+FRAME with X, Y, Z, A, B, C. Digits are looked up in a string: no conversion of CHAR to INT is relied on.
+"""
+
+from __future__ import annotations
+
+from edged.plc.clients.robotlines import filled, statuses
+from edged.plc.lines import LineStatus
+from edged.robot.orientations import Brand
+
+ADVANCE = 10
+"""Targets that one call fetches at most."""
+REQUEST_BYTES = 32
+
+CONFIGURATION = """\
+<ETHERNETKRL>
+  <CONFIGURATION>
+    <EXTERNAL>
+      <IP>192.168.10.20</IP>
+      <PORT>@PORT@</PORT>
+      <TYPE>Server</TYPE>
+    </EXTERNAL>
+    <INTERNAL>
+      <ENVIRONMENT>Program</ENVIRONMENT>
+      <BUFFERING Mode="FIFO" Limit="16"/>
+      <BUFFSIZE Limit="16384"/>
+      <TIMEOUT Connect="3000"/>
+      <ALIVE Set_Flag="@FLAG@"/>
+      <PROTOCOL>TCP</PROTOCOL>
+      <MESSAGES Logging="error" Display="disabled"/>
+    </INTERNAL>
+  </CONFIGURATION>
+  <RECEIVE>
+    <RAW>
+      <ELEMENT Tag="Line" Type="STREAM" EOS="10" Size="256"/>
+    </RAW>
+  </RECEIVE>
+  <SEND>
+    <RAW>
+      <ELEMENT Tag="Line" Type="STREAM" EOS="10" Size="256"/>
+    </RAW>
+  </SEND>
+</ETHERNETKRL>
+"""
+DATA = """\
+&ACCESS RVP
+&COMMENT edged: written by edged registers --format krl
+DEFDAT EDGED PUBLIC
+DECL GLOBAL INT EDGED_ERROR=0
+DECL GLOBAL INT EDGED_COUNT=0
+DECL GLOBAL INT EDGED_REMAINING=0
+DECL GLOBAL REAL EDGED_AGE=-1.0
+DECL GLOBAL FRAME EDGED_PART[@TARGETS@]
+DECL GLOBAL REAL EDGED_SIGMA[3]
+DECL INT SEQUENCE=0
+DECL INT FIELDS=0
+DECL REAL FIELD[@FIELDS@]
+ENDDAT
+"""
+SOURCE = """\
+&ACCESS RVP
+&COMMENT edged: written by edged registers --format krl
+; Needs [modbus.socket] with brand = "kuka" in the cell's configuration.
+;
+;   IF EDGED_LOCATE(0,5.0) THEN      ; job 0: the active one; seconds
+;     PICK=EDGED_PART[1]             ; to EDGED_PART[EDGED_COUNT]; mm and degrees in the robot's base
+;     LIN PICK
+;   ENDIF
+;
+; Move only when it is TRUE. Otherwise EDGED_ERROR says why:
+@STATUSES@
+DEF EDGED()
+END
+
+; Measure, fetch the targets, acknowledge, hang up. A link of its own: nothing old can be waiting in it.
+GLOBAL DEFFCT BOOL EDGED_LOCATE(JOB:IN,TIMEOUT_S:IN)
+DECL INT JOB
+DECL REAL TIMEOUT_S
+DECL INT COMMAND
+DECL INT IGNORED
+DECL EKI_STATUS RET
+EDGED_COUNT=0
+EDGED_REMAINING=0
+EDGED_ERROR=@NO_LINK@
+RET=EKI_INIT("edged")
+IF RET.MSG_NO<>0 THEN
+RETURN FALSE
+ENDIF
+RET=EKI_OPEN("edged")
+IF RET.MSG_NO==0 THEN
+NEXT_NUMBER()
+COMMAND=SEQUENCE
+EDGED_ERROR=ASK(1,COMMAND,JOB,TIMEOUT_S)
+IF EDGED_ERROR==0 THEN
+EDGED_AGE=FIELD[@AGE@]
+EDGED_SIGMA[1]=FIELD[@SIGMA_X@]
+EDGED_SIGMA[2]=FIELD[@SIGMA_Y@]
+EDGED_SIGMA[3]=FIELD[@SIGMA_Z@]
+TAKE_PART()
+WHILE (EDGED_ERROR==0) AND (EDGED_REMAINING>0) AND (EDGED_COUNT<@TARGETS@)
+NEXT_NUMBER()
+EDGED_ERROR=ASK(2,SEQUENCE,0,TIMEOUT_S)
+IF EDGED_ERROR==0 THEN
+TAKE_PART()
+ENDIF
+ENDWHILE
+IF EDGED_ERROR==@NO_FURTHER@ THEN
+EDGED_ERROR=0
+ENDIF
+; the result was taken: it is withdrawn. If this fails, the cell withdraws it by its age
+IF EDGED_ERROR==0 THEN
+IGNORED=ASK(3,COMMAND,0,1.0)
+ENDIF
+ENDIF
+IF $FLAG[@FLAG@] THEN
+RET=EKI_CLOSE("edged")
+ENDIF
+ENDIF
+RET=EKI_CLEAR("edged")
+IF EDGED_ERROR<>0 THEN
+EDGED_COUNT=0
+ENDIF
+RETURN EDGED_ERROR==0
+ENDFCT
+
+DEF NEXT_NUMBER()
+SEQUENCE=SEQUENCE+1
+IF SEQUENCE>65535 THEN
+SEQUENCE=1
+ENDIF
+END
+
+DEF TAKE_PART()
+EDGED_COUNT=EDGED_COUNT+1
+EDGED_PART[EDGED_COUNT].X=FIELD[@X@]
+EDGED_PART[EDGED_COUNT].Y=FIELD[@Y@]
+EDGED_PART[EDGED_COUNT].Z=FIELD[@Z@]
+EDGED_PART[EDGED_COUNT].A=FIELD[@A@]
+EDGED_PART[EDGED_COUNT].B=FIELD[@B@]
+EDGED_PART[EDGED_COUNT].C=FIELD[@C@]
+EDGED_REMAINING=FIELD[@REMAINING@]
+END
+
+; One request (1 LOCATE, 2 NEXT, 3 ACK) and its answer. 0: it is ours, and says so.
+DEFFCT INT ASK(KIND:IN,NUMBER:IN,JOB:IN,TIMEOUT_S:IN)
+DECL INT KIND
+DECL INT NUMBER
+DECL INT JOB
+DECL REAL TIMEOUT_S
+DECL REAL WAITED
+DECL INT I
+DECL INT AT
+DECL INT ANSWERED
+DECL CHAR REQUEST[@REQUEST@]
+DECL CHAR WORD[10]
+DECL CHAR LINE[256]
+DECL EKI_STATUS RET
+FOR I=1 TO @REQUEST@
+REQUEST[I]=" "
+ENDFOR
+AT=0
+PUT_NUMBER(REQUEST[],AT,NUMBER)
+IF KIND==1 THEN
+WORD[]=",LOCATE,"
+PUT_WORD(REQUEST[],AT,WORD[])
+PUT_NUMBER(REQUEST[],AT,JOB)
+ENDIF
+IF KIND==2 THEN
+WORD[]=",NEXT"
+PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+IF KIND==3 THEN
+WORD[]=",ACK"
+PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+; EthernetKRL 2.2 has no third argument: leave it out there
+RET=EKI_SEND("edged",REQUEST[],@REQUEST@)
+IF RET.MSG_NO<>0 THEN
+RETURN @NO_LINK@
+ENDIF
+WAITED=0.0
+RET=EKI_CHECKBUFFER("edged","Line")
+WHILE RET.BUFF==0
+IF NOT $FLAG[@FLAG@] THEN
+RETURN @NO_LINK@
+ENDIF
+IF WAITED>=TIMEOUT_S THEN
+RETURN @LATE@
+ENDIF
+WAIT SEC 0.012
+WAITED=WAITED+0.012
+RET=EKI_CHECKBUFFER("edged","Line")
+ENDWHILE
+IF RET.BUFF>1 THEN
+RETURN @NO_ANSWER@
+ENDIF
+FOR I=1 TO 256
+LINE[I]=" "
+ENDFOR
+RET=EKI_GETSTRING("edged","Line",LINE[])
+IF RET.MSG_NO<>0 THEN
+RETURN @NO_LINK@
+ENDIF
+IF NOT READ_LINE(LINE[]) THEN
+RETURN @NO_ANSWER@
+ENDIF
+ANSWERED=FIELD[@STATUS@]
+IF ANSWERED<>0 THEN
+RETURN ANSWERED
+ENDIF
+ANSWERED=FIELD[@SEQUENCE@]
+IF ANSWERED<>NUMBER THEN
+RETURN @OTHERS@
+ENDIF
+RETURN 0
+ENDFCT
+
+DEF PUT_WORD(TEXT[]:OUT,AT:OUT,WORD[]:OUT)
+DECL CHAR TEXT[]
+DECL INT AT
+DECL CHAR WORD[]
+DECL INT I
+FOR I=1 TO STRLEN(WORD[])
+AT=AT+1
+TEXT[AT]=WORD[I]
+ENDFOR
+END
+
+DEF PUT_NUMBER(TEXT[]:OUT,AT:OUT,NUMBER:IN)
+DECL CHAR TEXT[]
+DECL INT AT
+DECL INT NUMBER
+DECL CHAR DIGITS[10]
+DECL INT WEIGHT
+DECL INT DIGIT
+DECL INT REST
+DIGITS[]="0123456789"
+WEIGHT=1
+WHILE NUMBER/WEIGHT>=10
+WEIGHT=WEIGHT*10
+ENDWHILE
+REST=NUMBER
+WHILE WEIGHT>=1
+DIGIT=REST/WEIGHT
+REST=REST-DIGIT*WEIGHT
+AT=AT+1
+TEXT[AT]=DIGITS[DIGIT+1]
+WEIGHT=WEIGHT/10
+ENDWHILE
+END
+
+; The numbers of an answer into FIELD. FALSE: it is none.
+DEFFCT BOOL READ_LINE(LINE[]:OUT)
+DECL CHAR LINE[]
+DECL CHAR DIGITS[10]
+DECL INT I
+DECL INT D
+DECL INT DIGIT
+DECL INT WHOLE
+DECL INT PART
+DECL INT WDIGITS
+DECL INT PDIGITS
+DECL REAL SCALE
+DECL REAL NUMBER
+DECL BOOL IS_MINUS
+DECL BOOL HAS_POINT
+DECL BOOL IS_END
+DIGITS[]="0123456789"
+FIELDS=0
+WHOLE=0
+PART=0
+WDIGITS=0
+PDIGITS=0
+SCALE=1.0
+IS_MINUS=FALSE
+HAS_POINT=FALSE
+IS_END=FALSE
+I=1
+WHILE NOT IS_END
+DIGIT=-1
+FOR D=1 TO 10
+IF LINE[I]==DIGITS[D] THEN
+DIGIT=D-1
+ENDIF
+ENDFOR
+IF DIGIT>=0 THEN
+IF HAS_POINT THEN
+PDIGITS=PDIGITS+1
+IF PDIGITS>6 THEN
+RETURN FALSE
+ENDIF
+PART=PART*10+DIGIT
+SCALE=SCALE*10.0
+ELSE
+WDIGITS=WDIGITS+1
+IF WDIGITS>9 THEN
+RETURN FALSE
+ENDIF
+WHOLE=WHOLE*10+DIGIT
+ENDIF
+ELSE
+IF LINE[I]=="-" THEN
+IF IS_MINUS OR HAS_POINT OR (WDIGITS>0) THEN
+RETURN FALSE
+ENDIF
+IS_MINUS=TRUE
+ELSE
+IF WDIGITS==0 THEN
+RETURN FALSE
+ENDIF
+IF LINE[I]=="." THEN
+IF HAS_POINT THEN
+RETURN FALSE
+ENDIF
+HAS_POINT=TRUE
+ELSE
+; a comma; anything else ends the line, and the sixth decimal of the last field must be there
+IF HAS_POINT AND (PDIGITS<6) THEN
+RETURN FALSE
+ENDIF
+IF LINE[I]<>"," THEN
+IS_END=TRUE
+ENDIF
+FIELDS=FIELDS+1
+IF FIELDS>@FIELDS@ THEN
+RETURN FALSE
+ENDIF
+IF IS_END AND ((FIELDS<@FIELDS@) OR (NOT HAS_POINT)) THEN
+RETURN FALSE
+ENDIF
+NUMBER=WHOLE+PART/SCALE
+IF IS_MINUS THEN
+NUMBER=-NUMBER
+ENDIF
+FIELD[FIELDS]=NUMBER
+WHOLE=0
+PART=0
+WDIGITS=0
+PDIGITS=0
+SCALE=1.0
+IS_MINUS=FALSE
+HAS_POINT=FALSE
+ENDIF
+ENDIF
+ENDIF
+I=I+1
+IF I>256 THEN
+IF NOT IS_END THEN
+RETURN FALSE
+ENDIF
+ENDIF
+ENDWHILE
+RETURN TRUE
+ENDFCT
+"""
+FLAG = 900
+"""That says whether the link is there; one that nothing else uses."""
+
+
+def krl_files() -> dict[str, str]:
+    """Files by name: the module's source and data, and the configuration of its link."""
+    values = {
+        "FLAG": FLAG,
+        "TARGETS": ADVANCE,
+        "REQUEST": REQUEST_BYTES,
+        "NO_FURTHER": int(LineStatus.NO_FURTHER),
+        "STATUSES": statuses(";   "),
+    }
+    files = {"edged.src": SOURCE, "edged.dat": DATA, "edged.xml": CONFIGURATION}
+    return {name: filled(text, Brand.KUKA, first=1, **values) for name, text in files.items()}
