@@ -104,7 +104,9 @@ def registers(
     format: Annotated[
         str,
         typer.Option(
-            "--format", help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python, rapid"
+            "--format",
+            help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python; "
+            "for robots with lines of text: rapid, karel, krl, drl",
         ),
     ] = "md",
     output: Annotated[

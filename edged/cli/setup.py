@@ -267,7 +267,7 @@ def register_hand_eye(
     rig: RigOption,
     poses: PosesOption,
     board: BoardOption,
-    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli or kawasaki")],
+    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki or doosan")],
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
     in_hand: Annotated[
         bool, typer.Option("--in-hand", help="the rig is on the flange, the board is not")

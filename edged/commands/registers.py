@@ -11,6 +11,7 @@ from pathlib import Path
 
 from edged.errors import UserError
 from edged.plc.clients import (
+    drl_source,
     karel_files,
     krl_files,
     plcopen_source,
@@ -135,6 +136,7 @@ FORMATS: dict[str, Callable[[], str]] = {
     "urscript": urscript_source,
     "python": python_source,
     "rapid": rapid_source,
+    "drl": drl_source,
 }
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "twincat": twincat_files,

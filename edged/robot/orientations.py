@@ -7,7 +7,7 @@ is defined; the last one is then 0, and the triple still gives R.
 Sources: J. J. Craig, "Introduction to Robotics", appendix B (angle sets); the programming manuals of
 the makers for which set, which order and which name: KUKA KSS ("ABC"), FANUC ("WPR"), Yaskawa ("Rx Ry
 Rz"), Stäubli VAL 3 ("rx ry rz"), Kawasaki AS ("OAT"), ABB RAPID (`OrientZYX`, `orient`), Universal Robots
-URScript ("pose").
+URScript ("pose"), Doosan DRL (`posx`).
 """
 
 from __future__ import annotations
@@ -145,6 +145,7 @@ class Brand(enum.StrEnum):
     ABB = "abb"
     STAUBLI = "staubli"
     KAWASAKI = "kawasaki"
+    DOOSAN = "doosan"
 
 
 POSE_FIELDS: dict[Brand, str] = {
@@ -155,6 +156,7 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.ABB: "x y z in mm, quaternion q1 q2 q3 q4 (scalar first)",
     Brand.STAUBLI: "x y z in mm, rx ry rz in degrees",
     Brand.KAWASAKI: "X Y Z in mm, O A T in degrees",
+    Brand.DOOSAN: "x y z in mm, a b c (ZYZ) in degrees",
 }
 """What a pose consists of; for messages."""
 
@@ -217,6 +219,7 @@ _CONVENTIONS = {
     Brand.YASKAWA: Convention.FIXED_XYZ,
     Brand.STAUBLI: Convention.STAUBLI_XYZ,
     Brand.KAWASAKI: Convention.KAWASAKI_OAT,
+    Brand.DOOSAN: Convention.KAWASAKI_OAT,
 }
 """Of the brands that write three angles."""
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
@@ -227,6 +230,7 @@ _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.ABB: (1.0, 1.0, matrix_quaternion),
     Brand.STAUBLI: (1.0, math.pi / 180, matrix_moving_xyz),
     Brand.KAWASAKI: (1.0, math.pi / 180, matrix_oat),
+    Brand.DOOSAN: (1.0, math.pi / 180, matrix_oat),
 }
 
 

@@ -4,6 +4,7 @@
 and SIMATIC S7 (`scl`); `urscript` for Universal Robots, `python` for PCs.
 """
 
+from edged.plc.clients.drl import drl_source
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.plcopen import plcopen_source
@@ -15,6 +16,7 @@ from edged.plc.clients.twincat import twincat_files
 from edged.plc.clients.urscript import urscript_source
 
 __all__ = [
+    "drl_source",
     "karel_files",
     "krl_files",
     "plcopen_source",

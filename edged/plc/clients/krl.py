@@ -12,8 +12,9 @@ From "KUKA.EthernetKRL 2.2" (KST EthernetKRL 2.2 V1) and "KUKA.Ethernet KRL 3.0"
   link is closed only while its flag (ALIVE) says that it is there.
 
 From the "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators": names of
-at most 24 characters; arrays are handed over as OUT; INT of 32 bits, whose quotient is whole; REAL of 32 bits;
-FRAME with X, Y, Z, A, B, C. Digits are looked up in a string: no conversion of CHAR to INT is relied on.
+at most 24 characters; arrays are handed over as OUT; INT of 32 bits, whose quotient is whole; REAL of 32
+bits; FRAME with X, Y, Z, A, B, C. Digits are looked up in a string: no conversion of CHAR to INT is relied
+on.
 """
 
 from __future__ import annotations
