@@ -281,6 +281,7 @@ def shown(brand: Brand, pose: FloatArray) -> tuple[float, ...]:
         Brand.KUKA: Convention.KUKA_ABC,
         Brand.STAUBLI: Convention.STAUBLI_XYZ,
         Brand.KAWASAKI: Convention.KAWASAKI_OAT,
+        Brand.DOOSAN: Convention.KAWASAKI_OAT,
     }.get(brand, Convention.FIXED_XYZ)
     return (*t, *ANGLES_DEG[convention](R))
 
@@ -306,6 +307,7 @@ def test_brands_agree_with_an_independent_library() -> None:
         (Brand.YASKAWA, "xyz"),
         (Brand.STAUBLI, "XYZ"),
         (Brand.KAWASAKI, "ZYZ"),
+        (Brand.DOOSAN, "ZYZ"),
     ):
         expected = Rotation.from_euler(sequence, angles, degrees=True).as_matrix()
         assert np.allclose(transform_of(brand, (1, 2, 3, *angles))[:3, :3], expected), brand
