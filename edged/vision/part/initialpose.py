@@ -1,20 +1,21 @@
-"""Where a part without circles lies: its plane from the rows of its edges, its pose from the match."""
+"""Where a part may lie: by its match alone, or, without circles, its plane from the rows of its edges."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.rigid import fit_rigid
+from edged.vision.geometry.rigid import fit_rigid, rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
-from edged.vision.part.prediction import predicted
+from edged.vision.part.prediction import predicted, seen_depth_mm
 from edged.vision.shape.search import ShapeMatch
 
 DEPTH_MARGIN = 0.06
@@ -22,6 +23,46 @@ DEPTH_MARGIN = 0.06
 SAMPLES = 240
 REACH_PX = 4.0
 BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is as near
+
+
+def poses_of_match(
+    images: StereoImages, job: Job, match: ShapeMatch, flat_mm: FloatArray
+) -> list[FloatArray]:
+    """The rig_from_part (4, 4) under which points (N, 3) of the face, z = 0, look like the match, best first.
+
+    A perspective view of a known plane has two poses in space (T. Collins and A. Bartoli, "Infinitesimal
+    Plane-Based Pose Estimation", IJCV 2014), good to a few hundredths of a mm in depth and some tenths of a
+    degree, however the plane is tilted.
+    """
+    rays = images.rays("left", predicted(images.rectification, job, match, flat_mm))
+    if not np.isfinite(rays).all():
+        return []
+    count, turns, places, _ = cv2.solvePnPGeneric(
+        flat_mm, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    poses = []
+    for vectors in zip(turns[:count], places[:count], strict=True):
+        turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
+        pose = transform(rotation_matrix(turn), place)
+        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # a face turned away is none
+            poses.append(pose)
+    return poses
+
+
+def starts(
+    images: StereoImages, job: Job, match: ShapeMatch, curves: Sequence[Curve]
+) -> Iterator[FloatArray | None]:
+    """Likely rig_from_part (4, 4) of the face of these curves, best first; None: the rows show no plane.
+
+    Of a flat face the rows tell more; of a steep one they tell nothing, and its picture in one camera does.
+    """
+    if job.tilt_rad is None:
+        yield start_pose(images, job, match, curves)
+    flat = _samples(curves)[:, 0].copy()
+    flat[:, 2] = 0.0
+    yield from poses_of_match(images, job, match, flat)
+    if job.tilt_rad is not None:
+        yield start_pose(images, job, match, curves)
 
 
 def start_pose(
@@ -38,8 +79,7 @@ def start_pose(
     # each edge has its own sign: turned so that all are brighter along their normals
     _, slopes = edges_along_normals(images.rectified_left, points, normals, REACH_PX, 0)
     normals = normals * np.where(np.nan_to_num(slopes) < 0, -1.0, 1.0)[:, None]
-    depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
-    depth /= float(np.sqrt(match.scale_x * match.scale_y))
+    depth = seen_depth_mm(rectification, job, match)
     low, high = depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)
     plane = find_plane(images, points, normals, 1, (low, high))
     if plane is None:

@@ -34,6 +34,15 @@ def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_
     return np.asarray(match.apply(rectification.rectify_points("left", taught) - job.shape.origin_px))
 
 
+def seen_depth_mm(rectification: Rectification, job: Job, match: ShapeMatch) -> float:
+    """Rectified depth that the size of a match tells, with a tilt of up to 25° to about 5 %."""
+    taught_mm = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
+    if job.tilt_rad is None:
+        return taught_mm / float(np.sqrt(match.scale_x * match.scale_y))
+    # steeper, one side is much shortened; the longest one is not
+    return taught_mm / float(np.linalg.norm(match.linear, 2))
+
+
 def match_in_raw(rectification: Rectification, match: ShapeMatch) -> Match:
     """A match as it is reported: its place in the left image as the camera delivers it."""
     x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
