@@ -16,9 +16,9 @@ from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.views import Views
 
-MISFIT_PX, MISFIT_SHARE = 1.75, 0.09
+MISFIT_PX, MISFIT_SHARE = 2.0, 0.1
 """Rms after the best similarity, px of the top level, and of the rms radius: what a scan's threshold and the
-first steps allow for. 0.07 is a tilt of 30°."""
+first steps bridge. 0.07 is a tilt of 30°."""
 GRID_STEP = math.radians(5.0)
 OUTLINE_POINTS = 64
 MAX_LEAN = math.radians(65.0)

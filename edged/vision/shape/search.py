@@ -53,8 +53,9 @@ TILT_PRIOR = 0.02
 distance. Keeps the perspective at rest where the edges do not show it."""
 STEEP_PRIOR = 0.06
 """The same of a shape that is looked for tilted by up to 45°."""
-STEEP_STEPS = ((2.0, refine.PROJECTIVE),) * 4
-"""From a view, which is a few degrees off in its tilt: it moves in all ways at once."""
+STEEP_STEPS = ((3.0, refine.PROJECTIVE),) * 2 + ((2.0, refine.PROJECTIVE),) * 3
+"""From a view, which is some degrees off in its tilt: it moves in all ways at once, and farther. Below
+the top the first two."""
 MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
 STRETCHES = 4
