@@ -146,9 +146,7 @@ def main() -> int:
     parser.add_argument("--poses", type=int, default=25, help="of each part in each range")
     parser.add_argument("--thickness", type=float, default=0.0, help="mm, with dark walls; 0: thin")
     options = parser.parse_args()
-    print(
-        "| part | --tilt | lies at | found | wrong | rms X Y Z, max µm | normal rms, max ° | χ²/dof | search |"
-    )
+    print("| part | --tilt | lies at | found | wrong | rms X Y Z, max µm | normal rms, max ° | χ² | search |")
     print("|---|---|---|---:|---:|---|---|---:|---:|")
     for tilt_deg, between in RANGES:
         for name in PARTS:

@@ -271,9 +271,10 @@ def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
     """What a job that is looked for tilted takes, and what its pictures must show."""
     tilt_rad = job.tilt_rad or 0.0
     views = tilted_views(rectification, job.shape, job.rig_from_part, tilt_rad)
+    count = 1 if views is None else len(views.turns)
     reach = reach_of(job, rectification, tilt_rad)
     return [
-        f"tilted by up to {math.degrees(tilt_rad):.3g}°: looked for in {len(views.turns)} views; it spans "
+        f"tilted by up to {math.degrees(tilt_rad):.3g}°: looked for in {count} views; it spans "
         f"{reach.depth_mm:.1f} mm of depth, and both lenses must be sharp there",
         *(
             f"mind: so tilted, it leaves the {side} image at its taught place, and may not be found there"

@@ -44,13 +44,16 @@ def views_of(job: Job, rectification: Rectification) -> Views | None:
 
 def tilted_views(
     rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray, tilt_rad: float
-) -> Views:
+) -> Views | None:
     """The fewest views, of a regular choice, that any face within tilt_rad of the bisector is like.
 
     Like: after the best similarity, which a scan tries anyway, it differs by no more than `MISFIT_PX` on the
-    top level. The first view is the taught one.
+    top level. The first view is the taught one. None where this rig does not see the taught face from above:
+    it was taught with another, or edited.
     """
     place, axes = _face(rectification, shape, rig_from_part)
+    if not np.isfinite(place).all() or place[2] <= 0 or float(axes[:, 2] @ unit(place)) < math.cos(MAX_LEAN):
+        return None
     sight, middle = unit(-place), bisector(rectification, place)
     apart = math.acos(min(1.0, float(sight @ middle)))
     across = middle - (middle @ sight) * sight
@@ -193,6 +196,7 @@ def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
 
 def _chosen(alike: npt.NDArray[np.bool_]) -> list[int]:
     """Views: the first one, and then always the one that adds most, until all are like one of them."""
+    alike = alike | np.eye(*alike.shape, k=-1, dtype=np.bool_)  # each is like itself, so it comes to an end
     left = np.ones(alike.shape[1], np.bool_)
     chosen = [0]
     while True:

@@ -18,7 +18,7 @@ from edged.domain import FloatArray, Reject, Target
 from edged.pipeline import inspect, judge, locate, prepare
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Scene, Surface
-from edged.vision.geometry.rigid import invert
+from edged.vision.geometry.rigid import invert, rotation_matrix
 from edged.vision.part.job import Job
 from edged.vision.part.tilt import reach_of, views_of
 from edged.vision.teaching.pair import teach
@@ -176,6 +176,23 @@ def test_every_face_within_the_tilt_is_like_a_view(tilt_deg: float, side_deg: fl
         if views.meets(k, np.array([np.angle(similarity)]))[0]:
             misfits.append(np.sqrt(np.mean(np.abs(face - similarity * view) ** 2)))
     assert min(misfits) < 0.125 * np.sqrt(np.mean(np.abs(face) ** 2))
+
+
+@pytest.mark.parametrize("spoilt", ["edge-on", "turned away", "out of view"])
+def test_a_job_of_another_rig_is_looked_for_as_taught(spoilt: str) -> None:
+    """A face that this rig does not see from above has no views, and the search goes on without."""
+    here = coarse()
+    job, turn = tilted(here.job, 45.0), np.eye(4)
+    if spoilt == "out of view":
+        job = replace(job, shape=replace(job.shape, origin_px=np.array([9e5, 9e5])))
+    else:
+        angle = math.pi * (0.5 if spoilt == "edge-on" else 1.0)
+        turn[:3, :3] = rotation_matrix(np.array([angle, 0.0, 0.0]))
+        job = replace(job, rig_from_part=job.rig_from_part @ turn)
+    assert views_of(job, here.rig.rectification) is None
+    taught = flange()
+    seen_all = inspect(frame_pair(taught.left, taught.right), job, here.rig)
+    assert len(seen_all.measured) + len(seen_all.dismissed) == 1
 
 
 def test_what_a_tilted_part_takes_up() -> None:
