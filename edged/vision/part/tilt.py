@@ -109,7 +109,10 @@ def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
     place, axes = _face(rectification, job.shape, job.rig_from_part)
     back = np.linalg.inv(_seen(rectification, place, axes))
     points = np.column_stack([job.shape.levels[0].points, np.ones(len(job.shape.levels[0].points))]) @ back.T
-    radius_mm = float(np.linalg.norm(points[:, :2] / points[:, 2:], axis=1).max())
+    on_face = points[:, :2] / points[:, 2:]
+    middle = 0.5 * (on_face.min(axis=0) + on_face.max(axis=0))
+    radius_mm = float(np.linalg.norm(on_face - middle, axis=1).max())
+    place = place + axes[:, :2] @ middle
     normal = bisector(rectification, place)
     along = unit(cross(normal, np.array([0.0, 1.0, 0.0])))
     frame = np.stack([along, cross(normal, along)])
@@ -196,7 +199,9 @@ def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
 
 def _chosen(alike: npt.NDArray[np.bool_]) -> list[int]:
     """Views: the first one, and then always the one that adds most, until all are like one of them."""
-    alike = alike | np.eye(*alike.shape, k=-1, dtype=np.bool_)  # each is like itself, so it comes to an end
+    alike = alike | np.eye(
+        alike.shape[0], alike.shape[1], k=-1, dtype=np.bool_
+    )  # each is like itself, so it comes to an end
     left = np.ones(alike.shape[1], np.bool_)
     chosen = [0]
     while True:
