@@ -142,11 +142,11 @@ def teach(
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         job, taught = _job(source, prepared, name, number, params)
+    if tilt_deg is not None:
+        job = replace(job, tilt_rad=math.radians(tilt_deg))
     carried: tuple[str, ...] = ()
     if former is not None:
         job, carried = carry_over(former, job)
-    if tilt_deg is not None:
-        job = replace(job, tilt_rad=math.radians(tilt_deg))
     save_job(output, job)
     inspection = inspect_model(job.shape, job.search)
     if taught.cuts:
@@ -180,7 +180,7 @@ def teach(
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
         for line in _about_tilt(job, prepared.rectification):
-            console.print(f"  {line}", markup=False)
+            console.print(line, markup=False)
     for warning in inspection.warnings:
         console.print(f"Warning: {warning}", markup=False)
     return 0
@@ -274,10 +274,10 @@ def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
     count = 1 if views is None else len(views.turns)
     reach = reach_of(job, rectification, tilt_rad)
     return [
-        f"tilted by up to {math.degrees(tilt_rad):.3g}°: looked for in {count} views; it spans "
+        f"  tilted by up to {math.degrees(tilt_rad):.3g}°: looked for in {count} views; it spans "
         f"{reach.depth_mm:.1f} mm of depth, and both lenses must be sharp there",
         *(
-            f"mind: so tilted, it leaves the {side} image at its taught place, and may not be found there"
+            f"Warning: so tilted, it leaves the {side} image at its taught place, and may not be found there"
             for side in reach.outside
         ),
     ]

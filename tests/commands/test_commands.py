@@ -291,6 +291,11 @@ def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
     assert abs(float(found[2]) - 28 * math.sin(math.pi / 4)) < 0.3
     assert "leaves the" not in err
     assert load_job(folder / "jobs" / "flange").tilt_rad == pytest.approx(math.pi / 4)
+    code, _, err = edged(*teach_arguments(folder))
+    assert code == 0
+    assert "kept: search.tilt_deg = 45" in err
+    edged(*teach_arguments(folder, tilt=30))
+    assert load_job(folder / "jobs" / "flange").tilt_rad == pytest.approx(math.pi / 6)
 
 
 @pytest.mark.slow
