@@ -23,10 +23,9 @@ from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
-from edged.vision.part.initialpose import poses_of_match
 from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.measured import Evidence, Measured
-from edged.vision.part.prediction import match_in_raw, predicted, seen_depth_mm
+from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 

@@ -1,21 +1,20 @@
-"""Where a part may lie: by its match alone, or, without circles, its plane from the rows of its edges."""
+"""Where a part without circles lies: its plane from the rows of its edges, its pose from the match."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import cv2
 import numpy as np
 
 from edged.domain import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.rigid import fit_rigid, rotation_matrix, transform
+from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
-from edged.vision.part.prediction import predicted, seen_depth_mm
+from edged.vision.part.prediction import poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.search import ShapeMatch
 
 DEPTH_MARGIN = 0.06
@@ -23,30 +22,6 @@ DEPTH_MARGIN = 0.06
 SAMPLES = 240
 REACH_PX = 4.0
 BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is as near
-
-
-def poses_of_match(
-    images: StereoImages, job: Job, match: ShapeMatch, flat_mm: FloatArray
-) -> list[FloatArray]:
-    """The rig_from_part (4, 4) under which points (N, 3) of the face, z = 0, look like the match, best first.
-
-    A perspective view of a known plane has two poses in space (T. Collins and A. Bartoli, "Infinitesimal
-    Plane-Based Pose Estimation", IJCV 2014), good to a few hundredths of a mm in depth and some tenths of a
-    degree, however the plane is tilted.
-    """
-    rays = images.rays("left", predicted(images.rectification, job, match, flat_mm))
-    if not np.isfinite(rays).all():
-        return []
-    count, turns, places, _ = cv2.solvePnPGeneric(
-        flat_mm, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-    )
-    poses = []
-    for vectors in zip(turns[:count], places[:count], strict=True):
-        turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
-        pose = transform(rotation_matrix(turn), place)
-        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # a face turned away is none
-            poses.append(pose)
-    return poses
 
 
 def starts(
