@@ -17,6 +17,7 @@ from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
+from edged.vision.part.tilt import views_of
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 
@@ -67,7 +68,8 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
     rectified = images.rectified_left
     lap("rectify")
     with rig.workspaces.lend() as work:
-        matches = find_shapes(rectified, job.shape, job.search, rig.rectification.valid_left, work)
+        views = views_of(job, rig.rectification)
+        matches = find_shapes(rectified, job.shape, job.search, rig.rectification.valid_left, work, views)
     lap("find")
     measured, dismissed = [], []
     for match in matches:

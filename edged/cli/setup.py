@@ -174,6 +174,13 @@ def teach(
     levels: Annotated[
         int | None, typer.Option(help="most levels of the pyramid, 1 to 5; default: automatic")
     ] = None,
+    tilt: Annotated[
+        float | None,
+        typer.Option(
+            help="how far the part may lie tilted to any side, degrees up to 45, against the line amid both "
+            "cameras; default: about as at teaching"
+        ),
+    ] = None,
     number: Annotated[
         int | None,
         typer.Option(
@@ -201,7 +208,16 @@ def teach(
     console = Console(stderr=True)
     raise typer.Exit(
         command(
-            rig, source, name, output, console, number=number, params=params, report=report, as_json=as_json
+            rig,
+            source,
+            name,
+            output,
+            console,
+            number=number,
+            params=params,
+            tilt_deg=tilt,
+            report=report,
+            as_json=as_json,
         )
     )
 

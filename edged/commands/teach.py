@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,9 @@ from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
 from edged.pipeline import PreparedRig, prepare
 from edged.report.teaching import Taught, inspection_to_json, teaching_report
-from edged.vision.part.job import Job
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.part.job import MAX_TILT_DEG, Job
+from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cuts import Cut, cut_edges
@@ -121,6 +124,7 @@ def teach(
     *,
     number: int | None = None,
     params: ModelParams | None = None,
+    tilt_deg: float | None = None,
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
@@ -130,6 +134,7 @@ def teach(
     that no job beside it has.
     """
     _check_name(name)
+    _check_tilt(tilt_deg)
     check_outputs({"--report": report}, _inputs(source))
     check_job_folder(output)
     former = _former(output)
@@ -137,6 +142,8 @@ def teach(
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         job, taught = _job(source, prepared, name, number, params)
+    if tilt_deg is not None:
+        job = replace(job, tilt_rad=math.radians(tilt_deg))
     carried: tuple[str, ...] = ()
     if former is not None:
         job, carried = carry_over(former, job)
@@ -171,6 +178,9 @@ def teach(
         console.print(f"  the job that was there is {output}.old", markup=False)
     for line in carried:
         console.print(f"  {line}", markup=False)
+    if job.tilt_rad is not None:
+        for line in _about_tilt(job, prepared.rectification):
+            console.print(line, markup=False)
     for warning in inspection.warnings:
         console.print(f"Warning: {warning}", markup=False)
     return 0
@@ -247,6 +257,30 @@ def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
     ]
     more = len(cuts) - MAX_CUTS
     return [*said, f"It cuts {more} more edges."] if more > 0 else said
+
+
+def _check_tilt(tilt_deg: float | None) -> None:
+    if tilt_deg is not None and not 0 < tilt_deg <= MAX_TILT_DEG:
+        raise TeachError(
+            f"--tilt {tilt_deg:g}: expected above 0 and at most {MAX_TILT_DEG:g} degrees, against the line "
+            "amid both cameras"
+        )
+
+
+def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
+    """What a job that is looked for tilted takes, and what its pictures must show."""
+    tilt_rad = job.tilt_rad or 0.0
+    views = tilted_views(rectification, job.shape, job.rig_from_part, tilt_rad)
+    count = 1 if views is None else len(views.turns)
+    reach = reach_of(job, rectification, tilt_rad)
+    return [
+        f"  tilted by up to {math.degrees(tilt_rad):.3g}°: looked for in {count} views; it spans "
+        f"{reach.depth_mm:.1f} mm of depth, and both lenses must be sharp there",
+        *(
+            f"Warning: so tilted, it leaves the {side} image at its taught place, and may not be found there"
+            for side in reach.outside
+        ),
+    ]
 
 
 def _check_name(name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -280,6 +281,23 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
     assert "what is cut red" in page
 
 
+def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
+    """--tilt stands in the job; how many views that are and how deep the part then reaches is said."""
+    code, out, err = edged(*teach_arguments(folder, tilt=45))
+    assert (code, out) == (0, "")
+    found = re.search(r"tilted by up to 45°: looked for in (\d+) views; it spans ([0-9.]+) mm", err)
+    assert found is not None
+    assert 10 < int(found[1]) < 50
+    assert abs(float(found[2]) - 28 * math.sin(math.pi / 4)) < 0.3
+    assert "leaves the" not in err
+    assert load_job(folder / "jobs" / "flange").tilt_rad == pytest.approx(math.pi / 4)
+    code, _, err = edged(*teach_arguments(folder))
+    assert code == 0
+    assert "kept: search.tilt_deg = 45" in err
+    edged(*teach_arguments(folder, tilt=30))
+    assert load_job(folder / "jobs" / "flange").tilt_rad == pytest.approx(math.pi / 6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
@@ -294,6 +312,11 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
         ({"name": ""}, "--name"),
         ({"name": "ü"}, "--name"),
         ({"number": 0}, "--number"),
+        ({"tilt": 0}, "--tilt 0: expected above 0 and at most 45"),
+        ({"tilt": 60}, "--tilt 60: expected"),
+        ({"tilt": "nan"}, "--tilt nan: expected"),
+        ({"tilt": -30}, "--tilt -30: expected"),
+        ({"tilt": "steep"}, "--tilt"),
         ({"left": "small.png"}, "left image: 320x240"),
         ({"right": "blank.png"}, "none of them in the right one"),
         ({"left": "nowhere.png"}, "no such file"),

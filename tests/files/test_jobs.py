@@ -132,6 +132,29 @@ def test_a_job_comes_back(tmp_path: Path, limits: Limits | None, search: SearchP
     ).read_bytes()
 
 
+def test_how_far_a_part_may_lie_tilted_comes_back(folder: Path, tmp_path: Path) -> None:
+    """An angle is kept; a job without one, as older files are, is looked for as taught; it may be added."""
+    assert load_job(folder).tilt_rad is None
+    edit(folder, r"^# tilt_deg = 45", "tilt_deg = 37.5")
+    tilted = load_job(folder)
+    assert tilted.tilt_rad == pytest.approx(math.radians(37.5), rel=1e-12)
+    save_job(tmp_path / "again", tilted)
+    assert load_job(tmp_path / "again").tilt_rad == pytest.approx(math.radians(37.5), rel=1e-5)
+    edit(folder, r"^tilt_deg = .*$", "")
+    assert load_job(folder).tilt_rad is None
+
+
+@pytest.mark.parametrize("beside", ['sub_pixel = "similarity"', "scale_y = [0.9, 1.1]"])
+def test_a_tilt_stands_alone(folder: Path, beside: str) -> None:
+    """A tilted face is fitted as one, and shortened by its tilt: what contradicts that is refused by name."""
+    key = beside.partition(" ")[0]
+    edit(folder, rf"^(# )?{key} = [^#\n]*", beside + "  ")
+    assert load_job(folder)
+    edit(folder, r"^# tilt_deg = 45", "tilt_deg = 45")
+    with pytest.raises(FileFormatError, match=rf"tilt_deg.*{key}"):
+        load_job(folder)
+
+
 def featured() -> Job:
     """A job with one feature of each kind and a measurement of each kind."""
     edges = (
@@ -233,6 +256,9 @@ def test_people_may_edit_limits(folder: Path) -> None:
         (r"^scale = .*$", "scale = [1.2]", r"search\.scale"),
         (r"^# scale_y = .*$", "scale_y = [1.2, 1.0]", r"search.*scale_y"),
         (r"^sub_pixel = .*$", 'sub_pixel = "exact"', r"search\.sub_pixel"),
+        (r"^# tilt_deg = 45", "tilt_deg = 0", r"search\.tilt_deg"),
+        (r"^# tilt_deg = 45", "tilt_deg = 45.1", r"search\.tilt_deg"),
+        (r"^# tilt_deg = 45", "tilt_deg = nan", r"search\.tilt_deg"),
         (r"^polarity = \"same\".*$", 'polarity = "any"', r"search\.polarity"),
         (r"^depth_mm = .*$", "depth_mm = [230, 180]", r"limits.*depth_mm"),
         (r"^depth_mm = .*$", "depth_mm = [0, inf]", r"limits\.depth_mm"),

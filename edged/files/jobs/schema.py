@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edged.vision.part.job import (
+    MAX_TILT_DEG,
     MEASURES,
     CircleFeature,
     CornerFeature,
@@ -97,9 +98,20 @@ class _Search(_Section):
         "and y; an affine map; a tilted face",
     )
     allow_partial: bool = Field(True, description="may reach beyond the image")
+    tilt_deg: float | None = Field(
+        None,
+        gt=0,
+        le=MAX_TILT_DEG,
+        description="how far the part may lie tilted to any side, against the line amid both cameras; left "
+        "out: about as at teaching",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> _Search:
+        if self.tilt_deg is not None and self.sub_pixel != "projective":
+            raise ValueError(f'tilt_deg needs sub_pixel "projective", got {self.sub_pixel!r}')
+        if self.tilt_deg is not None and self.scale_y is not None:
+            raise ValueError("tilt_deg and scale_y: a tilted face is shortened anyway; take out scale_y")
         for name, scale in (("scale", self.scale), ("scale_y", self.scale_y)):
             if scale is not None and not 0.2 <= scale[0] <= scale[1] <= 5:
                 raise ValueError(f"{name} must be [smallest, largest] within 0.2 to 5, got {scale}")
@@ -333,4 +345,5 @@ class JobFile(_Section):
             measurements=tuple(one.spec() for one in self.measurement),
             witness=self.witness,
             calibration_id=self.calibration,
+            tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
         )

@@ -74,6 +74,8 @@ def to_toml(job: Job) -> str:
         f"min_contrast = {search.min_contrast!r}   # grey values per px",
         f'sub_pixel = "{search.sub_pixel}"   # none, rigid, similarity, stretch, affine or projective',
         f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
+        ("# tilt_deg = 45" if job.tilt_rad is None else f"tilt_deg = {math.degrees(job.tilt_rad):.6g}")
+        + "   # how far the part may lie tilted, against the line amid both cameras",
     ]
     return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
 

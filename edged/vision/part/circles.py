@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from statistics import median
 
-import cv2
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Reject, Target
@@ -17,7 +16,7 @@ from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_circ
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import about_z, angle_between, apply, cross, rotation_matrix, transform, unit
+from edged.vision.geometry.rigid import about_z, angle_between, apply, cross, transform, unit
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.consistency import distance_share, scale_deviation
@@ -26,7 +25,7 @@ from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.measured import Evidence, Measured
-from edged.vision.part.prediction import match_in_raw, predicted
+from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
@@ -154,41 +153,23 @@ class _Start:
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[_Start]:
     """Likely places of the reference circle, best first.
 
-    The match is a perspective view of a known plane: it has two poses in space (T. Collins and A. Bartoli,
-    "Infinitesimal Plane-Based Pose Estimation", IJCV 2014), good to a few hundredths of a mm in depth and
-    some tenths of a degree. Where they fail, the right image tells by itself where the outline's plane is.
+    The match has two poses in space. Where they fail, the right image tells by itself where the outline's
+    plane is.
     """
     reference = job.reference_circle
     expected = _polarity(reference, match)
     if job.search.polarity in EACH_EDGE_ITSELF:
         expected = _seen_polarity(images, job, match)
     polarities = (expected,) if job.search.polarity == "same" else (expected, -expected)
-    for pose in _plane_poses(images, job, match):
+    flat = _outline(reference, PNP_POINTS)
+    flat[:, 2] = 0.0
+    for pose in poses_of_match(images, job, match, flat):
         yield _Start(apply(pose, reference.centre_mm), -pose[:3, 2], expected, LOCK_PARAMS)
     rays = images.rays("left", predicted(images.rectification, job, match, reference.centre_mm[None]))
     for polarity in polarities:
         face = _face(images, job, match, polarity)
         if face is not None and np.isfinite(rays).all():
             yield _Start(face.meet(rays)[0], face.normal, polarity, WIDE_LOCK_PARAMS)
-
-
-def _plane_poses(images: StereoImages, job: Job, match: ShapeMatch) -> list[FloatArray]:
-    """The rig_from_part (4, 4) under which the part's face looks like the match; better one first."""
-    flat = _outline(job.reference_circle, PNP_POINTS)
-    flat[:, 2] = 0.0
-    rays = images.rays("left", predicted(images.rectification, job, match, flat))
-    if not np.isfinite(rays).all():
-        return []
-    count, turns, places, _ = cv2.solvePnPGeneric(
-        flat, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-    )
-    poses = []
-    for vectors in zip(turns[:count], places[:count], strict=True):
-        turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
-        pose = transform(rotation_matrix(turn), place)
-        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # a face turned away is none
-            poses.append(pose)
-    return poses
 
 
 def _face_curves(job: Job, main: FoundCircle, rotation: FloatArray) -> tuple[Face, Curve]:
@@ -315,8 +296,7 @@ def _face(images: StereoImages, job: Job, match: ShapeMatch, polarity: int) -> P
     """The plane of the part's face, from the reference circle's outline in both rectified images."""
     rectification = images.rectification
     points, normals = _predicted_outline(rectification, job, match)
-    taught_depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
-    depth = taught_depth / np.sqrt(match.scale_x * match.scale_y)
+    depth = seen_depth_mm(rectification, job, match)
     return find_plane(
         images,
         points,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
-from edged.vision.part.prediction import predicted
+from edged.vision.part.prediction import poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.search import ShapeMatch
 
 DEPTH_MARGIN = 0.06
@@ -22,6 +22,22 @@ DEPTH_MARGIN = 0.06
 SAMPLES = 240
 REACH_PX = 4.0
 BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is as near
+
+
+def starts(
+    images: StereoImages, job: Job, match: ShapeMatch, curves: Sequence[Curve]
+) -> Iterator[FloatArray | None]:
+    """Likely rig_from_part (4, 4) of the face of these curves, best first; None: the rows show no plane.
+
+    Of a flat face the rows tell more; of a steep one they tell nothing, and its picture in one camera does.
+    """
+    if job.tilt_rad is None:
+        yield start_pose(images, job, match, curves)
+    flat = _samples(curves)[:, 0].copy()
+    flat[:, 2] = 0.0
+    yield from poses_of_match(images, job, match, flat)
+    if job.tilt_rad is not None:
+        yield start_pose(images, job, match, curves)
 
 
 def start_pose(
@@ -38,8 +54,7 @@ def start_pose(
     # each edge has its own sign: turned so that all are brighter along their normals
     _, slopes = edges_along_normals(images.rectified_left, points, normals, REACH_PX, 0)
     normals = normals * np.where(np.nan_to_num(slopes) < 0, -1.0, 1.0)[:, None]
-    depth = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
-    depth /= float(np.sqrt(match.scale_x * match.scale_y))
+    depth = seen_depth_mm(rectification, job, match)
     low, high = depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)
     plane = find_plane(images, points, normals, 1, (low, high))
     if plane is None:

@@ -78,6 +78,8 @@ class CornerFeature:
     edges: tuple[str, str]
 
 
+MAX_TILT_DEG = 45.0
+"""To the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
 DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 
@@ -153,6 +155,8 @@ class Job:
     witness : name of the measurement whose size is known and does not change, for the drift of the rig.
     calibration_id : of the rig that measured the taught sizes: they share its errors; None where they come
     from a drawing, or nobody knows.
+    tilt_rad : how far it may lie tilted, to the bisector of both cameras; None: the taught look alone is
+    searched for.
     """
 
     name: str
@@ -169,6 +173,7 @@ class Job:
     measurements: tuple[MeasurementSpec, ...] = ()
     witness: str | None = None
     calibration_id: str | None = None
+    tilt_rad: float | None = None
 
     @property
     def reference_circle(self) -> CircleFeature:

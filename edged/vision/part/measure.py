@@ -23,7 +23,7 @@ from edged.vision.part.circles import measure
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import lifted, with_features
-from edged.vision.part.initialpose import start_pose
+from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
@@ -180,9 +180,23 @@ def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> Measured |
     sign = -1 if match.inverted and not free else 1
     curves = [edge_curve(edge, free, sign) for edge in job.edges]
     curves += [slot_curve(slot, free, sign) for slot in job.slots]
-    pose = start_pose(images, job, match, curves)
-    if pose is None:
-        return Reject.LEFT_RIGHT_MISMATCH
+    poor: Measured | None = None
+    failed: Reject | None = None
+    for pose in starts(images, job, match, curves):
+        result = Reject.LEFT_RIGHT_MISMATCH if pose is None else _from_start(images, job, match, curves, pose)
+        if isinstance(result, Reject):
+            failed = failed or result
+        elif not result.target.reject & Reject.FEW_EDGES:
+            return result
+        else:
+            poor = poor or result
+    return poor or failed or Reject.LEFT_RIGHT_MISMATCH
+
+
+def _from_start(
+    images: StereoImages, job: Job, match: ShapeMatch, curves: list[Curve], pose: FloatArray
+) -> Measured | Reject:
+    """The same, where the part lies about at this rig_from_part (4, 4)."""
     face = Face(pose[:3, 3], pose[:3, :3].T)
     fit = fit_plane(images.rig, images.raw, face, curves, FAR_PARAMS)
     motion = None if fit is None else find_motion(job, fit)

@@ -14,11 +14,14 @@ from edged.domain import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams
+from edged.vision.shape.views import Views
 from edged.vision.shape.workspace import Workspace
 
 SCAN_SHARE = 0.55
 """Share of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
 POLISHED_SHARE = 0.62
+VIEW_STEP_PX = 4.0
+"""As `scan.STEP_PX` where views are scanned: they overlap, and the first steps move in all ways."""
 MAX_PEAKS = 1024
 MAX_POLISHED = 40
 """... and two more for each match that is asked for."""
@@ -29,7 +32,7 @@ class Hypothesis:
     """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far.
 
     scanned : its score in the scan.  slopes (N,) : of the edges that agree with it on the finest level, 0
-    elsewhere.  ambiguous : another rotation explains the image as well.
+    elsewhere.  ambiguous : another rotation explains the image as well.  view : which one it was found in.
     """
 
     pose: FloatArray
@@ -39,6 +42,7 @@ class Hypothesis:
     scanned: float = 0.0
     slopes: FloatArray | None = None
     ambiguous: bool = False
+    view: int = 0
 
     @cached_property
     def origin(self) -> tuple[float, float]:
@@ -57,11 +61,16 @@ class Hypothesis:
 
 
 def scan_top(
-    work: Workspace, model: ShapeModel, top: int, params: SearchParams, valid: Image | None
+    work: Workspace,
+    model: ShapeModel,
+    top: int,
+    params: SearchParams,
+    valid: Image | None,
+    views: Views | None = None,
 ) -> Iterator[Hypothesis]:
-    """Poses of the top level that may be the model, best first."""
+    """Poses of the top level that may be the model, best first; views : how it may look, None: as taught."""
     height, width = work.images[top].shape
-    plan = _plan(model, top, params, height, width)
+    plan = _plan(model, top, params, height, width, views)
     shape = (scan.ORIENTATIONS, 2, 2, plan.rows, plan.columns)
     maps = work.buffer("maps", shape, np.int8, top)
     gx, gy = work.gradient(top)
@@ -69,46 +78,76 @@ def scan_top(
     scratch = work.buffer("directions", (2, *shape[1:]), np.float32, top)
     minimum = int((8 * params.min_contrast) ** 2)
     scan.fill_responses(gx, gy, work.mask(valid, top), minimum, unsigned, plan.pad, scratch, maps)
-    threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * len(plan.points))
+    threshold = int(SCAN_SHARE * params.min_score * scan.PEAK * len(plan.looks[0].points))
     used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
     positions = used_rows * plan.columns
-    best = work.buffer("best", (2, scan.SECTORS, positions), np.int16, top)
-    pose = work.buffer("pose", (2, scan.SECTORS, positions), np.int32, top)
+    best = work.buffer("best", (2, plan.groups * scan.SECTORS, positions), np.int16, top)
+    pose = work.buffer("pose", (2, plan.groups * scan.SECTORS, positions), np.int32, top)
     best[:] = 0
     inverted = params.polarity == "global"
     scan.scan(maps.reshape(-1), plan.offsets, plan.sectors, positions, threshold, inverted, best, pose)
     peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
     number = scan.collect_peaks(best, used_rows, used_columns, plan.columns, threshold, peaks)
     limit = MAX_POLISHED + 2 * params.max_matches
-    chosen = _choose(peaks[:number], pose, plan.poses, plan.columns, 3.2 * float(plan.steps[0]), limit)
-    values = np.zeros(len(chosen))
-    scan.polish(maps, plan.points, plan.directions, plan.pad, plan.steps, chosen, values)
+    found, apart_rad = peaks[:number], 3.2 * float(plan.steps[0])
+    each = [
+        _choose(found[found[:, 2] // scan.SECTORS == k], pose, plan.poses, plan.columns, apart_rad, limit)
+        for k in range(plan.groups)
+    ]
+    chosen, grid = (np.concatenate(rows) for rows in zip(*each, strict=True))
+    values, view = np.zeros(len(chosen)), plan.views[grid]
+    for k in np.unique(view):
+        look, of_view = plan.looks[k], view == k
+        rows, reached = chosen[of_view], values[of_view]
+        scan.polish(maps, look.points, look.directions, plan.pad, plan.steps, rows, reached)
+        chosen[of_view], values[of_view] = rows, reached
     order = np.argsort(-values, kind="stable")[: 24 + 2 * params.max_matches]
     good = order[values[order] >= POLISHED_SHARE * params.min_score]
     return (
         Hypothesis(
-            refine.start_pose(*chosen[i, :5].tolist()),
+            plan.looks[view[i]].pose(refine.start_pose(*chosen[i, :5].tolist())),
             int(chosen[i, 5]),
             float(values[i]),
             scanned=float(values[i]),
+            view=int(view[i]),
         )
         for i in good
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """What a scan needs and no image changes.
+class _Look:
+    """A shape as one view shows it on the top level.
 
-    points (N, 2), directions (N,) rad; poses (P, 3), steps (3,): see `pose_grid`; sectors (P,);
-    offsets (P, N) of the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
+    points (N, 2), directions (N,) rad.  linear (2, 2), tilt (2,) : of the view, px of the level.
     """
 
     points: FloatArray
     directions: FloatArray
+    linear: FloatArray
+    tilt: FloatArray
+
+    def pose(self, similarity: FloatArray) -> FloatArray:
+        """The pose vector of the taught shape that is seen in this view under a similarity of it."""
+        linear = similarity[2:6].reshape(2, 2) @ self.linear
+        return np.concatenate([similarity[:2], linear.ravel(), self.tilt])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """What a scan needs and no image changes.
+
+    looks : one of each view, all of as many points; poses (P, 3), steps (3,): see `pose_grid`; views (P,) :
+    that of each pose; sectors (P,), those of each of the `groups` of views on their own; offsets (P, N) of
+    the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
+    """
+
+    looks: tuple[_Look, ...]
     poses: FloatArray
     steps: FloatArray
+    views: npt.NDArray[np.int64]
     sectors: npt.NDArray[np.int64]
+    groups: int
     offsets: npt.NDArray[np.int64]
     rows: int
     columns: int
@@ -116,24 +155,51 @@ class _Plan:
 
 
 @lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
-def _plan(model: ShapeModel, top: int, params: SearchParams, height: int, width: int) -> _Plan:
+def _plan(
+    model: ShapeModel, top: int, params: SearchParams, height: int, width: int, views: Views | None
+) -> _Plan:
+    looks = _looks(model, top, views)
+    radius = float(np.linalg.norm(looks[0].points, axis=1).max())
+    grid, steps = pose_grid(radius, params, scan.STEP_PX if views is None else VIEW_STEP_PX)
+    kept = [grid if views is None else grid[views.meets(k, grid[:, 0])] for k in range(len(looks))]
+    poses = np.concatenate(kept)
+    farthest = max(float(np.linalg.norm(look.points, axis=1).max()) for look in looks)
+    reach = int(np.ceil(farthest * poses[:, 1:].max())) + 2
+    rows, columns, pad = scan.map_geometry(height, width, reach)
+    offsets = np.empty((len(poses), len(looks[0].points)), np.int64)
+    ends = np.cumsum([len(one) for one in kept])
+    for look, own, end in zip(looks, kept, ends, strict=True):
+        part = offsets[end - len(own) : end]
+        scan.pose_offsets(look.points, look.directions, own, rows, columns, pad, part)
+    sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
+    of_pose = np.repeat(np.arange(len(looks)), [len(one) for one in kept])
+    groups = 1
+    if views is not None:
+        groups = int(views.groups.max()) + 1
+        sectors = sectors + views.groups[of_pose] * scan.SECTORS
+    return _Plan(looks, poses, steps, of_pose, sectors, groups, offsets, rows, columns, pad)
+
+
+def _looks(model: ShapeModel, top: int, views: Views | None) -> tuple[_Look, ...]:
     level = model.levels[top]
     count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
     points, normals = level.points[:count], level.normals[:count]
-    directions = np.arctan2(normals[:, 1], normals[:, 0])
-    radius = float(np.linalg.norm(points, axis=1).max())
-    poses, steps = pose_grid(radius, params)
-    reach = int(np.ceil(radius * poses[:, 1:].max())) + 2
-    rows, columns, pad = scan.map_geometry(height, width, reach)
-    offsets = np.empty((len(poses), count), np.int64)
-    scan.pose_offsets(points, directions, poses, rows, columns, pad, offsets)
-    sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
-    return _Plan(points, directions, poses, steps, sectors, offsets, rows, columns, pad)
+    if views is None:
+        return (_Look(points, np.arctan2(normals[:, 1], normals[:, 0]), np.eye(2), np.zeros(2)),)
+    looks = []
+    for linear, tilt in zip(views.linear, views.tilt * 2.0**top, strict=True):
+        placed = np.empty((count, 4))
+        refine.place(points, normals, np.array([0.0, 0.0, *linear.ravel(), *tilt]), placed)
+        seen = np.ascontiguousarray(placed[:, :2])
+        looks.append(_Look(seen, np.arctan2(placed[:, 3], placed[:, 2]), linear, tilt))
+    return tuple(looks)
 
 
-def pose_grid(radius: float, params: SearchParams) -> tuple[FloatArray, FloatArray]:
+def pose_grid(
+    radius: float, params: SearchParams, step_px: float = scan.STEP_PX
+) -> tuple[FloatArray, FloatArray]:
     """Poses (P, 3): angle, scale x, scale y, and the half steps (3,) between them (see `scan.polish`)."""
-    step = scan.STEP_PX / max(radius, 1.0)
+    step = step_px / max(radius, 1.0)
     full = params.angle_extent_rad >= 2 * np.pi - 1e-9
     number = max(1, int(np.ceil(params.angle_extent_rad / step)) + (0 if full else 1))
     angles = params.angle_start_rad + np.linspace(0, params.angle_extent_rad, number, endpoint=not full)
@@ -163,12 +229,15 @@ def _choose(
     columns: int,
     apart_rad: float,
     limit: int,
-) -> FloatArray:
-    """(N <= limit, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation."""
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """(N <= limit, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation.
+
+    And (N,) the grid's pose that each is of.
+    """
     order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
     _, sign, sector, y, x = peaks[order].T
-    chosen = poses[pose[sign, sector, y * columns + x]]
-    rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, chosen, 1.0 - 2.0 * sign]))
+    grid = pose[sign, sector, y * columns + x].astype(np.int64)
+    rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, poses[grid], 1.0 - 2.0 * sign]))
     kept = np.empty(limit, np.int64)
     number = scan.best_of_each_place(rows, limit, apart_rad, kept)
-    return np.ascontiguousarray(rows[kept[:number]])
+    return np.ascontiguousarray(rows[kept[:number]]), grid[kept[:number]]

@@ -36,16 +36,18 @@ def best_nearby(
     sign: int,
     minimum: float,
     stretched: bool,
+    view: FloatArray | None = None,
 ) -> FloatArray:
     """The pose vector (8,) around `pose` at which the model agrees best with a gradient image.
 
     gx, gy : Sobel (H, W) int16.  points, normals (N, 2) : of the model on this level.  sign, minimum : as
     in `refine.gradient_edges`.  stretched : keep the sizes along x and y apart, where they are looked for.
     Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
-    they are what a fit to half of two outlines shows.
+    they are what a fit to half of two outlines shows. view (6,) : linear part and tilt, px of this level, of
+    the view that was found, and which is taken back to; None: as taught.
     """
     points, normals = points[:POINTS], normals[:POINTS]
-    poses = _around(points, pose, stretched)
+    poses = _around(points, pose, stretched) if view is None else _around_view(points, pose, view)
     scores = np.empty((len(poses), PLACES, PLACES), np.float32)
     scan_nearby(gx, gy, points, normals, poses, sign, minimum, scores)
     best, row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
@@ -72,6 +74,18 @@ def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray
     poses[:, 4], poses[:, 5] = sines * size_x, cosines * size_y
     poses[:, 0] = place[0] - poses[:, 2:4] @ middle
     poses[:, 1] = place[1] - poses[:, 4:6] @ middle
+    return poses
+
+
+def _around_view(points: FloatArray, pose: FloatArray, view: FloatArray) -> FloatArray:
+    """The same of a shape as a view shows it."""
+    looks, tilt = view[:4].reshape(2, 2), view[4:]
+    seen = points @ looks.T / (1 + points @ tilt)[:, None]
+    similarity = np.zeros(8)
+    similarity[:2], similarity[2:6] = pose[:2], (pose[2:6].reshape(2, 2) @ np.linalg.inv(looks)).ravel()
+    poses = _around(seen, similarity, stretched=False)
+    poses[:, 2:6] = (poses[:, 2:6].reshape(-1, 2, 2) @ looks).reshape(-1, 4)
+    poses[:, 6:] = tilt
     return poses
 
 

@@ -23,6 +23,7 @@ from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel, reach_px
 from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams, ShapeMatch
 from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
+from edged.vision.shape.views import Views
 from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]
@@ -50,6 +51,11 @@ coarser ones."""
 TILT_PRIOR = 0.02
 """Expected change of magnification from the origin to the rim: 10° of tilt on a part of a fifth of the
 distance. Keeps the perspective at rest where the edges do not show it."""
+STEEP_PRIOR = 0.06
+"""The same of a shape that is looked for tilted by up to 45°."""
+STEEP_STEPS = ((3.0, refine.PROJECTIVE),) * 2 + ((2.0, refine.PROJECTIVE),) * 3
+"""From a view, which is some degrees off in its tilt: it moves in all ways at once, and farther. Below
+the top the first two."""
 MAX_STRETCH = 1.25
 """A face tilted by up to 35°."""
 STRETCHES = 4
@@ -78,11 +84,13 @@ def find_shapes(
     params: SearchParams = DEFAULTS,
     valid: Image | None = None,
     workspace: Workspace | None = None,
+    views: Views | None = None,
 ) -> list[ShapeMatch]:
     """Find models in a rectified image (H, W) uint8, best first; the best one wins at each place.
 
     valid : (H, W) uint8, 0 where the image has no content or nothing is to be looked for; its border is
-    no edge.  workspace : buffers to reuse, one per thread.
+    no edge.  workspace : buffers to reuse, one per thread.  views : how the models may look, tilted; None: as
+    taught, which finds a face that is tilted by up to about 30° against the taught one.
     The order is deterministic, and equal input gives bit-equal output. An image too small for the model
     has no match. Raises `ImageError` for another kind of array.
     """
@@ -99,7 +107,7 @@ def find_shapes(
     work.load(image, max((len(model.levels) for model in listed), default=1))
     matches: list[Placed] = []
     for index, model in enumerate(listed):
-        matches += [Placed(match, model) for match in _Search(work, model, params).run(index, valid)]
+        matches += [Placed(match, model) for match in _Search(work, model, params, views).run(index, valid)]
     return without_overlap(matches, params)
 
 
@@ -110,11 +118,12 @@ class _Search:
     work: Workspace
     model: ShapeModel
     params: SearchParams
+    views: Views | None = None
 
     def run(self, index: int, valid: Image | None) -> list[ShapeMatch]:
         top = min(len(self.model.levels), len(self.work.images)) - 1
         found: list[Hypothesis] = []
-        for candidate in scan_top(self.work, self.model, top, self.params, valid):
+        for candidate in scan_top(self.work, self.model, top, self.params, valid, self.views):
             good = sorted((h.score for h in found if h.score >= self.params.min_score), reverse=True)
             # the rest comes in order: not even a perfect refinement makes one of them better
             if (
@@ -158,7 +167,11 @@ class _Search:
         # a few points do not carry a tilt
         coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
         start = min(limit, refine.STRETCH if self._stretches() else refine.SIMILARITY)
-        steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
+        steps: tuple[tuple[float, int], ...]
+        if self.views is None:
+            steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
+        else:
+            steps = STEEP_STEPS if first else STEEP_STEPS[:2]
         pose, summary = hypothesis.pose.copy(), np.zeros(3)
         if not refine.settle(
             points,
@@ -168,7 +181,7 @@ class _Search:
             np.array(steps),
             self._sign(hypothesis),
             8 * self.params.min_contrast,
-            TILT_PRIOR / self._radius(level),
+            self._tilt_prior() / self._radius(level),
             pose,
             summary,
         ):
@@ -190,6 +203,7 @@ class _Search:
             self._sign(hypothesis),
             8 * self.params.min_contrast,
             self._stretches(),
+            None if self.views is None else self.views.on_level(hypothesis.view, level),
         )
         other = self._on_level(hypothesis.at(place), level, first=True)
         return hypothesis if other is None or other.score < hypothesis.score else other
@@ -213,7 +227,7 @@ class _Search:
                 _drop_odd_signs(points, slopes, self._radius(0) / STRETCHES, edges)
             refine.edge_directions(image, placed, sign, edges)
             trial = pose.copy()
-            prior = TILT_PRIOR / self._radius(0)
+            prior = self._tilt_prior() / self._radius(0)
             moved = refine.robust_step(
                 points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
             )
@@ -241,6 +255,10 @@ class _Search:
         covariance = refine.covariance(matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
         return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
+    def _tilt_prior(self) -> float:
+        """Expected change of magnification from the origin to the rim."""
+        return TILT_PRIOR if self.views is None else STEEP_PRIOR
+
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
 
@@ -264,7 +282,12 @@ class _Search:
             return False
         size_x, size_y = math.hypot(a, c), math.hypot(b, d)
         low, high = 1 - slack, 1 + slack
-        if p.scale_y_min is not None and p.scale_y_max is not None:
+        if self.views is not None:
+            # a tilt only shortens, and not to all sides: the longest side tells the distance
+            longest = _longest(a, b, c, d)
+            fits = low * p.scale_min <= longest <= high * p.scale_max
+            fits = fits and longest**2 < MAX_STRETCH * self.views.max_stretch * determinant
+        elif p.scale_y_min is not None and p.scale_y_max is not None:
             fits = low * p.scale_min <= size_x <= high * p.scale_max
             fits = fits and low * p.scale_y_min <= size_y <= high * p.scale_y_max
         else:
@@ -455,6 +478,12 @@ class _Search:
             if (points < 0).any() or (points > (width - 1, height - 1)).any():
                 return None
         return match
+
+
+def _longest(a: float, b: float, c: float, d: float) -> float:
+    """The largest magnification of a linear map."""
+    power, area = 0.5 * (a * a + b * b + c * c + d * d), a * d - b * c
+    return math.sqrt(power + math.sqrt(max(power * power - area * area, 0.0)))
 
 
 def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edges: FloatArray) -> None:

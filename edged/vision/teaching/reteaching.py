@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 
 from edged.vision.part.job import DEPTH_SHARE, Job, Limits, MeasurementSpec, known_radius
@@ -20,6 +21,9 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
     said: list[str] = []
     limits = _limits(former, taught, said)
     search = _search(former, taught, said)
+    if taught.tilt_rad is None and former.tilt_rad is not None:
+        taught = replace(taught, tilt_rad=former.tilt_rad)
+        said.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
     measurements, witness = _measurements(former, taught, said)
     if gone := sorted(_names(former) - _names(taught)):
         said.append(f"no longer there, or renamed by hand before: {', '.join(gone)}")

@@ -1,0 +1,211 @@
+"""How a taught face looks tilted: the views that a search needs to find it up to an angle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Side
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
+from edged.vision.part.job import Job
+from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.views import Views
+
+MISFIT_PX, MISFIT_SHARE = 2.0, 0.1
+"""Rms after the best similarity, px of the top level, and of the rms radius: what a scan's threshold and the
+first steps bridge. 0.07 is a tilt of 30°."""
+GRID_STEP = math.radians(5.0)
+OUTLINE_POINTS = 64
+MAX_LEAN = math.radians(65.0)
+"""To the left camera's line of sight: beyond it a face is a line."""
+RING_POINTS = 24
+TURN_MARGIN = math.radians(15.0)
+"""The line of sight and the bisector turn with the place in the picture; a scan has steps."""
+
+
+def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
+    """Unit vector (3,), rig frame, from a place (3,) to amid both cameras, halving the angle between them."""
+    right_mm = invert(rectification.rig.right_from_left)[:3, 3]
+    return unit(unit(-place_mm) + unit(right_mm - place_mm))
+
+
+@lru_cache(maxsize=16)  # a job and a rig stay the same from image to image
+def views_of(job: Job, rectification: Rectification) -> Views | None:
+    """The views of a job's face, tilted as far as it may lie; None where one is enough."""
+    if job.tilt_rad is None:
+        return None
+    return tilted_views(rectification, job.shape, job.rig_from_part, job.tilt_rad)
+
+
+def tilted_views(
+    rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray, tilt_rad: float
+) -> Views | None:
+    """The fewest views, of a regular choice, that any face within tilt_rad of the bisector is like.
+
+    Like: after the best similarity, which a scan tries anyway, it differs by no more than `MISFIT_PX` on the
+    top level. The first view is the taught one. None where this rig does not see the taught face from above:
+    it was taught with another, or edited.
+    """
+    place, axes = _face(rectification, shape, rig_from_part)
+    if not np.isfinite(place).all() or place[2] <= 0 or float(axes[:, 2] @ unit(place)) < math.cos(MAX_LEAN):
+        return None
+    sight, middle = unit(-place), bisector(rectification, place)
+    apart = math.acos(min(1.0, float(sight @ middle)))
+    across = middle - (middle @ sight) * sight
+    across = unit(across) if apart > 1e-6 else unit(cross(axes[:, 1], sight))
+    beside = cross(across, sight)
+    square = _shortest_turn(-axes[:, 2], sight) @ axes
+    leans, sides = _polar_grid(min(tilt_rad + apart, MAX_LEAN))
+    back = np.linalg.inv(_seen(rectification, place, axes))
+    maps = [np.eye(3)]
+    for lean, side in zip(leans, sides, strict=True):
+        toward = math.cos(side) * across + math.sin(side) * beside
+        leaning = rotation_matrix(lean * cross(sight, toward)) @ square
+        maps.append(_without_turn(_seen(rectification, place, leaning) @ back))
+    outlines = _outlines(shape, np.array(maps))
+    size_px = np.sqrt(np.mean(np.abs(outlines) ** 2, axis=1))
+    top = 2.0 ** (len(shape.levels) - 1)
+    alike = _misfit(outlines) <= np.minimum(MISFIT_SHARE * size_px, MISFIT_PX * top)
+    chosen = _chosen(alike[:, 1:])
+    kept = np.array([maps[view] for view in chosen])
+    # a face leans far from the line of sight only to the other camera's side: not every turn of a view is met
+    half = _half_turns(leans, tilt_rad, apart)
+    own = np.array([sides[view - 1] if view else 0.0 for view in chosen])
+    lean = np.array([leans[view - 1] if view else 0.0 for view in chosen])
+    # what several views are like is left to the one that leans least: that is met in most turns anyway
+    of_view = np.argmin(np.where(alike[chosen, 1:], lean[:, None], np.inf), axis=0)
+    reach = np.zeros(len(chosen))
+    np.maximum.at(reach, of_view, half + np.abs(wrapped(sides - own[of_view])))
+    turns = np.column_stack([-own, np.minimum(reach + TURN_MARGIN, math.pi)])
+    turns[0] = 0.0, math.pi
+    return Views(kept[:, :2, :2].copy(), kept[:, 2, :2].copy(), turns)
+
+
+def _half_turns(leans: FloatArray, tilt_rad: float, apart: float) -> FloatArray:
+    """(N,) how far to both sides of the bisector a face may lean from the line of sight, rad in [0, pi]."""
+    down = np.sin(leans) * math.sin(apart)
+    cosine = (math.cos(tilt_rad) - np.cos(leans) * math.cos(apart)) / np.maximum(down, 1e-12)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What a part takes up at its taught place when it is tilted as far as it may be, to any side.
+
+    depth_mm : from its nearest to its farthest point.  outside : the cameras whose image it then leaves.
+    """
+
+    depth_mm: float
+    outside: tuple[Side, ...]
+
+
+def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
+    """Where the part goes, turned and tilted about its middle: that of its disc."""
+    place, axes = _face(rectification, job.shape, job.rig_from_part)
+    back = np.linalg.inv(_seen(rectification, place, axes))
+    points = np.column_stack([job.shape.levels[0].points, np.ones(len(job.shape.levels[0].points))]) @ back.T
+    on_face = points[:, :2] / points[:, 2:]
+    middle = 0.5 * (on_face.min(axis=0) + on_face.max(axis=0))
+    radius_mm = float(np.linalg.norm(on_face - middle, axis=1).max())
+    place = place + axes[:, :2] @ middle
+    normal = bisector(rectification, place)
+    along = unit(cross(normal, np.array([0.0, 1.0, 0.0])))
+    frame = np.stack([along, cross(normal, along)])
+    ring = np.linspace(0, 2 * math.pi, RING_POINTS, endpoint=False)
+    disc = radius_mm * np.column_stack([np.cos(ring), np.sin(ring)]) @ frame
+    rims = [place + disc @ rotation_matrix(tilt_rad * axis / radius_mm).T for axis in disc]
+    rig = rectification.rig
+    seen: dict[Side, FloatArray] = {
+        "left": rig.left.project(np.array(rims)),
+        "right": rig.right.project(apply(rig.right_from_left, np.concatenate(rims))),
+    }
+    sizes = {"left": (rig.left.width, rig.left.height), "right": (rig.right.width, rig.right.height)}
+    outside = tuple(
+        side
+        for side, pixels in seen.items()
+        if not ((pixels >= 0) & (pixels <= np.array(sizes[side]) - 1)).all()
+    )
+    return Reach(2 * radius_mm * math.sin(tilt_rad), outside)
+
+
+def _face(
+    rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where the shape's origin lies on the taught face, (3,) rig frame, and the part's axes as columns."""
+    axes, on_face = rig_from_part[:3, :3], rig_from_part[:3, 3]
+    pixel = rectification.raw_points("left", shape.origin_px[None])
+    ray = np.append(rectification.rig.left.normalise(pixel)[0], 1.0)
+    normal = axes[:, 2]
+    return np.asarray(ray * float(normal @ on_face) / float(normal @ ray)), axes
+
+
+def _seen(rectification: Rectification, place: FloatArray, axes: FloatArray) -> FloatArray:
+    """(3, 3) homography from mm in a face through a place to px about that place in the rectified picture."""
+    to_camera = rectification.rectified_from_left
+    matrix = np.column_stack([to_camera @ axes[:, :2], to_camera @ place])
+    x, y = matrix[:2, 2] / matrix[2, 2]
+    f = rectification.focal_px
+    seen = np.array([[f, 0.0, -f * x], [0.0, f, -f * y], [0.0, 0.0, 1.0]]) @ matrix
+    return np.asarray(seen / seen[2, 2])
+
+
+def _shortest_turn(source: FloatArray, to: FloatArray) -> FloatArray:
+    """The rotation (3, 3) about an axis across both that lays a unit vector on another, not opposite one."""
+    axis = cross(source, to)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return np.eye(3)
+    return rotation_matrix(axis * (math.atan2(sine, float(source @ to)) / sine))
+
+
+def _polar_grid(reach_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Leans and sides, rad, (N,) each: about evenly spaced on the cap of the sphere, its rim included."""
+    leans, sides = [], []
+    for lean in np.linspace(0.0, reach_rad, 1 + math.ceil(reach_rad / GRID_STEP)):
+        count = max(1, math.ceil(2 * math.pi * math.sin(lean) / GRID_STEP))
+        leans += [lean] * count
+        sides += [2 * math.pi * k / count for k in range(count)]
+    return np.array(leans), np.array(sides)
+
+
+def _without_turn(view: FloatArray) -> FloatArray:
+    """The homography (3, 3) after the turn in the picture that leaves its linear part none of its own."""
+    (a, b), (c, d) = view[:2, :2]
+    turned = view.copy()
+    turned[:2] = rotation_2d(-math.atan2(c - b, a + d)) @ view[:2]
+    return turned
+
+
+def _outlines(shape: ShapeModel, maps: FloatArray) -> npt.NDArray[np.complex128]:
+    """(V, N) points of the shape's finest level as each view shows them, about their mean, x + i y."""
+    points = shape.levels[0].points[:OUTLINE_POINTS]
+    seen = np.column_stack([points, np.ones(len(points))]) @ np.swapaxes(maps, 1, 2)
+    flat = (seen[..., 0] + 1j * seen[..., 1]) / seen[..., 2]
+    return np.asarray(flat - flat.mean(axis=1, keepdims=True))
+
+
+def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
+    """(V, V) rms, px, by which each outline differs from the best similarity of each other one."""
+    products = np.abs(outlines.conj() @ outlines.T) ** 2
+    power = np.sum(np.abs(outlines) ** 2, axis=1)
+    left = power[None] - products / power[:, None]
+    return np.asarray(np.sqrt(np.maximum(left, 0.0) / outlines.shape[1]))
+
+
+def _chosen(alike: npt.NDArray[np.bool_]) -> list[int]:
+    """Views: the first one, and then always the one that adds most, until all are like one of them."""
+    alike = alike | np.eye(
+        alike.shape[0], alike.shape[1], k=-1, dtype=np.bool_
+    )  # each is like itself, so it comes to an end
+    left = np.ones(alike.shape[1], np.bool_)
+    chosen = [0]
+    while True:
+        left &= ~alike[chosen[-1]]
+        if not left.any():
+            return chosen
+        chosen.append(int(np.argmax((alike & left).sum(axis=1))))

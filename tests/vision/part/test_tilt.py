@@ -1,0 +1,221 @@
+"""Parts as they lie: tilted to any side, found in both cameras and measured as well as flat ones."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import flange, frame_pair, pictures, pose, region_around, scene
+from flatparts import Cell, cell, only
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tilted import lying, thick, thin
+
+from edged.domain import FloatArray, Reject, Target
+from edged.pipeline import inspect, judge, locate, prepare
+from edged.sim.cell import demo_part, demo_rig
+from edged.sim.render.scene import Scene, Surface
+from edged.vision.geometry.rigid import invert, rotation_matrix
+from edged.vision.part.job import Job
+from edged.vision.part.tilt import reach_of, views_of
+from edged.vision.teaching.pair import teach
+
+TAUGHT_MM = 0.001
+"""Of the place of the taught circle or corner in the part: what the teaching pair's noise moves it by."""
+SIDES_AND_TURNS = ((20.0, 250.0), (110.0, 12.0), (200.0, 130.0), (290.0, 300.0))
+
+
+def tilted(job: Job, tilt_deg: float) -> Job:
+    """The job, looked for up to this tilt."""
+    return replace(job, tilt_rad=math.radians(tilt_deg))
+
+
+def seen(here: Cell, job: Job, world: Scene, seed: int) -> Target:
+    """The one part of a scene."""
+    left, right = pictures(here.rig.rig, world, seed)
+    return only(locate(frame_pair(left, right), job, here.rig))
+
+
+def normal_deg(target: Target, where: FloatArray) -> float:
+    """Angle between the measured and the true normal of the face."""
+    return math.degrees(math.acos(min(1.0, float(target.rig_from_part[:3, 2] @ where[:3, 2]))))
+
+
+def turned_deg(target: Target, true_pose: FloatArray) -> float:
+    """Angle between the measured and the true x axis."""
+    return math.degrees(math.acos(min(1.0, float(target.rig_from_part[:3, 0] @ true_pose[:3, 0]))))
+
+
+@functools.cache
+def fine() -> Cell:
+    """The flange on the demo's own rig, with all its pixels."""
+    rig, part = demo_rig(), demo_part()
+    prepared = prepare(rig)
+    left, right = pictures(rig, scene((part, pose())))
+    job = teach(left, right, prepared.rectification, region_around(rig, pose()[:3, 3], 14.0), "flange")
+    return Cell(prepared, job, part, invert(pose()) @ job.rig_from_part)
+
+
+@functools.cache
+def coarse() -> Cell:
+    """The flange on the small rig."""
+    taught = flange()
+    prepared = prepare(taught.rig)
+    job = teach(taught.left, taught.right, prepared.rectification, taught.region, "flange")
+    return Cell(prepared, job, taught.part, invert(taught.rig_from_part) @ job.rig_from_part)
+
+
+@pytest.mark.parametrize(("side_deg", "turn_deg"), SIDES_AND_TURNS)
+@pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 30.0), (45.0, 45.0)])
+def test_a_tilted_flange_is_as_right_as_a_flat_one(
+    asked_deg: float, tilt_deg: float, side_deg: float, turn_deg: float
+) -> None:
+    """Position within 3 µm and four sigmas, normal within 0.02°, rotation within 0.05°, to any side."""
+    here = fine()
+    where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
+    target = seen(here, tilted(here.job, asked_deg), thin(here.part, where), 3)
+    error = np.abs(target.position_mm - where[:3, 3])
+    assert target.reject is Reject.NONE
+    assert error.max() < 0.003
+    assert (error < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
+    assert normal_deg(target, where) < 0.02
+    assert turned_deg(target, here.true_pose(where)) < 0.05
+
+
+@pytest.mark.parametrize("name", ["plate", "disc"])
+@pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 12.0), (30.0, 30.0), (45.0, 38.0), (45.0, 45.0)])
+def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_deg: float) -> None:
+    """With circles and without: one target, not refused, within four sigmas, not turned."""
+    here = cell(name)
+    job = tilted(here.job, asked_deg)
+    for number, (side_deg, turn_deg) in enumerate(SIDES_AND_TURNS):
+        where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
+        target = seen(here, job, thin(here.part, where), number)
+        truth = here.true_pose(where)
+        sigma = np.sqrt(np.diag(target.covariance)[:3])
+        assert target.reject is Reject.NONE
+        assert (np.abs(target.position_mm - truth[:3, 3]) < 4 * sigma + 2 * TAUGHT_MM).all()
+        assert turned_deg(target, truth) < 0.4
+
+
+@pytest.mark.parametrize("tilt_deg", [15.0, 30.0, 45.0])
+def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -> None:
+    """A flange of 5 mm, whose walls show on one side of every edge: within 10 µm, normal within 0.05°."""
+    here = coarse()
+    job = tilted(here.job, max(tilt_deg, 30.0))
+    wall = Surface(albedo=0.05)
+    for number, (side_deg, turn_deg) in enumerate(SIDES_AND_TURNS[:3]):
+        where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
+        target = seen(here, job, thick(here.part, where, 5.0, wall), number)
+        assert target.reject is Reject.NONE
+        assert np.abs(target.position_mm - where[:3, 3]).max() < 0.010
+        assert normal_deg(target, where) < 0.05
+        assert turned_deg(target, here.true_pose(where)) < 0.3
+
+
+@pytest.mark.parametrize(("side_deg", "turn_deg"), [(229.0, 97.0), (293.0, 0.0), (358.0, 353.0)])
+def test_a_steep_face_of_edges_starts_from_its_picture(side_deg: float, turn_deg: float) -> None:
+    """Where rows tell nothing of the plane, a plate of straight edges is measured from its match alone."""
+    here = cell("plate")
+    where = lying(here.rig.rig, 30.0, side_deg, turn_deg)
+    target = seen(here, tilted(here.job, 30.0), thin(here.part, where), 0)
+    assert target.reject is Reject.NONE
+    assert np.abs(target.position_mm - here.true_pose(where)[:3, 3]).max() < 0.03
+
+
+# --- views ---------------------------------------------------------------------------------------------
+
+
+def test_a_flat_job_has_no_views() -> None:
+    """Without a tilt the search knows the taught look alone; with one, that is the first of a few."""
+    here = coarse()
+    rectification = here.rig.rectification
+    assert views_of(here.job, rectification) is None
+    counts = []
+    for tilt_deg in (10.0, 30.0, 45.0):
+        views = views_of(tilted(here.job, tilt_deg), rectification)
+        assert views is not None
+        assert np.array_equal(views.linear[0], np.eye(2))
+        assert not views.tilt[0].any()
+        counts.append(len(views.turns))
+    assert counts == sorted(counts)
+    assert counts[-1] <= 40
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    tilt_deg=st.floats(0.0, 45.0),
+    side_deg=st.floats(0.0, 360.0),
+    turn_deg=st.floats(0.0, 360.0),
+)
+def test_every_face_within_the_tilt_is_like_a_view(tilt_deg: float, side_deg: float, turn_deg: float) -> None:
+    """Some view that may be met in this turn is within an eighth of the part's size like the face."""
+    here = coarse()
+    views = views_of(tilted(here.job, 45.0), here.rig.rectification)
+    assert views is not None
+    shape, rectification = here.job.shape, here.rig.rectification
+    where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
+    ring = np.linspace(0, 2 * math.pi, 48, endpoint=False)
+    rim = np.column_stack([12 * np.cos(ring), 12 * np.sin(ring), np.zeros(48)])
+
+    def look(rig_from_part: FloatArray) -> FloatArray:
+        points = rim @ rig_from_part[:3, :3].T + rig_from_part[:3, 3]
+        return rectification.rectify_points("left", rectification.rig.left.project(points))
+
+    model = look(here.job.rig_from_part) - shape.origin_px
+    face = look(where) @ (1, 1j)
+    face = face - face.mean()
+    misfits = []
+    for k, (linear, tilt) in enumerate(zip(views.linear, views.tilt, strict=True)):
+        view = (model @ linear.T / (1 + model @ tilt)[:, None]) @ (1, 1j)
+        view = view - view.mean()
+        similarity = (view.conj() @ face) / (view.conj() @ view)
+        if views.meets(k, np.array([np.angle(similarity)]))[0]:
+            misfits.append(np.sqrt(np.mean(np.abs(face - similarity * view) ** 2)))
+    assert min(misfits) < 0.125 * np.sqrt(np.mean(np.abs(face) ** 2))
+
+
+@pytest.mark.parametrize("spoilt", ["edge-on", "turned away", "out of view"])
+def test_a_job_of_another_rig_is_looked_for_as_taught(spoilt: str) -> None:
+    """A face that this rig does not see from above has no views, and the search goes on without."""
+    here = coarse()
+    job, turn = tilted(here.job, 45.0), np.eye(4)
+    if spoilt == "out of view":
+        job = replace(job, shape=replace(job.shape, origin_px=np.array([9e5, 9e5])))
+    else:
+        angle = math.pi * (0.5 if spoilt == "edge-on" else 1.0)
+        turn[:3, :3] = rotation_matrix(np.array([angle, 0.0, 0.0]))
+        job = replace(job, rig_from_part=job.rig_from_part @ turn)
+    assert views_of(job, here.rig.rectification) is None
+    taught = flange()
+    seen_all = inspect(frame_pair(taught.left, taught.right), job, here.rig)
+    assert len(seen_all.measured) + len(seen_all.dismissed) == 1
+
+
+def test_what_a_tilted_part_takes_up() -> None:
+    """A disc of radius 13 mm spans 18.4 mm of depth at 45°; at the border of the view it leaves it."""
+    here = cell("disc")
+    rectification = here.rig.rectification
+    amid = reach_of(here.job, rectification, math.radians(45.0))
+    assert amid.depth_mm == pytest.approx(2 * 13 * math.sin(math.pi / 4), rel=0.03)
+    assert amid.outside == ()
+    off = here.job.rig_from_part.copy()
+    off[0, 3] -= 42.0
+    moved = rectification.rectify_points("left", rectification.rig.left.project(off[None, :3, 3]))[0]
+    aside = replace(here.job, rig_from_part=off, shape=replace(here.job.shape, origin_px=moved))
+    assert "left" in reach_of(aside, rectification, math.radians(45.0)).outside
+
+
+def test_nothing_is_invented_where_no_part_lies() -> None:
+    """An empty table, and another part: no good target, also among all views."""
+    here = cell("disc")
+    job = tilted(here.job, 45.0)
+    empty = Scene(thin(here.part, pose()).table)
+    other = thin(cell("plate").part, lying(here.rig.rig, 25.0, 70.0, 40.0))
+    for world in (empty, other):
+        pair = frame_pair(*pictures(here.rig.rig, world, 1))
+        outcome = judge(inspect(pair, job, here.rig))
+        assert all(target.reject is not Reject.NONE for target in outcome.targets)
