@@ -186,6 +186,8 @@ class WebPublisher:
             await self.close()
             place = f"{settings.host}:{settings.port}"
             raise ListenError(f"status page on {place}: {error.strerror or error}") from error
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        log.info("status page: %s://%s:%d", "https" if context is not None else "http", host, self.port)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
