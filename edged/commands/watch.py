@@ -28,6 +28,7 @@ from edged.app.fleet import (
     is_name_pattern,
     news_of_cells,
 )
+from edged.config import check_endpoint
 from edged.errors import UserError
 
 REFRESH_S = 0.25
@@ -126,6 +127,11 @@ def _check(options: WatchOptions) -> None:
             f"--cell {options.cell!r}: expected a cell's name (letters, digits, '_', '.', '-'), in which "
             "* and ? stand for others"
         )
+    for endpoint in options.connect:
+        try:
+            check_endpoint(endpoint)
+        except ValueError as error:
+            raise UserError(f"--connect {endpoint!r}: {error}") from None
     for state in options.states:
         if state not in STATES:
             raise UserError(f"--state {state!r}: expected one of {', '.join(STATES)}")

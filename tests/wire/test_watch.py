@@ -23,7 +23,7 @@ from edged.adapters.zenoh.cbor import decode_cbor
 from edged.app.fleet import ClientTls, News
 from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
 from edged.domain import Calibrated, DriftState, Snapshot, Status
-from edged.errors import ConfigError, UserError
+from edged.errors import UserError
 
 
 async def watching(cell: Cell, snapshots: list[Snapshot], **options: Any) -> str:
@@ -330,7 +330,7 @@ def test_a_state_that_cannot_be_is_refused():
 
 def test_an_endpoint_that_cannot_be_is_refused():
     """A mistyped endpoint is told, not waited for."""
-    with pytest.raises(ConfigError, match="nonsense"):
+    with pytest.raises(UserError, match="--connect 'nonsense': expected PROTOCOL/ADDRESS"):
         watch(WatchOptions(("nonsense",)), Console(file=io.StringIO()))
 
 
