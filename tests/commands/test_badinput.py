@@ -513,7 +513,8 @@ CASES: dict[str, Bad] = {
     ),
     "register format": Bad(
         "registers --format xml",
-        "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, twincat",
+        "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, "
+        "twincat, karel, krl",
     ),
     "file to be lost": Bad(
         f"{LOCATE} --overlay left.png",
