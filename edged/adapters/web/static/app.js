@@ -119,16 +119,16 @@ function showResult({ result, why, angles, state }) {
     const turned = angles && angles.of[number];
     if (turned) {
       ["A", "B", "C"].forEach((axis, i) => body.append(row("td", [axis, `${fixed(turned.deg[i], 3)}°`, `${fixed(turned.sigma_deg[i], 4)}°`])));
-      body.append(row("td", ["A, B, C are", CONVENTIONS[angles.convention] || angles.convention, ""]));
     }
     for (const circle of target.circles.slice(0, 1))
       body.append(row("td", [`radius ${circle.name}`, `${fixed(circle.radius_mm, 3)} mm`, `${fixed(circle.sigma_radius_mm, 4)} mm`]));
     body.append(row("td", ["angle in image", `${fixed(target.match.angle_deg, 3)}°`, ""]));
     body.append(row("td", ["score", fixed(target.score, 3), ""]));
     body.append(row("td", ["row difference", `${fixed(target.epipolar_rms_px, 3)} px`, ""]));
-    if (target.reject.length) body.append(row("td", ["not good", words(target.reject.join(", ")), ""]));
     table.append(body);
     parts.push(table);
+    if (target.reject.length) parts.push(element("p", {}, `not good: ${words(target.reject.join(", "))}`));
+    if (turned) parts.push(element("p", { class: "muted" }, `A, B, C: ${CONVENTIONS[angles.convention] || angles.convention}`));
   }
   if (!parts.length) parts.push(element("p", {}, words(result.status)), ...why.map((text) => element("p", {}, text)));
   const total = result.timing_ms.total;
