@@ -516,6 +516,11 @@ CASES: dict[str, Bad] = {
         "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, "
         "twincat, karel, krl",
     ),
+    "locate: convention": Bad(
+        f"{LOCATE} --convention kuka",
+        "edged: --convention 'kuka': expected one of fixed_xyz, kuka_abc, ur_rotation_vector, staubli_xyz, "
+        "kawasaki_oat, abb_zyx",
+    ),
     "file to be lost": Bad(
         f"{LOCATE} --overlay left.png",
         "edged: --overlay is LEFT, left.png, which would be lost; expected another file",

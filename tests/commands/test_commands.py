@@ -18,6 +18,7 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain import Image, Status
 from edged.files.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
+from edged.robot.orientations import zyx
 from edged.sim.cell import VirtualCell, demo_part, stereo_views
 from edged.vision.part.job import Job
 
@@ -142,6 +143,20 @@ def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -
     height, width, _ = cv2.imread(str(picture)).shape
     assert width == 2560
     assert height > 960
+
+
+def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> None:
+    """Position and A, B, C in the robot's frame, as --json has the pose; each table names its frame."""
+    files = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
+    pair = (pristine / "left.png", pristine / "right.png")
+    _, out, _ = edged("locate", *files, "--convention", "kuka_abc", *pair)
+    _, document, _ = edged("locate", *files, "--json", *pair)
+    pose = json.loads(document)["targets"][0]["pose_robot"]
+    expected = [f"{value:.3f}" for value in (*pose["position_mm"], *zyx(np.array(pose["rotation"])))]
+
+    assert "in the rig's frame" in out
+    _, _, read = out.partition("as the PLC reads it: in the robot's frame, A, B, C kuka_abc")
+    assert expected == [re.search(rf"│ {axis} │ +([-\d.]+)", read)[1] for axis in "XYZABC"]
 
 
 def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) -> None:
