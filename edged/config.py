@@ -7,12 +7,13 @@ degrees and milliseconds here; everything is converted once, where the values le
 
 from __future__ import annotations
 
+import difflib
 import ipaddress
 import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -326,6 +327,11 @@ class ModbusSection(_Section):
         return self
 
 
+INTERNET = ("tcp", "tls", "udp", "quic", "ws")
+PROTOCOLS = (*INTERNET, "serial", "unixsock-stream", "unixpipe", "vsock")
+"""Of Zenoh's endpoints."""
+
+
 def _endpoint(value: str) -> str:
     protocol, _, address = value.partition("/")
     if not protocol or not address or ":" in protocol:
@@ -333,6 +339,22 @@ def _endpoint(value: str) -> str:
     if "private_key_base64" in value:  # endpoints are shown, and published
         raise ValueError("a private key does not belong into an endpoint: name its file in zenoh.config_file")
     return value
+
+
+def _tcp_port(endpoint: str) -> int | None:
+    """Of an endpoint that listens on a TCP port."""
+    found = re.match(r"(?:tcp|tls|ws)/[^?#]*:(\d{1,5})(?:[?#]|$)", endpoint)
+    return None if found is None else int(found[1])
+
+
+def check_endpoint(endpoint: str) -> None:
+    """Refuse an endpoint that nobody can connect to. Raises `ValueError`."""
+    _endpoint(endpoint)
+    protocol = endpoint.partition("/")[0]
+    if protocol not in PROTOCOLS:
+        raise ValueError(f"expected one of {', '.join(PROTOCOLS)} before the /")
+    if protocol in INTERNET and not re.search(r"/[^?#]+:\d{1,5}(?:[?#]|$)", endpoint):
+        raise ValueError(f"expected {protocol}/HOST:PORT; the port is usually 7447")
 
 
 def is_local(endpoint: str) -> bool:
@@ -493,16 +515,17 @@ class Config(_Section):
 
     @model_validator(mode="after")
     def _ports_differ(self) -> Config:
-        web, modbus = self.web, self.modbus
-        if web is not None and modbus.enabled and web.port == modbus.port:
-            raise ValueError(f"web.port and modbus.port are both {web.port}")
-        if (
-            web is not None
-            and modbus.enabled
-            and modbus.socket is not None
-            and web.port == modbus.socket.port
-        ):
-            raise ValueError(f"web.port and modbus.socket.port are both {web.port}")
+        ports = [] if self.web is None else [("web.port", self.web.port)]
+        if self.modbus.enabled:
+            ports.append(("modbus.port", self.modbus.port))
+            if self.modbus.socket is not None:
+                ports.append(("modbus.socket.port", self.modbus.socket.port))
+        if self.zenoh.enabled:
+            ports += [("zenoh.listen", port) for port in map(_tcp_port, self.zenoh.listen) if port]
+        for index, (place, port) in enumerate(ports):
+            for other, same in ports[index + 1 :]:
+                if port == same and place != other:
+                    raise ValueError(f"{place} and {other} are both {port}")
         return self
 
     def secret_files(self) -> dict[str, Path]:
@@ -533,6 +556,42 @@ class Config(_Section):
         return [f"{place}: {file}: no such file" for place, file in named.items() if not file.is_file()]
 
 
+EXPECTED = {
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+    "finite_number": "expected a finite number",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "bool_type": "expected true or false",
+    "string_type": 'expected a text in "quotes"',
+    "list_type": "expected a list in [brackets]",
+    "dict_type": "expected a table",
+    "model_type": "expected a table",
+    "greater_than": "expected more than {gt:g}",
+    "greater_than_equal": "expected at least {ge:g}",
+    "less_than": "expected less than {lt:g}",
+    "less_than_equal": "expected at most {le:g}",
+    "literal_error": "expected {expected}",
+    "string_too_short": "expected a text that is not empty",
+    "string_pattern_mismatch": "expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first",
+}
+"""pydantic's kinds of mistakes in the words of who writes a file."""
+
+
+def _known_keys(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Keys of the section at a path; none where it is no section of fixed keys."""
+    for part in path:
+        if isinstance(part, int):
+            return []
+        field = model.model_fields.get(part)
+        inner = () if field is None else (field.annotation, *get_args(field.annotation))
+        models = [one for one in inner if isinstance(one, type) and issubclass(one, BaseModel)]
+        if not models:
+            return []
+        model = models[0]
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
 def load(path: Path) -> Config:
     """Read and check a configuration file.
 
@@ -558,25 +617,46 @@ def config_of(content: bytes, path: Path) -> Config:
     try:
         data = tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise ConfigError(str(path), [f"not UTF-8 text: {error}"]) from error
+        raise ConfigError(str(path), [not_utf8(error)]) from error
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError(str(path), [f"not TOML: {error}"]) from error
+        raise ConfigError(str(path), [not_toml(error, content)]) from error
     except RecursionError:
         raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
     try:
         return Config.model_validate(data, context={"directory": path.resolve().parent})
     except ValidationError as error:
-        raise ConfigError(str(path), [_problem(detail) for detail in error.errors()]) from error
+        raise ConfigError(str(path), [problem_of(detail, Config) for detail in error.errors()]) from error
 
 
-def _problem(detail: Any) -> str:
-    """One line of `edged check`: dotted path, what is wrong, what was found."""
+def not_utf8(error: UnicodeDecodeError) -> str:
+    """What is wrong with a text file, and where."""
+    line = error.object.count(b"\n", 0, error.start) + 1
+    return f"line {line}: not UTF-8 text (a byte 0x{error.object[error.start]:02x}): save it as UTF-8"
+
+
+def not_toml(error: tomllib.TOMLDecodeError, content: bytes) -> str:
+    """The parser's words, with the line that it did not understand."""
+    message, lines = str(error), content.decode("utf-8-sig").splitlines()
+    found = re.search(r" \(at line (\d+), column \d+\)$", message)
+    if found is None or int(found[1]) > len(lines):
+        return f"not TOML: {message}"
+    return f"line {found[1]}: not TOML: {message[: found.start()]}, got {lines[int(found[1]) - 1].strip()!r}"
+
+
+def problem_of(detail: Any, model: type[BaseModel]) -> str:
+    """One line of `edged check` for a mistake that pydantic found in what should be a `model`.
+
+    The dotted path, what is wrong, what was expected and found.
+    """
     place = ".".join(str(part) for part in detail["loc"]) or "(file)"
     if detail["type"] == "extra_forbidden":
-        return f"{place}: unknown key"
+        known = _known_keys(model, detail["loc"][:-1])
+        close = difflib.get_close_matches(str(detail["loc"][-1]), known, 1)
+        return f"{place}: unknown key" + (f", did you mean {close[0]}?" if close else "")
     if detail["type"] == "missing":
         return f"{place}: missing"
-    message = detail["msg"].removeprefix("Value error, ")
+    form = EXPECTED.get(detail["type"])
+    message = form.format(**detail.get("ctx", {})) if form else detail["msg"].removeprefix("Value error, ")
     if place == "web.password_hash" or "private key" in message:  # what was found may be the secret
         return f"{place}: {message}"
     shown = repr(detail["input"])

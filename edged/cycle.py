@@ -245,6 +245,8 @@ class Cycle:
         except CaptureError as error:
             self._tell_state(CellPhase.FAULT, error=str(error), code=error.code)
         else:
+            if self._state is not None and self._state.state is CellPhase.STARTING:
+                log.info("READY: job %d (%s), both cameras answer", self._active.number, self._active.name)
             self._tell_state(CellPhase.READY)
 
     async def _apply(self, setup: Setup, head: Head | None) -> None:

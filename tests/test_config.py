@@ -58,7 +58,7 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
     assert {"cell.job", "cycle.period_s", "cycle.mod", "modbus.port"} == {
         line.split(":")[0] for line in found
     }
-    assert "cycle.mod: unknown key" in found
+    assert "cycle.mod: unknown key, did you mean mode?" in found
 
 
 @pytest.mark.parametrize(

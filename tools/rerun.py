@@ -2,6 +2,7 @@
 """Run every command of a page of the manual again, and write below it what it says now.
 
     tools/rerun.py docs/tutorial/first-part.md
+    tools/rerun.py --check docs/tutorial/first-part.md     # changes nothing; 1: a command says other things
 
 The page is the script. In a block marked `console`,
 
@@ -11,18 +12,23 @@ The page is the script. In a block marked `console`,
 and a block after a line that ends in "`cell.toml`:" is written to that file. A picture that the page shows
 and a command made is put beside the page. All of it happens in a new home folder with a clone of this
 checkout, as it is committed, in ~/edged. When a command fails, the page stays as it is.
+
+With --check the checkout and the Python that this program runs with stand in ~/edged, as they are; nothing is
+installed, and no port of this machine is used. What differs from one run or PC to the next is no difference:
+measured numbers, times, identifiers, the width of tables, and what `edged doctor` says of the PC.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -45,6 +51,19 @@ COLUMNS = "100"
 SHOWN_PX = 1280
 """Width of the page's pictures."""
 HERE_ONLY = ("PYTHONPATH", "NUMBA_CACHE_DIR")
+ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
+"""A program with a network of its own: the ports of the page are free in it."""
+SETTING_UP = ("==> ", "edged: compiling ")
+"""What is said only where something had to be installed."""
+FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
+"""Of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
+MASKS = (
+    (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d+"), "TIME"),
+    (re.compile(r"(?<=cal-)[0-9a-f]{8}\b|\b[0-9a-f]{8}\b|\b[0-9a-f]{32}\b"), "ID"),
+    (re.compile(r"(?<=edged-demo-)\w+"), "ID"),
+    (re.compile(r"(?<![\d.])[-+]?\d+\.\d+(?!\.?\d)(?: [nµm]?m\b)?|±?\d+ (?:ms|µs|µm)\b"), "MEASURED"),
+    (re.compile(r"[─━]+|[^\w\s]*[┌┬┐├┼┤└┴┘│┏┳┓┡╇┩┃][┌┬┐├┼┤└┴┘┏┳┓┡╇┩]*"), " "),
+)
 
 
 class CommandFailed(Exception):
@@ -54,11 +73,12 @@ class CommandFailed(Exception):
 class Machine:
     """A home folder of its own and a shell in it; programs of other terminals run beside it."""
 
-    def __init__(self, home: Path) -> None:
+    def __init__(self, home: Path, around: Sequence[str] = ()) -> None:
+        """around : a program that the shell is run by."""
         self._home = home
         kept = {name: value for name, value in os.environ.items() if name not in HERE_ONLY}
         self._shell = subprocess.Popen(
-            ["bash", "--norc"],
+            [*around, "bash", "--norc"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -145,24 +165,85 @@ def rerun(page: Sequence[str], machine: Machine) -> list[str]:
     return written
 
 
+def stand_in(home: Path) -> None:
+    """This checkout in ~/edged as `tools/setup.sh` would leave it, with the Python that runs this."""
+    tools, activate = home / "edged/tools", home / "edged/.venv/bin/activate"
+    tools.mkdir(parents=True)
+    (tools / "practice.py").symlink_to(ROOT / "tools/practice.py")
+    (tools / "demo").write_text('#!/bin/sh\n. ~/edged/.venv/bin/activate\nexec edged demo "$@"\n')
+    (tools / "demo").chmod(0o755)
+    activate.parent.mkdir(parents=True)
+    kernels = os.environ.get("NUMBA_CACHE_DIR", ROOT / ".venv/numba-cache")
+    activate.write_text(
+        f'export PATH="{Path(sys.executable).parent}:$PATH" PYTHONPATH="{ROOT}" NUMBA_CACHE_DIR="{kernels}"\n'
+    )
+
+
+def differences(page: Sequence[str], now: Sequence[str]) -> list[str]:
+    """The commands of a page that say something else now, each with what is gone (-) and new (+)."""
+    return [
+        "\n".join([command, *changed])
+        for (command, told), (_, said) in zip(_answers(page), _answers(now), strict=True)
+        if (changed := [line for line in difflib.ndiff(_words(told), _words(said)) if line[0] in "-+"])
+    ]
+
+
+def _answers(page: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    fence, command, answer = "", "", list[str]()
+    for line in page:
+        typed = fence == CONSOLE and COMMAND.fullmatch(line)
+        if (typed or line == FENCE) and command:
+            yield command, answer
+            command = ""
+        if typed:
+            command, answer = line, []
+        elif line.startswith(FENCE):
+            fence = "" if fence else line
+        else:
+            answer.append(line)
+
+
+def _words(answer: Sequence[str]) -> list[str]:
+    """What is compared: tables by their words, as numbers decide how wide they are."""
+    words: list[str] = []
+    for line in answer:
+        if not line.startswith(SETTING_UP):
+            finding = FINDING.fullmatch(line)
+            text = (finding["check"] or "") if finding else line
+            for what, mask in MASKS:
+                text = what.sub(mask, text)
+            words += text.split()
+    return words
+
+
 def main() -> int:
-    """0: the page is as its commands say. 1: one of them failed."""
+    """0: the page is as its commands say. 1: one of them failed, or (--check) says something else."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("page", type=Path)
-    page: Path = parser.parse_args().page
+    parser.add_argument("--check", action="store_true")
+    options = parser.parse_args()
+    page: Path = options.page
     with tempfile.TemporaryDirectory(prefix="edged-rerun-") as home:
-        subprocess.run(["git", "clone", "-q", ROOT, Path(home) / "edged"], check=True)
-        machine = Machine(Path(home))
+        if options.check:
+            stand_in(Path(home))
+        else:
+            subprocess.run(["git", "clone", "-q", ROOT, Path(home) / "edged"], check=True)
+        machine = Machine(Path(home), ALONE if options.check else ())
         try:
-            text = rerun(page.read_text().splitlines(), machine)
+            old = page.read_text().splitlines()
+            text = rerun(old, machine)
             pictures = {name: machine.picture(name) for name in PICTURE.findall("\n".join(text))}
         except CommandFailed as error:
             print(error, file=sys.stderr)
             return 1
         finally:
             machine.close()
+    if options.check:
+        changed = differences(old, text)
+        print("\n\n".join(changed))
+        return 1 if changed else 0
     page.write_text("\n".join(text) + "\n")
     for name, picture in pictures.items():
         if picture is not None:

@@ -88,9 +88,11 @@ import gi
 gi.require_version("Aravis", "0.8")
 PY
 
+# one line in any terminal, `. .venv/bin/activate`, then puts `edged` on the PATH with the kernels that are compiled here
+cache="export NUMBA_CACHE_DIR=\"$EDGED_ROOT/.venv/numba-cache\""
+grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/activate
 # shellcheck disable=SC1091
 . .venv/bin/activate
-export NUMBA_CACHE_DIR="$EDGED_ROOT/.venv/numba-cache"
 mkdir -p "$NUMBA_CACHE_DIR"
 tools/manual --if-needed || say "the manual could not be built: the status page will say so"
 edged warm --if-needed

@@ -151,8 +151,8 @@ def _aravis(
 
 
 def camera_facts(head: StereoHead) -> dict[str, str]:
-    """How open cameras are, for people."""
-    facts = {}
+    """How the cameras are, for people; one that is lost stays in the list."""
+    facts = {camera.name: "not connected" for camera in head.cameras if isinstance(camera, AravisCamera)}
     for camera, health in _healths(head):
         parts = [] if health.temperature_c is None else [f"{health.temperature_c:.1f} °C"]
         bound = "" if health.clock_bound_ns is None else f", ±{health.clock_bound_ns * 1e-3:.0f} µs"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from edged.adapters.zenoh.listener import CELL_NAME, listening
+from edged.adapters.zenoh.session import ClientTls
+
+__all__ = ["ClientTls", "Document", "Fleet", "News", "is_cell_name", "is_name_pattern", "news_of_cells"]
 
 INBOX_LENGTH = 10_000  # a reader that is stopped for long loses news, never memory
 
@@ -24,16 +28,29 @@ class News:
     document: Document
 
 
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """What is heard. inbox : fills with what the cells say. links : connections to routers and cells, now."""
+
+    inbox: queue.Queue[News]
+    links: Callable[[], int]
+
+
 def is_cell_name(text: str) -> bool:
     """Whether a cell can have this name."""
     return CELL_NAME.fullmatch(text) is not None
 
 
-@contextmanager
-def news_of_cells(connect: Sequence[str], cell: str | None) -> Iterator[queue.Queue[News]]:
-    """A queue that fills with what the cells say; cell : only the one with this name.
+def is_name_pattern(text: str) -> bool:
+    """Whether it is a cell's name in which * and ? stand for others."""
+    return re.fullmatch(r"[A-Za-z0-9_.*?-]{1,64}", text) is not None and "**" not in text
 
-    Raises `ConfigError` for endpoints that cannot be.
+
+@contextmanager
+def news_of_cells(connect: Sequence[str], cell: str | None, tls: ClientTls | None = None) -> Iterator[Fleet]:
+    """What cells say while this is open; cell : only the one with this name.
+
+    Raises `ConfigError` for endpoints that cannot be, `UserError` for certificates.
     """
     inbox: queue.Queue[News] = queue.Queue(INBOX_LENGTH)
 
@@ -41,5 +58,5 @@ def news_of_cells(connect: Sequence[str], cell: str | None) -> Iterator[queue.Qu
         if not inbox.full():
             inbox.put_nowait(News(name, kind, document))
 
-    with listening(connect, cell or "*", heard):
-        yield inbox
+    with listening(connect, cell or "*", heard, tls) as links:
+        yield Fleet(inbox, links)

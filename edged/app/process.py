@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import os
 import resource
 import signal
 import sys
@@ -13,10 +14,12 @@ from collections.abc import Callable
 from edged.adapters.journal import set_up_logging
 from edged.app.daemon import Daemon
 
+log = logging.getLogger(__name__)
+
 SWITCH_INTERVAL_S = 0.0005
 """Python code in the vision thread yields to the PLC's request this often (default: 5 ms)."""
 
-
+STANDARD_FILES = (0, 1, 2)
 DESCRIPTORS = 4096
 """As in the systemd units; a shell's usual 1024 is what all servers may take together, and little more."""
 
@@ -37,7 +40,10 @@ def log_as(cell: str) -> None:
 
 
 async def serve(build: Callable[[], Daemon]) -> None:
-    """Run a daemon with the signals of a service: TERM and INT stop, HUP reloads."""
+    """Run a daemon with the signals of a service: TERM and INT stop, HUP reloads.
+
+    A HUP because the terminal was closed stops it, too: cameras and ports would be held, and nobody knew.
+    """
     # what is loaded by now stays: looking through it for garbage again and again would hold up the loop
     # for a tenth of a second each time
     gc.freeze()
@@ -46,14 +52,20 @@ async def serve(build: Callable[[], Daemon]) -> None:
     loop = asyncio.get_running_loop()
     reloads: set[asyncio.Task[bool]] = set()
 
-    def reload() -> None:
+    terminals = [number for number in STANDARD_FILES if os.isatty(number)]
+
+    def hang_up() -> None:
+        if terminals and not any(os.isatty(number) for number in terminals):
+            log.warning("the terminal was closed: the cell stops")
+            daemon.stop()
+            return
         task = asyncio.create_task(daemon.reload(), name="reload")
         reloads.add(task)
         task.add_done_callback(reloads.discard)
 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, daemon.stop)
-    loop.add_signal_handler(signal.SIGHUP, reload)
+    loop.add_signal_handler(signal.SIGHUP, hang_up)
     try:
         await daemon.run()
     finally:

@@ -202,6 +202,7 @@ class Servers:
                     facts=lambda: facts(running()),
                     registers=lambda: register_rows(self._started.get("modbus")),
                     metrics=self._metrics,
+                    convention=lambda: Convention[running().loaded.cell.config.modbus.convention.upper()],
                 )
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})

@@ -138,17 +138,40 @@ def registers(
 def watch(
     connect: Annotated[
         list[str] | None,
-        typer.Option(help="Zenoh endpoint, for example tcp/192.168.1.10:7447; may be repeated"),
+        typer.Option(
+            help="Zenoh endpoint of a cell or router, tcp/192.168.1.10:7447 or tls/router:7447; repeat"
+        ),
     ] = None,
-    cell: Annotated[str | None, typer.Option(help="only this cell")] = None,
+    cell: Annotated[str | None, typer.Option(help="only this cell; * and ? stand for others")] = None,
+    state: Annotated[
+        list[str] | None, typer.Option(help="only cells in this state: FAULT, GONE, READY, ...; repeat")
+    ] = None,
+    certificate: Annotated[Path | None, typer.Option(help="PEM: what a router with mTLS asks for")] = None,
+    key: Annotated[Path | None, typer.Option(help="PEM: private key of the certificate")] = None,
+    authority: Annotated[Path | None, typer.Option(help="PEM: who signed the router's certificate")] = None,
     count: Annotated[int | None, typer.Option(min=1, help="stop after so many results")] = None,
+    timeout_s: Annotated[
+        float | None, typer.Option("--timeout", min=0.1, help="s: stop then, even without --count results")
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="print one JSON object per result, one a line")
     ] = False,
 ) -> None:
-    """Show live results of every cell that is reachable over Zenoh."""
+    """Show live results of every cell that is reachable over Zenoh. 1: not --count within --timeout."""
     from rich.console import Console
 
+    from edged.app.fleet import ClientTls
+    from edged.commands.watch import WatchOptions
     from edged.commands.watch import watch as command
 
-    raise typer.Exit(command(connect or ["tcp/127.0.0.1:7447"], cell, as_json, count, Console()))
+    files = ClientTls(certificate, key, authority)
+    options = WatchOptions(
+        connect=tuple(connect or WatchOptions().connect),
+        cell=cell,
+        states=tuple(one.upper() for one in state or ()),
+        count=count,
+        timeout_s=timeout_s,
+        as_json=as_json,
+        tls=None if files == ClientTls() else files,
+    )
+    raise typer.Exit(command(options, Console()))

@@ -236,6 +236,9 @@ def locate(
         Path | None, typer.Option(help="point cloud to write: contours and matched face points")
     ] = None,
     cloud: Annotated[Path | None, typer.Option(help="picture to write: the point cloud")] = None,
+    convention: Annotated[
+        str, typer.Option(help="what A, B, C are, as modbus.convention: kuka_abc, abb_zyx, ...")
+    ] = "fixed_xyz",
 ) -> None:
     """Locate the part in one stereo pair, offline."""
     from rich.console import Console
@@ -243,7 +246,18 @@ def locate(
     from edged.commands.locate import locate as command
 
     raise typer.Exit(
-        command(rig, job, left, right, as_json, Console(), overlay=overlay, ply=ply, cloud=cloud)
+        command(
+            rig,
+            job,
+            left,
+            right,
+            as_json,
+            Console(),
+            overlay=overlay,
+            ply=ply,
+            cloud=cloud,
+            convention=convention,
+        )
     )
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
+from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.images import load_image
 from edged.files.jobs import load_job
@@ -23,6 +24,9 @@ from edged.pictures.cloud import cloud_picture
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
+from edged.robot.orientations import Convention
+from edged.robot.reading import frame_name, reading_of
+from edged.vision.geometry.camera import StereoRig
 
 
 def locate(
@@ -36,12 +40,18 @@ def locate(
     overlay: Path | None = None,
     ply: Path | None = None,
     cloud: Path | None = None,
+    convention: str = "fixed_xyz",
 ) -> int:
     """Locate and print; 0 when a good target was found, 1 when not.
+
+    convention : what A, B, C of the printed pose are, as `modbus.convention`. Raises `UserError`.
 
     overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
     """
     check_outputs({"--overlay": overlay, "--ply": ply, "--cloud": cloud}, {"LEFT": left, "RIGHT": right})
+    known = {one.name.lower(): one for one in Convention}
+    if convention not in known:
+        raise UserError(f"--convention {convention!r}: expected one of {', '.join(known)}")
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     pair = FramePair(
         *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
@@ -83,7 +93,7 @@ def locate(
             )
         )
     else:
-        _print(outcome, console)
+        _print(outcome, prepared.rig, known[convention], console)
     return 0 if outcome.status is Status.OK else 1
 
 
@@ -92,10 +102,12 @@ def _write_picture(path: Path, picture: Image) -> None:
     write_file(path, png.tobytes())
 
 
-def _print(outcome: Outcome, console: Console) -> None:
+def _print(outcome: Outcome, rig: StereoRig, convention: Convention, console: Console) -> None:
     console.print(f"status {outcome.status}")
     for target in outcome.targets:
-        table = Table(title=f"{target.job}, score {target.match.score:.3f}", title_justify="left")
+        table = Table(
+            title=f"{target.job}, score {target.match.score:.3f}, in the rig's frame", title_justify="left"
+        )
         for column in ("", "x mm", "y mm", "z mm", "radius mm", "sigma mm"):
             table.add_column(column, justify="right")
         rows: list[tuple[str, FloatArray, float | None, FloatArray]]
@@ -109,6 +121,9 @@ def _print(outcome: Outcome, console: Console) -> None:
                 " ".join(f"{value:.4f}" for value in sigma),
             )
         console.print(table)
+        frame = frame_name(rig.robot_from_rig)
+        console.print(f"as the PLC reads it: in the {frame}'s frame, A, B, C {convention.name.lower()}")
+        console.print(_as_read(target, rig, convention))
         if target.measurements:
             console.print(_measurements(target))
         if target.free_axis is not None:
@@ -122,6 +137,20 @@ def _print(outcome: Outcome, console: Console) -> None:
     if outcome.dismissed or not outcome.targets:
         for line in why_nothing(outcome.dismissed, outcome.nearest):
             console.print(line, markup=False, highlight=False)
+
+
+def _as_read(target: Target, rig: StereoRig, convention: Convention) -> Table:
+    table = Table()
+    for column in ("", "value", "sigma"):
+        table.add_column(column, justify="right")
+    reading = reading_of(target, rig.robot_from_rig, rig.registration_covariance, convention)
+    for names, unit, values, sigmas in (
+        ("XYZ", " mm", reading.position_mm, reading.sigma_mm),
+        ("ABC", "°", reading.angles_deg, reading.sigma_deg),
+    ):
+        for name, value, sigma in zip(names, values, sigmas, strict=True):
+            table.add_row(name, f"{value:.3f}{unit}", f"{sigma:.4f}")
+    return table
 
 
 def _measurements(target: Target) -> Table:

@@ -169,6 +169,8 @@ def _files(path: Path) -> list[Path]:
     for folder in (path, path.parent if path.name == "cycles" else path):
         if found := [entry.path for entry in recording.entries(folder)]:
             return found
+    if not path.exists():
+        raise FileFormatError(f"{path}: no such file or folder")
     raise FileFormatError(f"{path}: no recordings (expected a file, or a folder with cycles/*.zip)")
 
 

@@ -135,7 +135,9 @@ def _configured(camera: CameraSection, address: str, serial: str) -> tuple[str, 
 def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]]:
     """(width, height) and what each side sees: a pattern, pictures of a folder, or the virtual cell."""
     if options.pattern:
-        width, _, height = options.pattern.partition("x")
+        width, by, height = options.pattern.partition("x")
+        if not by:
+            raise UserError(f"--pattern {options.pattern!r}: expected WIDTHxHEIGHT in px, as 640x480")
         size = round(number("--pattern", width, 16, 8192)), round(number("--pattern", height, 16, 8192))
         return size, dict.fromkeys(SIDES, moving_ramp)
     if options.images is not None:

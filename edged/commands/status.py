@@ -35,7 +35,9 @@ def status(url: str, as_json: bool, console: Console) -> int:
             raise UserError(f"{url}: asks for a password, expected in {PASSWORD_VARIABLE}") from error
         document = _fetch(url, getpass.getpass("password: ", stream=sys.stderr))
     except (urllib.error.URLError, OSError) as error:
-        print(f"edged: {url}: not reached: {getattr(error, 'reason', error)}", file=sys.stderr)
+        reason = getattr(error, "reason", error)
+        reason = getattr(reason, "strerror", None) or reason
+        print(f"edged: {url}: not reached: {reason}", file=sys.stderr)
         return 1
     if as_json:
         print(json.dumps(document))

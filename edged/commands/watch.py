@@ -3,26 +3,47 @@
 from __future__ import annotations
 
 import json
+import math
 import queue
 import sys
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import TextIO
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from edged.app.fleet import Document, News, is_cell_name, news_of_cells
+from edged.app.fleet import (
+    ClientTls,
+    Document,
+    Fleet,
+    News,
+    is_cell_name,
+    is_name_pattern,
+    news_of_cells,
+)
+from edged.config import check_endpoint
 from edged.errors import UserError
 
 REFRESH_S = 0.25
 SILENCE_HINT_S = 3.0
+LOOK_S = 1.0
+TABLE_LINES = 6
+"""Of the screen, beside rows and troubles: the table's head, what is left out, and the cursor's line."""
 MAX_TEXT = 200
 STYLES = {"OK": "green", "READY": "green", "BUSY": "green", "CAPTURE_FAULT": "bold red", "FAULT": "bold red"}
 GONE = "GONE"
+WIDE = 100
+"""Columns for everything that is known of a cell in one line."""
+MAX_NAME = 24
+STATES = ("FAULT", GONE, "STARTING", "STOPPING", "?", "BUSY", "READY")
+"""As they are counted in the summary: what needs somebody first."""
 
 
 @dataclass(slots=True)
@@ -58,81 +79,162 @@ class CellView:
         return self.age_at_arrival_s + now_s - self.arrived_s if self.target else None
 
 
-def watch(connect: list[str], cell: str | None, as_json: bool, count: int | None, console: Console) -> int:
-    """Show results until ctrl-C, or until `count` results have come.
+@dataclass(frozen=True, slots=True)
+class WatchOptions:
+    """Options of the command line.
+
+    cell : a name, or with * and ?; None: all. states : only cells in one of them, in the table; () : all.
+    count : ends after so many results. timeout_s : ends then.
+    """
+
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    cell: str | None = None
+    states: tuple[str, ...] = ()
+    count: int | None = None
+    timeout_s: float | None = None
+    as_json: bool = False
+    tls: ClientTls | None = None
+
+
+def watch(options: WatchOptions, console: Console) -> int:
+    """Show results until ctrl-C, or until `count` results have come; 1 when `timeout_s` was over before.
 
     On a terminal a table of cells; elsewhere one line per result; with `as_json` the messages
-    themselves, one JSON object a line. Raises `UserError` for endpoints or names that cannot be.
+    themselves, one JSON object a line. Raises `UserError` for endpoints, names, states or certificates
+    that cannot be.
     """
-    if cell is not None and not is_cell_name(cell):
-        raise UserError(f"--cell {cell!r}: expected the name of a cell (letters, digits, '_', '.', '-')")
-    with news_of_cells(connect, cell) as inbox:
-        stream = _stream(inbox, connect)
+    _check(options)
+    name = options.cell if options.cell is not None and is_cell_name(options.cell) else None
+    with news_of_cells(options.connect, name, options.tls) as fleet:
+        table = console.is_terminal and not options.as_json
+        link = Link(", ".join(options.connect), None if table else sys.stderr)
+        results = Results(_stream(fleet, link, options.cell or "*"), options.count, options.timeout_s)
         try:
-            if as_json:
-                _print_json(stream, count)
-            elif console.is_terminal:
-                _show_table(stream, count, console)
+            if options.as_json:
+                _print_json(results)
+            elif table:
+                _show_table(results, link, options.states, console)
             else:
-                _print_lines(stream, count, console)
-        except KeyboardInterrupt:
-            pass  # the usual way to leave
-    return 0
+                _print_lines(results, console)
+        except KeyboardInterrupt:  # the usual way to leave
+            return 0
+    return 1 if results.missing else 0
 
 
-def _stream(inbox: queue.Queue[News], connect: list[str]) -> Iterator[News | None]:
-    """News as it comes; None when there was none for a while. Says so when nobody is there."""
-    started_s, silent = time.monotonic(), True
-    while True:
+def _check(options: WatchOptions) -> None:
+    if options.cell is not None and not is_name_pattern(options.cell):
+        raise UserError(
+            f"--cell {options.cell!r}: expected a cell's name (letters, digits, '_', '.', '-'), in which "
+            "* and ? stand for others"
+        )
+    for endpoint in options.connect:
         try:
-            news = inbox.get(timeout=REFRESH_S)
+            check_endpoint(endpoint)
+        except ValueError as error:
+            raise UserError(f"--connect {endpoint!r}: {error}") from None
+    for state in options.states:
+        if state not in STATES:
+            raise UserError(f"--state {state!r}: expected one of {', '.join(STATES)}")
+    tls = options.tls
+    if tls is not None:
+        if (tls.certificate is None) != (tls.key is None):
+            raise UserError("--certificate and --key belong together: expected both or none")
+        plain = [place for place in options.connect if not place.startswith(("tls/", "quic/"))]
+        if plain:
+            raise UserError(
+                f"--connect {plain[0]}: expected tls/HOST:PORT with a certificate or an authority"
+            )
+
+
+class Link:
+    """Whether anybody is connected, and since when not. stream : where changes are said; None: nowhere."""
+
+    def __init__(self, places: str, stream: TextIO | None) -> None:
+        self._places = places
+        self._stream = stream
+        self._started_s = self._looked_s = time.monotonic()
+        self._was_there = False
+        self.problem = ""
+
+    def look(self, links: Callable[[], int]) -> None:
+        """Once a second: count the connections."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_S:
+            return
+        self._looked_s = now_s
+        problem = ""
+        if links():
+            self._was_there = True
+        elif self._was_there:
+            problem = f"the connection to {self._places} is gone: nothing new is seen until it is back"
+        elif now_s - self._started_s > SILENCE_HINT_S:
+            problem = f"nothing from {self._places} yet: does a cell or router run and listen there?"
+        if self._stream is not None and problem != self.problem:
+            self._stream.write(f"edged: {problem or f'connected to {self._places}'}\n")
+        self.problem = problem
+
+
+class Results:
+    """The stream, ended after `count` results or `timeout_s`. missing : what did not come of `count`."""
+
+    def __init__(self, stream: Iterator[News | None], count: int | None, timeout_s: float | None) -> None:
+        self._stream = stream
+        self._end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        self.missing = count
+
+    def __iter__(self) -> Iterator[News | None]:
+        for news in self._stream:
+            if time.monotonic() > self._end_s:
+                return
+            yield news
+            if news is not None and news.kind == "target" and self.missing is not None:
+                self.missing -= 1
+                if self.missing == 0:
+                    return
+
+
+def _stream(fleet: Fleet, link: Link, pattern: str) -> Iterator[News | None]:
+    """News of the cells that are meant, as it comes; None when there was none for a while."""
+    while True:
+        link.look(fleet.links)
+        try:
+            news = fleet.inbox.get(timeout=REFRESH_S)
         except queue.Empty:
-            if silent and time.monotonic() - started_s > SILENCE_HINT_S:
-                silent = False
-                places = ", ".join(connect)
-                sys.stderr.write(f"edged: nothing from {places} yet: does a cell run and listen there?\n")
             yield None
         else:
-            silent = False
-            yield news
+            yield news if fnmatchcase(news.cell, pattern) else None
 
 
-def _results(stream: Iterator[News | None], count: int | None) -> Iterator[News | None]:
-    """The stream, ended after `count` results."""
-    left = count
-    for news in stream:
-        yield news
-        if news is not None and news.kind == "target" and left is not None:
-            left -= 1
-            if left == 0:
-                return
-
-
-def _print_json(stream: Iterator[News | None], count: int | None) -> None:
-    for news in _results(stream, count):
+def _print_json(results: Results) -> None:
+    for news in results:
         if news is not None and news.kind == "target":
             sys.stdout.write(json.dumps(news.document) + "\n")
             sys.stdout.flush()
 
 
-def _print_lines(stream: Iterator[News | None], count: int | None, console: Console) -> None:
-    for news in _results(stream, count):
+def _print_lines(results: Results, console: Console) -> None:
+    for news in results:
         if news is not None and news.kind == "target":
             console.print(_line(news), markup=False, highlight=False, soft_wrap=True)
 
 
-def _show_table(stream: Iterator[News | None], count: int | None, console: Console) -> None:
+def _show_table(results: Results, link: Link, states: Sequence[str], console: Console) -> None:
     cells: dict[str, CellView] = {}
     drawn_s = 0.0
-    with Live(_table(cells, 0.0), console=console, auto_refresh=False) as live:
-        for news in _results(stream, count):
+
+    def shown(now_s: float) -> RenderableType:
+        wanted = {name: cell for name, cell in cells.items() if not states or cell.state in states}
+        return fleet_view(wanted, len(cells), link.problem, now_s, console.size)
+
+    with Live(shown(0.0), console=console, auto_refresh=False) as live:
+        for news in results:
             now_s = time.monotonic()
             if news is not None:
                 cells.setdefault(news.cell, CellView()).take(news, now_s, time.time_ns())
             if now_s - drawn_s >= REFRESH_S:
-                live.update(_table(cells, now_s), refresh=True)
+                live.update(shown(now_s), refresh=True)
                 drawn_s = now_s
-        live.update(_table(cells, time.monotonic()), refresh=True)
+        live.update(shown(time.monotonic()), refresh=True)
 
 
 def _line(news: News) -> str:
@@ -148,41 +250,101 @@ def _line(news: News) -> str:
     return f"{news.cell}  cycle {cycle:>6s}  {status:13s} {job}{place}  {error}".rstrip()
 
 
-def _table(cells: dict[str, CellView], now_s: float) -> Table:
-    """Fits 80 columns; errors go below, where they have room."""
-    errors = [
-        f"{name}: {error}"
-        for name, cell in sorted(cells.items())
-        if (error := cell.error or _text(cell.target, "error"))
-    ]
-    drifting = {name: drift for name, cell in sorted(cells.items()) if (drift := _drift(cell.target))}
-    errors += [f"{name}: {_drift_text(drift)}" for name, drift in drifting.items()]
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        caption=Text("\n".join(errors) if cells else "no cell yet", style="bold red" if errors else "dim"),
-        caption_justify="left",
+def fleet_view(
+    cells: dict[str, CellView], known: int, problem: str, now_s: float, size: ConsoleDimensions
+) -> RenderableType:
+    """All of it on one screen: a summary of many cells, those that need somebody, then the others by name.
+
+    cells : those that are wanted, of `known`.
+    """
+    rows = sorted(cells.items(), key=lambda item: (_urgency(item[1]), item[0]))
+    troubles = [f"{name}: {_clean(text)}" for name, cell in rows for text in _troubles(cell)]
+    crowded = len(rows) + len(troubles) + TABLE_LINES > size.height
+    parts: list[RenderableType] = [Text(problem, style="bold red")] if problem else []
+    if not cells:
+        parts.append(Text("no cell in this state" if known else "no cell yet", style="dim"))
+    left_out = 0
+    if crowded:
+        parts.append(_summary(cells))
+        room = max(2, size.height - TABLE_LINES - len(parts))
+        told = min(len(troubles), max(1, room // 3))
+        left_out = max(0, len(rows) - (room - told))
+        rows = rows[: room - told]
+        troubles = [
+            text if len(text) <= size.width else f"{text[: size.width - 1]}…" for text in troubles[:told]
+        ]
+    if rows:
+        narrow = crowded and size.width < WIDE
+        parts.append(_table(rows, now_s, one_line=crowded, narrow=narrow))
+    if left_out:
+        parts.append(Text(f"and {left_out} more: --cell 'NAME*' and --state show some of them", style="dim"))
+    parts += [Text(text, style="bold red") for text in troubles]
+    return Group(*parts)
+
+
+def _summary(cells: Mapping[str, CellView]) -> Text:
+    counted = Counter(cell.state for cell in cells.values())
+    results = Counter(_text(cell.target, "status") for cell in cells.values() if cell.target)
+    order = sorted(counted, key=lambda state: (STATES.index(state) if state in STATES else 0, state))
+    text = Text(f"{len(cells)} cells:", style="bold")
+    for state in order:
+        text.append(f"  {counted[state]} ").append_text(_styled(state))
+    text.append("  last results:")
+    for status, count in results.most_common():
+        text.append(f"  {count} ").append_text(_styled(status))
+    return text
+
+
+def _urgency(cell: CellView) -> int:
+    """0 needs somebody now, 3 is well."""
+    if cell.error or cell.state in (GONE, "FAULT"):
+        return 0
+    if _drift(cell.target):
+        return 1
+    return 2 if _text(cell.target, "status") not in ("", "OK") else 3
+
+
+def _troubles(cell: CellView) -> list[str]:
+    drift = _drift(cell.target)
+    error = cell.error or _text(cell.target, "error")
+    return [text for text in (error, _drift_text(drift) if drift else "") if text]
+
+
+def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool, narrow: bool) -> Table:
+    """Fits 80 columns. one_line : each cell in one, what is too long is cut. narrow : only what decides."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    longest = max(len(name) for name, _ in rows)
+    table.add_column(
+        "cell",
+        overflow="ellipsis" if one_line else "fold",
+        no_wrap=one_line,
+        min_width=min(longest, MAX_NAME) if one_line else None,
     )
-    for heading in ("cell", "state", "job", "result"):
-        table.add_column(heading, overflow="fold")
+    for heading in ("state", *([] if narrow else ["job"]), "result"):
+        table.add_column(heading, overflow="ellipsis" if one_line else "fold", no_wrap=one_line)
     table.add_column("X Y Z mm", justify="right", no_wrap=True)
-    lost = any(cell.lost for cell in cells.values())
-    for heading in ("σ mm", "Hz", "age s", *(["drift"] if drifting else []), *(["lost"] if lost else [])):
+    lost = any(cell.lost for _, cell in rows)
+    drifting = not narrow and any(_drift(cell.target) for _, cell in rows)
+    more = [
+        name
+        for name, there in (("Hz", not narrow), ("age s", True), ("drift", drifting), ("lost", lost))
+        if there
+    ]
+    for heading in ("σ mm", *more):
         table.add_column(heading, justify="right", no_wrap=True)
-    for name, cell in sorted(cells.items()):
+    for name, cell in rows:
         frame, pose = _pose(cell.target)
         status = _text(cell.target, "status")
         table.add_row(
             name,
             _styled(cell.state),
-            Text(_text(cell.target, "job")),
+            *([] if narrow else [Text(_text(cell.target, "job"))]),
             _styled(status).append(" sim" if cell.target.get("simulated") else "", style="yellow"),
             f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}" if pose else "",
             _largest(pose.get("sigma_mm")),
-            _shown(cell.rate_hz, "{:.1f}"),
+            *([] if narrow else [_shown(cell.rate_hz, "{:.1f}")]),
             _shown(cell.age_s(now_s), "{:.1f}"),
-            *([_styled(_text(drifting.get(name, {}), "verdict"))] if drifting else []),
+            *([_styled(_text(_drift(cell.target), "verdict"))] if drifting else []),
             *([str(cell.lost)] if lost else []),
         )
     return table
@@ -195,7 +357,10 @@ def _styled(word: str) -> Text:
 def _text(document: Document, name: str) -> str:
     """A field as a short text without control characters: what others publish must not steer a terminal."""
     value = document.get(name)
-    text = "" if value is None else str(value)[:MAX_TEXT]
+    return _clean("" if value is None else str(value)[:MAX_TEXT])
+
+
+def _clean(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 

@@ -46,7 +46,8 @@ def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str,
     except FileFormatError:
         raise
     except Exception as error:
-        raise FileFormatError(f"{path}: not a {kind} file, or damaged: {error}") from error
+        article = "an" if kind[0] in "aeiou" else "a"
+        raise FileFormatError(f"{path}: not {article} {kind} file, or damaged: {error}") from error
     if found[0] != kind:
         raise FileFormatError(f"{path}: a {found[0]!r} file, expected {kind!r}")
     if found[1] != version:

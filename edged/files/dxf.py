@@ -84,7 +84,7 @@ def _read_chains(path: Path, layers: Sequence[str], units: str | None) -> list[C
     document = readfile(path)
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
-        raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(known)}")
+        raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(map(repr, known))}")
     scale = _scale(document, path, units)
     chains: list[Chain] = []
     points = 0

@@ -20,6 +20,8 @@ def load_image(path: Path) -> Image:
     Raises `ImageError` for what cannot be read, is no image, or has floating-point pixels.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ImageError(f"{path}: is a folder, expected an image")
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
     try:
@@ -31,7 +33,9 @@ def load_image(path: Path) -> Image:
 
 def decode_image(data: bytes, place: str) -> Image:
     """`load_image` of bytes; place : what a message calls them."""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if not data:
+        raise ImageError(f"{place}: an empty file, expected an image")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ImageError(f"{place}: not an image that can be read; save it as PNG, TIFF, BMP or JPEG")
     if image.dtype == np.uint16:

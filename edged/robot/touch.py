@@ -71,7 +71,7 @@ def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistrati
     rig, robot = np.asarray(rig_mm, np.float64), np.asarray(robot_mm, np.float64)
     if rig.ndim != 2 or rig.shape[1:] != (3,) or rig.shape != robot.shape or len(rig) < 3:
         raise CalibrationError(
-            f"registration needs three or more points (N, 3) in both frames, got {rig.shape}, {robot.shape}"
+            f"registration needs three or more points in both frames, got {len(rig)} and {len(robot)}"
         )
     if not (np.isfinite(rig).all() and np.isfinite(robot).all()):
         raise CalibrationError("registration needs finite coordinates")

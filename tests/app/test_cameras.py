@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from edged.adapters.aravis import Action, FreeRun, Line, Output, Software
-from edged.app.cameras import Triggering, triggering_of
+from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun, Line, Output, Software
+from edged.app.cameras import Triggering, camera_facts, triggering_of
+from edged.capture.stereohead import StereoHead
 from edged.config import TriggerSection
+from edged.domain import SIDES
 
 DEVICES = ("192.0.2.1", "192.0.2.2")
 
@@ -69,3 +71,13 @@ def test_one_action_command_is_sent_for_both() -> None:
 def test_somebody_elses_action_command_is_only_waited_for() -> None:
     """With an external trigger nothing is sent."""
     assert Triggering((Action(), Action())) == of(mode="action", external=True)
+
+
+def test_a_camera_that_is_lost_stays_in_the_list() -> None:
+    """The page says that it is not connected, instead of saying nothing."""
+    left, right = (
+        AravisCamera(side, AravisSettings(device)) for side, device in zip(SIDES, DEVICES, strict=True)
+    )
+    head = StereoHead(left, right)
+
+    assert {"left": "not connected", "right": "not connected"} == camera_facts(head)

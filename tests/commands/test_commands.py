@@ -19,6 +19,7 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain import Image, Status
 from edged.files.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
+from edged.robot.orientations import zyx
 from edged.sim.cell import VirtualCell, demo_part, stereo_views
 from edged.vision.part.job import Job
 
@@ -145,6 +146,20 @@ def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -
     assert height > 960
 
 
+def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> None:
+    """Position and A, B, C in the robot's frame, as --json has the pose; each table names its frame."""
+    files = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
+    pair = (pristine / "left.png", pristine / "right.png")
+    _, out, _ = edged("locate", *files, "--convention", "kuka_abc", *pair)
+    _, document, _ = edged("locate", *files, "--json", *pair)
+    pose = json.loads(document)["targets"][0]["pose_robot"]
+    expected = [f"{value:.3f}" for value in (*pose["position_mm"], *zyx(np.array(pose["rotation"])))]
+
+    assert "in the rig's frame" in out
+    _, _, read = out.partition("as the PLC reads it: in the robot's frame, A, B, C kuka_abc")
+    assert expected == [re.search(rf"│ {axis} │ +([-\d.]+)", read)[1] for axis in "XYZABC"]
+
+
 def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) -> None:
     """--ply and --cloud: a PLY whose header tells its length, and a picture; for no part, empty ones."""
     arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange")
@@ -174,9 +189,9 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
         ({"left": "small.png"}, "left image: 320x240, the rig was calibrated for 640x480"),
         ({"right": "small.png"}, "right image: 320x240"),
         ({"left": "text.png"}, r"text\.png: not an image"),
-        ({"right": "empty.png"}, r"empty\.png: not an image"),
+        ({"right": "empty.png"}, r"empty\.png: an empty file"),
         ({"left": "nowhere.png"}, r"nowhere\.png: no such file"),
-        ({"left": "jobs"}, "jobs: no such file"),
+        ({"left": "jobs"}, "jobs: is a folder"),
         ({"job": "jobs/nowhere"}, "nowhere: no such job folder"),
         ({"job": "left.png"}, "no such job folder"),
         ({"job": "jobs"}, r"job\.toml: cannot read"),

@@ -301,7 +301,7 @@ def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> No
         load_job(folder)
     (folder / "elsewhere.npz").rename(folder / "shape.npz")
     (folder / "job.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileFormatError, match=r"job\.toml: not UTF-8"):
+    with pytest.raises(FileFormatError, match=r"job\.toml: line 1: not UTF-8"):
         load_job(folder)
     (folder / "job.toml").unlink()
     with pytest.raises(FileFormatError, match=r"job\.toml: cannot read"):

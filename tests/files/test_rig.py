@@ -196,7 +196,7 @@ def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
     for name, message in [
         ("float.tif", "float32 pixels; save it with 8 or 16 bits"),
         ("text.png", "save it as PNG"),
-        ("empty.png", "not an image"),
+        ("empty.png", "an empty file, expected an image"),
         ("none.png", "no such file"),
     ]:
         with pytest.raises(ImageError, match=message):

@@ -1,15 +1,18 @@
-"""A page of the manual is run again, and says what its commands say now."""
+"""A page of the manual is run again, and says what its commands say now; the tutorial's says so already."""
 
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "rerun.py"
+ROOT = Path(__file__).resolve().parents[2]
+TOOL = ROOT / "tools" / "rerun.py"
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +77,46 @@ def test_the_home_folder_is_a_tilde(tool: ModuleType, machine: object) -> None:
     page = ["```console", "$ cd; pwd", "```"]
 
     assert [*page[:2], "~", "```"] == tool.rerun(page, machine)
+
+
+@pytest.mark.parametrize(
+    ("then", "now"),
+    [
+        ("cycle 1  OK  14.574  -7.367 mm  506.1 ms", "cycle 1  OK   4.570   7.111 mm  51.0 ms"),
+        ("2026-11-22 08:11:24,196 INFO cal-96f96583", "2027-01-02 18:00:00,000 INFO cal-00f96583"),
+        ("│ a │ 0.013 │", "│ a     │ 10.013    │"),
+        ("==> making .venv from /usr/bin/python3", ""),
+        ("ok   firewall: drops nothing", "warn firewall: drops UDP\n     help: nft ..."),
+        ("skew up to 19.35 ms", "skew up to 1.2 ms"),
+    ],
+)
+def test_what_differs_from_run_to_run_is_no_difference(tool: ModuleType, then: str, now: str) -> None:
+    """Measured numbers, times, identifiers, the width of tables, what was installed, what a PC is like."""
+    pages = [["```console", "$ a", *text.split("\n"), "```"] for text in (then, now)]
+
+    assert [] == tool.differences(*pages)
+
+
+@pytest.mark.parametrize(
+    ("then", "now", "difference"),
+    [
+        ("status OK", "status NO_TARGET", "$ a\n- OK\n+ NO_TARGET"),
+        ("5 (4 OK)", "5 (5 OK)", "$ a\n- (4\n+ (5"),
+        ("│ c1 │ 4.0 │", "│ c1 │", "$ a\n- MEASURED"),
+        ("ok   firewall: drops nothing", "ok   kernel cache: x", "$ a\n- firewall\n+ kernel\n+ cache"),
+    ],
+)
+def test_everything_else_is_one(tool: ModuleType, then: str, now: str, difference: str) -> None:
+    """Words, counts and names, with the command that says them."""
+    pages = [["```console", "$ a", text, "```", "text"] for text in (then, now)]
+
+    assert [difference] == tool.differences(*pages)
+
+
+@pytest.mark.slow
+def test_the_first_hour_is_as_its_page_says() -> None:
+    """From the demo to the pick: every command of the tutorial, in its order, says what stands there."""
+    page = ROOT / "docs/tutorial/first-part.md"
+    run = subprocess.run([sys.executable, TOOL, "--check", page], capture_output=True, text=True, timeout=570)
+
+    assert ("", 0) == (run.stdout.strip(), run.returncode), run.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import shutil
 import signal
 import socket
@@ -68,10 +69,13 @@ class Cell:
         self.process: subprocess.Popen[str] | None = None
         self.log: list[str] = []
 
-    def start(self) -> None:
-        """Start the daemon and wait until its registers can be read."""
+    def start(self, **options: Any) -> None:
+        """Start the daemon and wait until its registers can be read; options : of its process."""
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "edged", "run", str(self.config)], stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "edged", "run", str(self.config)],
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
         )
         self._reader = threading.Thread(target=self._read_log)
         self._reader.start()
@@ -126,6 +130,28 @@ def in_process_cell(tmp_path: Path) -> Iterator[Cell]:
         yield cell
     finally:
         cell.stop()
+
+
+def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
+    """It says READY and where its page is; a SIGHUP reloads while the terminal is there, and later stops."""
+    cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"')
+    port = free_port()
+    cell.config.write_text(f"{cell.config.read_text()}\n[web]\nport = {port}\n")
+    keyboard, terminal = pty.openpty()
+    try:
+        cell.start(stdin=terminal)
+        assert cell.process is not None
+        for said in ("READY: job 1 (flange), both cameras answer", f"status page: http://127.0.0.1:{port}"):
+            until(lambda said=said: any(said in line for line in cell.log), said)
+        cell.process.send_signal(signal.SIGHUP)
+        until(lambda: any("reloaded" in line for line in cell.log), "a reload")
+        os.close(terminal)
+        os.close(keyboard)
+        cell.process.send_signal(signal.SIGHUP)  # the kernel's, where it is the terminal of a session
+        assert 0 == cell.process.wait(20)
+    finally:
+        cell.stop()
+    assert any("the terminal was closed: the cell stops" in line for line in cell.log)
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")

@@ -47,7 +47,7 @@ async def served(
     manual: Path, password_hash: str = ""
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A status page with this manual, and a browser's session with it."""
-    nothing = Sources(lambda: None, list, dict, list, bytes)  # type: ignore[arg-type,return-value]  # nothing asks
+    nothing = Sources(lambda: None, list, dict, list, bytes, lambda: None)  # type: ignore[arg-type,return-value]  # nothing asks
     settings = WebSettings(port=0, password_hash=password_hash)
     web = WebPublisher("cell", settings, nothing, manual=manual)
     await web.start()

@@ -9,19 +9,21 @@ import json
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
+from certificates import make_certificates
+from rich.console import Console, ConsoleDimensions
 from snapshots import make_snapshot, make_transform
 from zenohcell import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor
-from edged.app.fleet import News
-from edged.commands.watch import CellView, watch
+from edged.app.fleet import ClientTls, News
+from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
 from edged.domain import Calibrated, DriftState, Snapshot, Status
-from edged.errors import ConfigError, UserError
+from edged.errors import UserError
 
 
 async def watching(cell: Cell, snapshots: list[Snapshot], **options: Any) -> str:
@@ -30,13 +32,11 @@ async def watching(cell: Cell, snapshots: list[Snapshot], **options: Any) -> str
     console = Console(file=file, width=120, force_terminal=options.pop("terminal", None))
     only = options.pop("only", None)
     ports = (cell.port, *options.pop("more_ports", ()))
-    endpoints = [f"tcp/127.0.0.1:{port}" for port in ports]
-    arguments = {"as_json": False, **options}
+    endpoints = tuple(f"tcp/127.0.0.1:{port}" for port in ports)
+    wanted = WatchOptions(endpoints, only, **options)
     codes: list[int] = []
     # daemonic: a watch that never has enough fails this test and hangs nothing
-    thread = threading.Thread(
-        target=lambda: codes.append(watch(endpoints, only, console=console, **arguments)), daemon=True
-    )
+    thread = threading.Thread(target=lambda: codes.append(watch(wanted, console)), daemon=True)
     thread.start()
     deadline_s = time.monotonic() + WAIT_S
     for snapshot in itertools.cycle(snapshots):
@@ -166,17 +166,172 @@ def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
     assert "\x1b[5;41m" not in text
 
 
-@pytest.mark.parametrize("name", ["a/b", "*", "", "x" * 65, "$*"])
+@pytest.mark.parametrize("name", ["a/b", "**", "", "x" * 65, "$*"])
 def test_a_cell_name_that_cannot_be_is_refused(name):
     """A name with key syntax in it would listen to something else."""
     with pytest.raises(UserError, match="--cell"):
-        watch([f"tcp/127.0.0.1:{free_port()}"], name, True, 1, Console(file=io.StringIO()))
+        watch(WatchOptions((f"tcp/127.0.0.1:{free_port()}",), name), Console(file=io.StringIO()))
+
+
+def test_a_part_of_the_names():
+    """`--cell 'cell?'`: several cells, and not the others."""
+
+    async def main() -> str:
+        async with Cell() as cell, Cell(cell="other", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
+            other.publisher.announce(make_snapshot(66))
+            return await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell?")
+
+    text = asyncio.run(main())
+    assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
+
+
+def test_a_script_waits_no_longer_than_it_says(capsys):
+    """`--count 1 --timeout` where nobody publishes: exit status 1, and a word of why."""
+    options = WatchOptions((f"tcp/127.0.0.1:{free_port()}",), count=1, timeout_s=4.5)
+
+    assert 1 == watch(options, Console(file=io.StringIO()))
+    assert "does a cell or router run and listen there?" in capsys.readouterr().err
+
+
+def test_a_router_that_goes_is_said(capsys):
+    """What stands on the screen is old from then on; when it is back, that is said too."""
+    port, codes = free_port(), []
+    endpoint = f"tcp/127.0.0.1:{port}"
+    said, deadline_s = "", time.monotonic() + WAIT_S
+    thread = threading.Thread(
+        target=lambda: codes.append(watch(WatchOptions((endpoint,), count=1), Console(file=io.StringIO()))),
+        daemon=True,
+    )
+    router = open_session(session_config("router", [endpoint], []))
+    thread.start()
+    time.sleep(2.5)  # a watch looks once a second whether it is connected
+    router.close()
+    while "is gone: nothing new is seen" not in said:
+        assert time.monotonic() < deadline_s, said
+        time.sleep(0.1)
+        said += capsys.readouterr().err
+    router = open_session(session_config("router", [endpoint], []))
+    while f"connected to {endpoint}" not in said.partition("is gone")[2]:
+        assert time.monotonic() < deadline_s, said
+        router.put("edged/cell1/health", b"{}")
+        time.sleep(0.1)
+        said += capsys.readouterr().err
+    while thread.is_alive():
+        assert time.monotonic() < deadline_s, said
+        router.put("edged/cell1/target", b'{"status": "OK"}')
+        time.sleep(0.1)
+    router.close()
+
+    assert [0] == codes
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"certificate": "a.pem"}, "--certificate and --key belong together"),
+        ({"authority": "a.pem"}, "expected tls/HOST:PORT"),
+        ({"connect": ("tls/localhost:1",), "authority": "a.pem"}, "a.pem: No such file"),
+    ],
+)
+def test_certificates_that_cannot_be_are_refused(tmp_path, monkeypatch, options, message):
+    """Halves of a pair, certificates for a connection without TLS, files that are not there."""
+    monkeypatch.chdir(tmp_path)
+    connect = options.get("connect", ("tcp/127.0.0.1:7447",))
+    tls = ClientTls(**{name: Path(value) for name, value in options.items() if name != "connect"})
+
+    with pytest.raises(UserError, match=message):
+        watch(WatchOptions(connect, tls=tls), Console(file=io.StringIO()))
+
+
+def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
+    """Certificate, key and authority of the command line; without them nothing is heard."""
+    make_certificates(tmp_path)
+    pem = {
+        name: tmp_path / name for name in ("ca.pem", "server.pem", "server.key", "viewer.pem", "viewer.key")
+    }
+    port = free_port()
+    config = session_config("router", [f"tls/127.0.0.1:{port}"], [])
+    tls = {
+        "root_ca_certificate": pem["ca.pem"],
+        "listen_certificate": pem["server.pem"],
+        "listen_private_key": pem["server.key"],
+        "enable_mtls": True,
+    }
+    config.insert_json5("transport/link/tls", json.dumps(tls, default=str))
+    router = open_session(config)
+    endpoints = (f"tls/127.0.0.1:{port}",)
+    known = ClientTls(pem["viewer.pem"], pem["viewer.key"], pem["ca.pem"])
+    codes: list[int] = []
+    silent = Console(file=io.StringIO())
+    thread = threading.Thread(
+        target=lambda: codes.extend(
+            watch(WatchOptions(endpoints, count=1, timeout_s=limit_s, tls=tls), silent)
+            for limit_s, tls in ((3.0, ClientTls(authority=pem["ca.pem"])), (WAIT_S, known))
+        ),
+        daemon=True,
+    )
+    thread.start()
+    while thread.is_alive():
+        router.put("edged/cell1/target", b'{"status": "OK"}')
+        time.sleep(0.05)
+    router.close()
+
+    assert [1, 0] == codes
+
+
+def many_cells(count: int) -> dict[str, CellView]:
+    """A plant: most are well, every 50th is in fault, one is gone and one finds nothing."""
+    cells = {}
+    for number in range(count):
+        view = cells[f"press-{number:03}"] = CellView()
+        fault = number % 50 == 49
+        error = "camera left: EDGED-1 does not answer at 192.168.7.10: cable, power?" if fault else ""
+        state = {"state": "FAULT" if fault else "READY", "error": error}
+        status = "NO_TARGET" if number == 11 else "OK"
+        target = {
+            "status": status,
+            "job": "flange",
+            "targets": [{"position_mm": [1, 2, 3], "sigma_mm": [0] * 3}],
+        }
+        for kind, document in (("state", state), ("target", target), ("health", {"rate_hz": 2.0})):
+            view.take(News("", kind, document), 0.0, 0)
+    if count > 150:
+        cells["press-150"].take(News("", "alive", {"alive": False}), 0.0, 0)
+    return cells
+
+
+@pytest.mark.parametrize(("height", "width"), [(24, 80), (60, 160)])
+@pytest.mark.parametrize("count", [1, 20, 200])
+def test_a_fleet_is_read_on_one_screen(height, width, count):
+    """Whatever its size nothing scrolls away; where there are many, who needs help is first."""
+    file = io.StringIO()
+    console = Console(file=file, width=width, height=height)
+    size = ConsoleDimensions(width, height)
+    console.print(fleet_view(many_cells(count), count, "", 1.0, size))
+    lines = file.getvalue().splitlines()
+
+    assert len(lines) < height
+    assert max(map(len, lines)) <= width
+    if count == 200:
+        text = " ".join(file.getvalue().split())
+        assert "200 cells: 4 FAULT 1 GONE 195 READY last results: 199 OK 1 NO_TARGET" in text
+        first = [line.split()[0] for line in lines if line.startswith(" press-")]
+        bad = ["press-049", "press-099", "press-149", "press-150", "press-199", "press-011"]
+        assert [*bad, "press-000"] == first[:7]
+        assert any("press-049: camera left" in line for line in lines)
+        assert any(line.startswith("and 1") and "more" in line for line in lines)
+
+
+def test_a_state_that_cannot_be_is_refused():
+    """A mistyped one would show an empty table for ever."""
+    with pytest.raises(UserError, match="--state 'FALT': expected one of FAULT, GONE"):
+        watch(WatchOptions(states=("FALT",)), Console(file=io.StringIO()))
 
 
 def test_an_endpoint_that_cannot_be_is_refused():
     """A mistyped endpoint is told, not waited for."""
-    with pytest.raises(ConfigError, match="nonsense"):
-        watch(["nonsense"], None, True, 1, Console(file=io.StringIO()))
+    with pytest.raises(UserError, match="--connect 'nonsense': expected PROTOCOL/ADDRESS"):
+        watch(WatchOptions(("nonsense",)), Console(file=io.StringIO()))
 
 
 def test_lost_results_are_counted_and_a_restart_is_not_a_loss():

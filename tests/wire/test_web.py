@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import math
 import re
 import threading
 from asyncio import StreamReader, StreamWriter
@@ -20,15 +21,17 @@ import cv2
 import numpy as np
 import pytest
 from cells import flange, frame_pair
-from snapshots import make_snapshot, make_target
+from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
 from edged.domain import (
+    Calibrated,
     CellPhase,
     CellState,
+    DriftState,
     ExposureDone,
     Frame,
     FramePair,
@@ -42,6 +45,8 @@ from edged.domain import (
 from edged.errors import ListenError
 from edged.passwords import hash_password
 from edged.plc.registers import Kind, Register
+from edged.plc.registers.values import measured
+from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
 
@@ -62,6 +67,7 @@ def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
             (Register("F_X", 500, Kind.F32, "mm", "x"), float("nan")),
         ],
         metrics=lambda: b"# HELP edged_x x\nedged_x 1\n",
+        convention=lambda: Convention.KUKA_ABC,
     )
 
 
@@ -279,13 +285,63 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
     measure(page, 50)
 
     faults = page.status()["faults"]
-    assert [(fault["cycle"], fault["text"], fault["has_picture"]) for fault in faults] == [
-        (2, "cable", False),
-        (1, "", True),
+    assert [(fault["cycle"], fault["text"], fault["has_picture"], fault["times"]) for fault in faults] == [
+        (2, "cable", False, 48),
+        (1, "", True, 1),
     ]
     for cycle in range(51, 51 + 2 * FAULTS):
         measure(page, cycle, Status.NO_TARGET)
     assert len(page.status()["faults"]) == FAULTS
+
+
+def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
+    """The last picture's time outlives it: an old picture would look like the present one."""
+    page = Page("cell", sources())
+    assert 0 == page.status()["pictured_ns"]
+    measure(page, 1)
+    seen_ns = page.status()["pictured_ns"]
+    measure(page, 2, Status.CAPTURE_FAULT, "cable")
+
+    assert seen_ns > 0
+    assert (None, seen_ns) == (page.status()["picture"], page.status()["pictured_ns"])
+
+
+def test_trends_are_of_what_can_get_worse() -> None:
+    """Sigma, rows and drift of good cycles; a fault has its status and nothing that looks measured."""
+    page = Page("cell", sources())
+    page.take(replace(make_snapshot(1), drift=DriftState(Calibrated.HOLDS, 0.05, math.nan)))
+    measure(page, 2, Status.CAPTURE_FAULT, "cable")
+    good, bad = page.history()
+
+    assert (max(make_snapshot().targets[0].sigma_mm), 0.05) == (good["sigma_mm"], good["drift_px"])
+    assert {"cycle", "time_ns", "status"} == set(bad)
+
+
+def test_the_orientation_is_what_the_plc_reads() -> None:
+    """A, B, C in the cell's convention and the robot's frame: the numbers of the registers."""
+    page = Page("cell", sources())
+    turned = make_transform((0.3, -0.2, 2.0), (100.0, 0.0, 0.0))
+    snapshot = make_snapshot(1, robot_from_rig=turned)
+    page.take(snapshot)
+    best = measured(snapshot, Convention.KUKA_ABC).poses[0]
+    (shown,) = page.status()["angles"]["of"]
+
+    assert "kuka_abc" == page.status()["angles"]["convention"]
+    assert best is not None
+    assert list(best.integers[3:]) == [round(1000 * value) for value in shown["deg"]]
+
+
+def test_the_log_in_names_the_cell() -> None:
+    """Who has ten of them open knows which password is asked for; a name is text, not HTML."""
+
+    async def test() -> None:
+        async with (
+            served(WebSettings(port=0, password_hash=HASH)) as (_, session),
+            session.get("/login") as answer,
+        ):
+            assert "<h1>cell&lt;1&gt;</h1>" in await answer.text()
+
+    run(test)
 
 
 def test_why_nothing_was_found_reaches_the_page() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -36,6 +36,8 @@ from edged.payload import Json, snapshot_to_json, state_to_json
 from edged.pictures.captions import reasons, why_nothing
 from edged.plc.registers import Number, Register
 from edged.plc.registers.readings import meaning_of, text_of
+from edged.robot.orientations import Convention
+from edged.robot.reading import reading_of
 from edged.vision.geometry.rectification import Rectification
 
 HISTORY = 600
@@ -56,7 +58,7 @@ class Sources:
 
     rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
     shown.  registers : each with its value; empty without a Modbus server.
-    metrics : Prometheus' text.
+    metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
     """
 
     rectification: Callable[[], Rectification]
@@ -64,14 +66,17 @@ class Sources:
     facts: Callable[[], Mapping[str, Mapping[str, Any]]]
     registers: Callable[[], Sequence[tuple[Register, Number]]]
     metrics: Callable[[], bytes]
+    convention: Callable[[], Convention]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """A cycle with its pictures."""
+    """A cycle with its pictures. times : how often this fault has been seen; last_ns : the last time."""
 
     snapshot: Snapshot
     pair: FramePair | None
+    times: int = 1
+    last_ns: int = 0
 
 
 class Page:
@@ -86,6 +91,7 @@ class Page:
         self._faults: deque[Shown] = deque(maxlen=FAULTS)
         self._history: deque[Json] = deque(maxlen=HISTORY)
         self._known_faults = FaultMemory()
+        self._pictured_ns = 0
         self._drawn: tuple[Shown, Json] | None = None
 
     # --- events ------------------------------------------------------------------------------
@@ -102,12 +108,26 @@ class Page:
             return False
         pair = self._exposed[1] if self._exposed is not None and self._exposed[0] == event.cycle else None
         self._exposed = None
-        self._last = Shown(event, pair)
+        if pair is not None:
+            self._pictured_ns = event.exposed_ns or event.published_ns
+        self._last = Shown(event, pair, last_ns=event.published_ns)
         self._history.append(_trend(event))
-        if event.status is not Status.OK and self._known_faults.is_news(event):
-            self._faults.append(self._last)
-            self._forget_pictures()
+        if event.status is not Status.OK:
+            if self._known_faults.is_news(event):
+                self._faults.append(self._last)
+                self._forget_pictures()
+            else:
+                self._count(event)
         return True
+
+    def _count(self, event: Snapshot) -> None:
+        """Once more a fault that is in the list."""
+        for index in range(len(self._faults) - 1, -1, -1):
+            shown = self._faults[index]
+            if _fault_key(shown.snapshot) == _fault_key(event):
+                again = replace(shown, times=shown.times + 1, last_ns=event.published_ns)
+                self._faults[index] = again
+                return
 
     def _forget_pictures(self) -> None:
         """Of the oldest faults, where all of them together would take too much memory."""
@@ -117,7 +137,7 @@ class Page:
             if shown.pair is not None:
                 size += shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
                 if size > FAULT_BYTES and index < len(self._faults) - 1:
-                    self._faults[index] = Shown(shown.snapshot, None)
+                    self._faults[index] = replace(shown, pair=None)
 
     # --- answers -----------------------------------------------------------------------------
 
@@ -134,10 +154,21 @@ class Page:
             "state": None if self._state is None else state_to_json(self._state),
             "result": None if last is None else snapshot_to_json(last.snapshot),
             "why": [] if last is None else _why(last.snapshot),
+            "angles": None if last is None else self._angles(last.snapshot),
             "picture": None if last is None or last.pair is None else self._picture(last),
+            "pictured_ns": self._pictured_ns,
             "facts": {group: dict(values) for group, values in self._sources.facts().items()},
             "jobs": [{"number": number, "name": name} for number, name in self._sources.jobs()],
             "faults": [_fault(shown) for shown in reversed(self._faults)],
+        }
+
+    def _angles(self, snapshot: Snapshot) -> Json:
+        """A, B, C and their sigmas in degrees as the PLC reads them: of the good targets, then the others."""
+        convention = self._sources.convention()
+        ordered = sorted(snapshot.targets, key=lambda target: bool(target.reject))
+        return {
+            "convention": convention.name.lower(),
+            "of": [_angles(target, snapshot, convention) for target in ordered],
         }
 
     def history(self, after: int = 0) -> list[Json]:
@@ -263,20 +294,23 @@ def _display_maps(rectification: Rectification, side: Side) -> tuple[int, tuple[
 
 
 def _trend(snapshot: Snapshot) -> Json:
-    """One point of the trends; a result that is not good has no position."""
+    """One point of the trends; a result that is not good has no sigma."""
     point: Json = {
         "cycle": snapshot.cycle,
         "time_ns": snapshot.published_ns,
         "status": str(snapshot.status),
-        "total_ms": snapshot.timing_ms.get("total"),
     }
+    if snapshot.status is not Status.CAPTURE_FAULT:
+        point["total_ms"] = snapshot.timing_ms.get("total")
     if snapshot.status is Status.OK:
         best = snapshot.targets[0]
         point |= {
-            "position_mm": [float(value) for value in best.position_mm],
+            "sigma_mm": float(max(best.sigma_mm)),
             "score": best.match.score,
             "epipolar_px": best.epipolar_rms_px,
         }
+    if math.isfinite(snapshot.drift.rows_px):
+        point["drift_px"] = snapshot.drift.rows_px
     return point
 
 
@@ -290,11 +324,26 @@ def _why(snapshot: Snapshot) -> list[str]:
     return sorted({words for t in snapshot.targets if t.reject for words in reasons(t.reject)})
 
 
+def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json | None:
+    """None where the pose is none."""
+    if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
+        return None
+    reading = reading_of(target, snapshot.robot_from_rig, snapshot.registration_covariance, convention)
+    return {"deg": reading.angles_deg.tolist(), "sigma_deg": reading.sigma_deg.tolist()}
+
+
+def _fault_key(snapshot: Snapshot) -> tuple[int, str]:
+    """A fault by its number and the camera that it is about, as `FaultMemory` knows it."""
+    return snapshot.error_code, snapshot.error.partition(":")[0]
+
+
 def _fault(shown: Shown) -> Json:
     snapshot = shown.snapshot
     return {
         "cycle": snapshot.cycle,
         "time_ns": snapshot.published_ns,
+        "times": shown.times,
+        "last_ns": shown.last_ns,
         "status": str(snapshot.status),
         "text": ". ".join(_why(snapshot)),
         "has_picture": shown.pair is not None,

@@ -137,7 +137,9 @@ class WebPublisher:
         self._viewers: dict[_Viewer, None] = {}  # the first to come first
         self._pictures: OrderedDict[tuple[int, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
-        self._html = {name: render(f"{name}.html", __package__) for name in ("index", "login", "nomanual")}
+        self._html = {
+            name: render(f"{name}.html", __package__, cell=cell) for name in ("index", "login", "nomanual")
+        }
         self._runner: web.AppRunner | None = None
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
@@ -186,6 +188,8 @@ class WebPublisher:
             await self.close()
             place = f"{settings.host}:{settings.port}"
             raise ListenError(f"status page on {place}: {error.strerror or error}") from error
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        log.info("status page: %s://%s:%d", "https" if context is not None else "http", host, self.port)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""

@@ -12,7 +12,7 @@ import zenoh
 import zenoh.ext
 
 from edged.adapters.zenoh.cbor import decode_cbor
-from edged.adapters.zenoh.session import open_session, session_config
+from edged.adapters.zenoh.session import ClientTls, open_session, session_config, with_tls
 
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
@@ -22,11 +22,15 @@ Heard = Callable[[str, str, dict[str, Any]], None]
 
 
 @contextmanager
-def listening(connect: Sequence[str], cell: str, heard: Heard) -> Iterator[None]:
+def listening(
+    connect: Sequence[str], cell: str, heard: Heard, tls: ClientTls | None = None
+) -> Iterator[Callable[[], int]]:
     """Hear every message of the kinds "target", "state" and "health", and "alive" with {"alive": bool}.
 
+    Gives a function: how many routers and cells are connected now.
     connect : endpoints. cell : its name, or "*". The last target, state and life sign of each cell come
-    first, however long ago they were published. Raises `ConfigError` for endpoints that cannot be.
+    first, however long ago they were published. Raises `ConfigError` for endpoints that cannot be, and
+    `UserError` for certificates.
     """
 
     def arrived(sample: zenoh.Sample) -> None:
@@ -36,7 +40,8 @@ def listening(connect: Sequence[str], cell: str, heard: Heard) -> Iterator[None]
 
     with ExitStack() as stack:
         # a peer, because a client connects to one endpoint only and gives up when nobody is there yet
-        session = open_session(session_config("peer", [], connect))
+        config = session_config("peer", [], connect)
+        session = open_session(config if tls is None else with_tls(config, tls))
         stack.callback(session.close)
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
         for kind in ("target", "state"):
@@ -46,7 +51,7 @@ def listening(connect: Sequence[str], cell: str, heard: Heard) -> Iterator[None]
             stack.callback(subscriber.undeclare)
         session.declare_subscriber(f"edged/{cell}/health", arrived)
         session.liveliness().declare_subscriber(f"edged/{cell}/alive", arrived, history=True)
-        yield
+        yield lambda: len(session.info.routers_zid()) + len(session.info.peers_zid())
 
 
 def _read(sample: zenoh.Sample) -> tuple[str, str, dict[str, Any]] | None:

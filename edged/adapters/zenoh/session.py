@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar
 
 import zenoh
 
-from edged.errors import ConfigError, ListenError
+from edged.errors import ConfigError, ListenError, UserError
 
 T = TypeVar("T")
 Mode = Literal["peer", "client", "router"]
@@ -107,6 +107,44 @@ def configured(settings: ZenohSettings) -> zenoh.Config:
             context.load_verify_locations(tls["root_ca_certificate"])
     except (OSError, ssl.SSLError) as error:
         raise ListenError(f"zenoh: {settings.config_file}: TLS files: {error}") from error
+    return config
+
+
+@dataclass(frozen=True, slots=True)
+class ClientTls:
+    """PEM files: what a client shows to a router, and by what it knows it.
+
+    certificate, key : both or none.
+    """
+
+    certificate: Path | None = None
+    key: Path | None = None
+    authority: Path | None = None
+
+
+def with_tls(config: zenoh.Config, tls: ClientTls) -> zenoh.Config:
+    """The same configuration, for endpoints tls/... . Raises `UserError` for files that do not fit."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    names = "certificate and key"
+    try:
+        if tls.certificate is not None and tls.key is not None:
+            names = f"{tls.certificate}, {tls.key}"
+            context.load_cert_chain(tls.certificate, tls.key)
+        if tls.authority is not None:
+            names = str(tls.authority)
+            context.load_verify_locations(tls.authority)
+    except (OSError, ssl.SSLError) as error:
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+        raise UserError(f"{names}: {reason}, expected PEM files that belong together") from error
+    mutual = tls.certificate is not None
+    for name, value in (
+        ("root_ca_certificate", tls.authority),
+        ("connect_certificate", tls.certificate),
+        ("connect_private_key", tls.key),
+    ):
+        if value is not None:
+            config.insert_json5(f"{TLS}/{name}", json.dumps(str(value.absolute())))
+    config.insert_json5(f"{TLS}/enable_mtls", json.dumps(mutual))
     return config
 
 

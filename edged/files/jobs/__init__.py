@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from edged.config import not_toml, not_utf8, problem_of
 from edged.errors import FileFormatError
 from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import read_folder, replace_folder
@@ -51,17 +52,13 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
         data = tomllib.loads(files[TEXT].decode("utf-8-sig"))
         file = JobFile.model_validate(data)
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not UTF-8 text: {error}") from error
+        raise FileFormatError(f"{path}: {not_utf8(error)}") from error
     except tomllib.TOMLDecodeError as error:
-        raise FileFormatError(f"{path}: not TOML: {error}") from error
+        raise FileFormatError(f"{path}: {not_toml(error, files[TEXT])}") from error
     except RecursionError as error:
         raise FileFormatError(f"{path}: not TOML of a job: nested too deeply") from error
     except ValidationError as error:
-        details = "; ".join(
-            f"{'.'.join(str(part) for part in detail['loc']) or '(file)'}: "
-            f"{detail['msg'].removeprefix('Value error, ')}"
-            for detail in error.errors()
-        )
+        details = "; ".join(problem_of(detail, JobFile) for detail in error.errors())
         raise FileFormatError(f"{path}: {details}") from error
     shape_path = Path(folder) / SHAPE
     try:

@@ -27,8 +27,8 @@ from edged.plc.registers.schema import (
     Number,
     ResultCode,
 )
-from edged.robot.covariance import robot_covariance
-from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
+from edged.robot.orientations import Convention, rotation_vector_rad
+from edged.robot.reading import reading_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +123,12 @@ def _fingerprint(text: str) -> int:
 def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | None:
     if not (_is_sane(target.rig_from_part) and _is_sane(target.covariance)):
         return None
-    frame_from_part, covariance = target.rig_from_part, target.covariance
     robot = snapshot.robot_from_rig
-    if robot is not None:
-        frame_from_part = robot @ frame_from_part
-        covariance = robot_covariance(target, robot, snapshot.registration_covariance)
+    reading = reading_of(target, robot, snapshot.registration_covariance, convention)
+    frame_from_part = target.rig_from_part if robot is None else robot @ target.rig_from_part
     R = frame_from_part[:3, :3]
-    exact = (*(float(x) for x in frame_from_part[:3, 3]), *ANGLES_DEG[convention](R))
-    sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
-    sigma = (*sigma_mm.tolist(), *sigma_angles_deg(R, covariance[3:, 3:], convention).tolist())
+    exact = (*reading.position_mm.tolist(), *reading.angles_deg.tolist())
+    sigma = (*reading.sigma_mm.tolist(), *reading.sigma_deg.tolist())
     integers = tuple(round(value * 1000) for value in exact)
     if any(not -INT32_MAX <= number <= INT32_MAX for number in integers):
         return None

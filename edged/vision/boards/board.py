@@ -224,7 +224,8 @@ def parse_board(text: str) -> NominalBoard:
     counts = {"chessboard": (2,), "dots": (2, 3), "circles": (2, 3), "charuco": (4,)}[kind]
     if len(parts) not in counts:
         raise CalibrationError(
-            f"board {text!r}: {len(parts)} values after the kind, expected {_GRAMMAR[kind]}"
+            f"board {text!r}: {len(parts)} value{'s' if len(parts) != 1 else ''} after the kind, expected "
+            f"{_GRAMMAR[kind]}"
         )
     columns, rows = _size(text, kind, parts[0])
     pitch = _length(text, kind, "pitch" if kind in ("dots", "circles") else "square", parts[1])

@@ -48,10 +48,15 @@ function showHead(status) {
 
 // --- pictures ---
 
-function showPictures(picture) {
+function showPictures({ picture, pictured_ns, state }) {
+  // an old picture beside a fault would look like the present one
+  const there = picture && !(state && state.error);
+  $("nopicture").textContent = there ? "" : pictured_ns ? `no picture since ${clock(pictured_ns)}` : "no picture yet";
+  $("nopicture").hidden = there;
   for (const side of ["left", "right"]) {
     const view = $(side);
-    if (!picture) continue;
+    view.parentElement.hidden = !there;
+    if (!there) continue;
     view.setAttribute("viewBox", `0 0 ${picture.width} ${picture.height}`);
     let image = view.querySelector("image");
     if (!image) {
@@ -69,7 +74,7 @@ function showPictures(picture) {
     };
     loaded.src = `/picture/${picture.cycle}/${side}`;
   }
-  if (picture) shownCycle = picture.cycle;
+  if (there) shownCycle = picture.cycle;
 }
 
 function marks(mark, side, { width, height }) {
@@ -77,35 +82,53 @@ function marks(mark, side, { width, height }) {
   const place = ([x, y]) => `${(x * width).toFixed(1)},${(y * height).toFixed(1)}`;
   for (const circle of mark[side].circles) group.append(drawing("polyline", { points: circle.map(place).join(" ") }));
   const [origin, x, y] = mark[side].axes.map(place);
-  group.append(drawing("polyline", { points: `${origin} ${x}`, stroke: "#ff5d52" }));
-  group.append(drawing("polyline", { points: `${origin} ${y}`, stroke: "#4fb3ff" }));
+  for (const [name, end, at, colour] of [["x", x, mark[side].axes[1], "#ff5d52"], ["y", y, mark[side].axes[2], "#4fb3ff"]]) {
+    group.append(drawing("polyline", { points: `${origin} ${end}`, stroke: colour }));
+    const label = drawing("text", { x: at[0] * width + width / 150, y: at[1] * height + width / 80, fill: colour, stroke: "none", "font-size": width / 30 });
+    label.textContent = name;
+    group.append(label);
+  }
   return group;
 }
 
 // --- result ---
 
-function showResult(result, why) {
+const CONVENTIONS = {
+  fixed_xyz: "FANUC W P R, Yaskawa", kuka_abc: "KUKA A B C", ur_rotation_vector: "UR rotation vector",
+  staubli_xyz: "Stäubli rx ry rz", kawasaki_oat: "Kawasaki O A T", abb_zyx: "ABB OrientZYX",
+};
+
+function showResult({ result, why, angles, state }) {
   const place = $("reading");
+  if (state && state.error) {
+    const last = result && result.status !== "CAPTURE_FAULT" ? `before, cycle ${result.cycle} at ${clock(result.exposed_ns || result.published_ns)}: ${words(result.status)}` : "";
+    return place.replaceChildren(element("p", {}, state.error), element("p", { class: "muted" }, last || "no result while the fault lasts"));
+  }
   if (!result) return place.replaceChildren("nothing measured yet");
   const parts = [];
-  for (const target of [...result.targets, ...result.rejected]) {
+  for (const [number, target] of [...result.targets, ...result.rejected].entries()) {
     const pose = target.pose_robot || target;
     const table = element("table");
-    table.append(element("thead", {}, row("th", ["", target.pose_robot ? "robot frame" : "rig frame", "1 σ"])));
+    table.append(element("thead", {}, row("th", ["", target.pose_robot ? "robot's frame" : "rig's frame", "1 σ"])));
     const body = element("tbody");
     ["X", "Y", "Z"].forEach((axis, i) => {
       const line = row("td", [axis, `${fixed(pose.position_mm[i], 3)} mm`, `${fixed(pose.sigma_mm[i], 4)} mm`]);
       line.children[1].classList.add("big", "number");
       body.append(line);
     });
+    const turned = angles && angles.of[number];
+    if (turned) {
+      ["A", "B", "C"].forEach((axis, i) => body.append(row("td", [axis, `${fixed(turned.deg[i], 3)}°`, `${fixed(turned.sigma_deg[i], 4)}°`])));
+    }
     for (const circle of target.circles.slice(0, 1))
       body.append(row("td", [`radius ${circle.name}`, `${fixed(circle.radius_mm, 3)} mm`, `${fixed(circle.sigma_radius_mm, 4)} mm`]));
     body.append(row("td", ["angle in image", `${fixed(target.match.angle_deg, 3)}°`, ""]));
     body.append(row("td", ["score", fixed(target.score, 3), ""]));
     body.append(row("td", ["row difference", `${fixed(target.epipolar_rms_px, 3)} px`, ""]));
-    if (target.reject.length) body.append(row("td", ["not good", words(target.reject.join(", ")), ""]));
     table.append(body);
     parts.push(table);
+    if (target.reject.length) parts.push(element("p", {}, `not good: ${words(target.reject.join(", "))}`));
+    if (turned) parts.push(element("p", { class: "muted" }, `A, B, C: ${CONVENTIONS[angles.convention] || angles.convention}`));
   }
   if (!parts.length) parts.push(element("p", {}, words(result.status)), ...why.map((text) => element("p", {}, text)));
   const total = result.timing_ms.total;
@@ -122,12 +145,17 @@ function row(tag, cells) {
 
 // --- trends ---
 
+const RATE = 20;
+const okRate = (_, i) => {
+  const some = points.slice(Math.max(0, i + 1 - RATE), i + 1);
+  return (100 * some.filter((p) => p.status === "OK").length) / some.length;
+};
 const TRENDS = [
-  { name: "X from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[0], centred: true, digits: 3 },
-  { name: "Y from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[1], centred: true, digits: 3 },
-  { name: "Z from its mean", unit: "mm", of: (p) => p.position_mm && p.position_mm[2], centred: true, digits: 3 },
-  { name: "score", unit: "", of: (p) => p.score, digits: 4 },
+  { name: `OK, of ${RATE} cycles`, unit: "%", of: okRate, digits: 0, from: 0, to: 100 },
+  { name: "largest sigma", unit: "mm", of: (p) => p.sigma_mm, digits: 4, from: 0 },
+  { name: "drift: rows, mean", unit: "px", of: (p) => p.drift_px, digits: 3, from: 0 },
   { name: "row difference", unit: "px", of: (p) => p.epipolar_px, digits: 3, from: 0 },
+  { name: "score", unit: "", of: (p) => p.score, digits: 4 },
   { name: "cycle time", unit: "ms", of: (p) => p.total_ms, digits: 0, from: 0 },
 ];
 
@@ -136,21 +164,18 @@ function showTrends() {
   $("trends").replaceChildren(...TRENDS.map(trend));
 }
 
-function trend({ name, unit, of, centred, digits, from }) {
-  let values = points.map(of).map((value) => (value === undefined || value === null ? null : value));
+function trend({ name, unit, of, digits, from, to }) {
+  const values = points.map(of).map((value) => (value === undefined || value === null ? null : value));
   const known = values.filter((value) => value !== null);
   const box = element("div", { class: "trend" }, element("span", {}, name));
   if (!known.length) {
     box.append(element("b", {}, "–"));
     return box;
   }
-  const mean = centred ? known.reduce((a, b) => a + b, 0) / known.length : 0;
-  values = values.map((value) => (value === null ? null : value - mean));
-  const shown = values.filter((value) => value !== null);
-  let [low, high] = [Math.min(from ?? Infinity, ...shown), Math.max(...shown)];
+  let [low, high] = [Math.min(from ?? Infinity, ...known), Math.max(to ?? -Infinity, ...known)];
   if (high - low < 1e-9) [low, high] = [low - 0.5, high + 0.5];
-  const last = known[known.length - 1] - mean;
-  box.append(element("b", {}, `${fixed(last, digits)} ${unit}`));
+  const last = values[values.length - 1];
+  box.append(element("b", {}, last === null ? "–" : `${fixed(last, digits)} ${unit}`));
   const view = drawing("svg", { viewBox: "0 0 600 60", preserveAspectRatio: "none", role: "img",
     "aria-label": `${name}: ${fixed(last, digits)} ${unit}, between ${fixed(low, digits)} and ${fixed(high, digits)}` });
   const step = 600 / Math.max(values.length - 1, 1);
@@ -178,14 +203,14 @@ function showFacts(facts) {
 
 let shownFaults = "";
 function showFaults(faults) {
-  const key = faults.map((fault) => fault.cycle).join();
+  const key = faults.map((fault) => `${fault.cycle} ${fault.times}`).join();
   if (key === shownFaults && $("faults").childElementCount) return;
   shownFaults = key;
   if (!faults.length) return $("faults").replaceChildren(element("li", { class: "muted" }, "none since the start"));
   $("faults").replaceChildren(...faults.map((fault) => {
     const picture = fault.has_picture ? element("img", { src: `/picture/${fault.cycle}/left`, alt: `left picture of cycle ${fault.cycle}`, loading: "lazy" }) : element("span", { class: "muted" }, "no picture");
     return element("li", {}, picture, element("div", {}, element("b", {}, words(fault.status)), element("div", {}, fault.text),
-      element("div", { class: "muted" }, `cycle ${fault.cycle}, ${clock(fault.time_ns)}`)));
+      element("div", { class: "muted" }, `cycle ${fault.cycle}, ${clock(fault.time_ns)}${fault.times > 1 ? `; ${fault.times} times until ${clock(fault.last_ns)}` : ""}`)));
   }));
 }
 
@@ -223,8 +248,8 @@ $("find").addEventListener("input", loadRegisters);
 function show(status) {
   $("logout").hidden = !status.protected;
   showHead(status);
-  showPictures(status.picture);
-  showResult(status.result, status.why);
+  showPictures(status);
+  showResult(status);
   showTrends();
   showFacts(status.facts);
   showFaults(status.faults);

@@ -1,0 +1,46 @@
+"""A located part as the PLC reads it: position and A, B, C in the robot's frame, where there is one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray, Target
+from edged.robot.covariance import robot_covariance
+from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """position_mm (3,), angles_deg A, B, C (3,), and one sigma of each."""
+
+    position_mm: FloatArray
+    sigma_mm: FloatArray
+    angles_deg: FloatArray
+    sigma_deg: FloatArray
+
+
+def frame_name(robot_from_rig: FloatArray | None) -> str:
+    """`robot` where the rig is registered to one, else `rig`: the frame that positions are told in."""
+    return "rig" if robot_from_rig is None else "robot"
+
+
+def reading_of(
+    target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None, convention: Convention
+) -> Reading:
+    """A target in the frame of `frame_name`.
+
+    registration (6, 6) : as for `robot_covariance`. The pose and its covariance must be finite.
+    """
+    pose, covariance = target.rig_from_part, target.covariance
+    if robot_from_rig is not None:
+        pose = robot_from_rig @ pose
+        covariance = robot_covariance(target, robot_from_rig, registration)
+    turned = pose[:3, :3]
+    return Reading(
+        position_mm=pose[:3, 3],
+        sigma_mm=np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)),
+        angles_deg=np.array(ANGLES_DEG[convention](turned)),
+        sigma_deg=sigma_angles_deg(turned, covariance[3:, 3:], convention),
+    )
