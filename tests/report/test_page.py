@@ -62,7 +62,7 @@ def test_a_value_that_is_missing_is_an_error() -> None:
 @pytest.mark.parametrize("name", ["index.html", "login.html", "nomanual.html"])
 def test_the_status_page_has_the_same_frame(name: str) -> None:
     """Well formed, its own style and script, and nothing inline, which its security policy forbids."""
-    text = render(name, "edged.adapters.web")
+    text = render(name, "edged.adapters.web", cell="demo")
     page = HtmlPage(text)
     assert text.startswith('<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n')
     assert [] == page.open
