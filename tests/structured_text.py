@@ -9,12 +9,14 @@ from __future__ import annotations
 import copy
 import functools
 import re
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from blark import transform as ast
 from blark.parse import parse_source_code
 
+WAIT_S = 20.0
 LITERALS = {
     "ANY_INT": {"INT", "DINT", "UINT", "UDINT", "HW_ANY", "CONN_OUC"},
     "ANY_HEX": {"INT", "DINT", "UINT", "UDINT", "BYTE", "WORD", "DWORD"},
@@ -319,6 +321,33 @@ class Instance:
             for item in section.items
             for declared in item.variables
         ]
+
+
+class Driven:
+    """A block with xExecute and xBusy, called scan by scan in real time, as a PLC's task does."""
+
+    block: Instance
+    values: dict[str, Any]
+
+    def until(self, name: str, value: Any = True) -> None:
+        """Scans until an output has a value."""
+        deadline_s = time.monotonic() + WAIT_S
+        while self.values[name] != value:
+            assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
+            self.block.scan()
+
+    def run(self, **inputs: Any) -> None:
+        """A rising edge of xExecute, until the block is not busy any more."""
+        self.values |= inputs | {"xExecute": True}
+        self.block.scan()
+        assert self.values["xBusy"]
+        self.until("xBusy", False)
+
+    def release(self) -> None:
+        """The falling edge, until the cell knows."""
+        self.values["xExecute"] = False
+        for _ in range(40):
+            self.block.scan()
 
 
 def kind_of(init: Any) -> Kind:

@@ -103,13 +103,20 @@ def test_exposure_done_comes_before_the_result() -> None:
     assert [ExposureDone, Snapshot] == order
 
 
-def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
-    """The ninth waiting command is refused; none of the eight is lost."""
+def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]], Outcome]]:
+    """A measurement that finds nothing, and only ends after the event."""
     release = threading.Event()
 
-    def slow(pair, lap):
+    def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
         release.wait(5)
         return Outcome(Status.NO_TARGET)
+
+    return release, slow
+
+
+def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
+    """The ninth waiting command is refused; none of the eight is lost."""
+    release, slow = held()
 
     async def script(cycle, ear, head):
         cycle.submit(locate_command(0))
@@ -128,11 +135,7 @@ def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
 
 def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
     """Others fill their places and are refused; the PLC's eight are taken all the same, and go first."""
-    release = threading.Event()
-
-    def slow(pair, lap):
-        release.wait(5)
-        return Outcome(Status.NO_TARGET)
+    release, slow = held()
 
     async def script(cycle, ear, head):
         cycle.submit(locate_command(0))
@@ -311,11 +314,7 @@ def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> N
 
 def waiting_at_a_reload(commands: list[Command], new: Setup) -> Ear:
     """Accepted while a cycle runs; the setup is exchanged before their turn comes."""
-    release = threading.Event()
-
-    def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
-        release.wait(5)
-        return Outcome(Status.NO_TARGET)
+    release, slow = held()
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         cycle.submit(locate_command(0))

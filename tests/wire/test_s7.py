@@ -21,7 +21,6 @@ from snapshots import make_target
 from edged.adapters.modbus import ModbusSettings
 from edged.commands.registers import render
 
-WAIT_S = 20.0
 CYCLES_BUSY = 3
 DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"
 
@@ -119,7 +118,7 @@ class MbClient:
             self._client.close()
 
 
-class S7:
+class S7(structured_text.Driven):
     """A PLC with `FB_EDGED_S7` in its OB1."""
 
     def __init__(self, port: int) -> None:
@@ -148,26 +147,6 @@ class S7:
 
     def __exit__(self, *_: object) -> None:
         self.client.close()
-
-    def until(self, name: str, value: Any = True) -> None:
-        """Cycles of OB1 until an output has a value."""
-        deadline_s = time.monotonic() + WAIT_S
-        while self.values[name] != value:
-            assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
-            self.block.scan()
-
-    def run(self, **inputs: Any) -> None:
-        """A rising edge of xExecute, until the block is not busy any more."""
-        self.values |= inputs | {"xExecute": True}
-        self.block.scan()
-        assert self.values["xBusy"]
-        self.until("xBusy", False)
-
-    def release(self) -> None:
-        """The falling edge, until the cell knows."""
-        self.values["xExecute"] = False
-        for _ in range(40):
-            self.block.scan()
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from snapshots import make_target
 
 from edged.plc.clients import twincat_files
 
-WAIT_S = 20.0
 CYCLES_BUSY = 3
 
 
@@ -107,7 +106,7 @@ def source() -> str:
     return "".join(parts)
 
 
-class TwinCat:
+class TwinCat(structured_text.Driven):
     """A PLC with `FB_EDGED_TC` in its task."""
 
     def __init__(self, port: int) -> None:
@@ -125,26 +124,6 @@ class TwinCat:
 
     def __exit__(self, *_: object) -> None:
         self.line.close()
-
-    def until(self, name: str, value: Any = True) -> None:
-        """Cycles until an output has a value."""
-        deadline_s = time.monotonic() + WAIT_S
-        while self.values[name] != value:
-            assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
-            self.block.scan()
-
-    def run(self, **inputs: Any) -> None:
-        """A rising edge of xExecute, until the block is not busy any more."""
-        self.values |= inputs | {"xExecute": True}
-        self.block.scan()
-        assert self.values["xBusy"]
-        self.until("xBusy", False)
-
-    def release(self) -> None:
-        """The falling edge, until the cell knows."""
-        self.values["xExecute"] = False
-        for _ in range(40):
-            self.block.scan()
 
 
 def test_twincat_locates_a_part() -> None:

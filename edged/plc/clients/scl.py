@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
-from edged.plc.clients.units import COMMENT, Code, Structure, Variable, codes, structures
+from edged.plc.clients.units import COMMENT, Code, Structure, Variable, codes, filled, structures
 from edged.plc.registers import COMMAND, MAP_VERSION, RESULT, STATUS
 
 ADDRESS_BYTES = ("16#C0", "16#A8", "16#0A", "16#14")  # 192.168.10.20
@@ -232,7 +232,4 @@ def _s7() -> str:
         "COMMAND": COMMAND.address,
         **{f"IP{i}": byte for i, byte in enumerate(ADDRESS_BYTES, start=1)},
     }
-    text = S7
-    for name, value in values.items():
-        text = text.replace(f"@{name}@", str(value))
-    return text
+    return filled(S7, values)

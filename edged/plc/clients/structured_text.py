@@ -7,6 +7,7 @@ No global variables, no vendor library: the PLC's own Modbus client copies regis
 from __future__ import annotations
 
 from edged.domain import CommandKind
+from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, RESULT, STATUS, Flag, Kind, Register, StatusBit
 
@@ -345,10 +346,7 @@ def _block() -> str:
         f"O_{name}": ADDRESS[name] - COMMAND.address
         for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "TIMEOUT")
     }
-    text = BLOCK
-    for name, value in words.items():
-        text = text.replace(f"@{name}@", str(value))
-    return text
+    return filled(BLOCK, words)
 
 
 def _at(name: str) -> int:

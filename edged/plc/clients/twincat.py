@@ -15,7 +15,7 @@ from __future__ import annotations
 import uuid
 
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
-from edged.plc.clients.units import Code, Structure, codes, structures
+from edged.plc.clients.units import Code, Structure, codes, filled, structures
 from edged.plc.registers import COMMAND, RESULT, STATUS
 
 NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
@@ -174,7 +174,4 @@ def _modbus() -> str:
         "RESULT": RESULT.address,
         "COMMAND": COMMAND.address,
     }
-    text = MODBUS
-    for name, number in numbers.items():
-        text = text.replace(f"@{name}@", str(number))
-    return text
+    return filled(MODBUS, numbers)

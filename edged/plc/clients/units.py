@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 COMMENT = re.compile(r"\(\*.*?\*\)", re.S)
@@ -48,6 +49,13 @@ class Code:
     declaration: str
     sections: tuple[tuple[str, tuple[Variable, ...]], ...]
     body: str
+
+
+def filled(template: str, values: Mapping[str, object]) -> str:
+    """A template with each @NAME@ replaced by its value."""
+    for name, value in values.items():
+        template = template.replace(f"@{name}@", str(value))
+    return template
 
 
 def structures(source: str) -> tuple[Structure, ...]:

@@ -14,6 +14,7 @@ integers, hence `floor`.
 from __future__ import annotations
 
 from edged.domain import CommandKind
+from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, Flag, StatusBit
 
@@ -247,10 +248,7 @@ end
 
 def urscript_source() -> str:
     """Functions for the robot's program, as text."""
-    text = SCRIPT
-    for name, value in _values().items():
-        text = text.replace(f"@{name}@", value)
-    return text
+    return filled(SCRIPT, _values())
 
 
 def _values() -> dict[str, str]:

@@ -82,11 +82,8 @@ def _dots(board: DotGrid, dots: tuple[tuple[float, ...], ...], far: FloatArray) 
 
 def _charuco(board: Charuco) -> Artwork:
     """As OpenCV draws it since 4.6: the first corner is black, markers in the white squares."""
-    p, dictionary = (
-        board.pitch_mm,
-        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}")),
-    )
-    size = (board.columns, board.rows)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
+    p, size = board.pitch_mm, (board.columns, board.rows)
     drawn = cv2.aruco.CharucoBoard(size, p, board.marker_mm, dictionary)
     cells = dictionary.markerSize + 2
     cell = board.marker_mm / cells

@@ -17,8 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import SIDES, FloatArray, Image
-from edged.vision.boards.board import Board, Detection
+from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
+from edged.vision.boards.deformation import nominal
 from edged.vision.geometry.camera import StereoRig, calibration_identity
+from edged.vision.geometry.stereoimages import linear_grey
 
 REACH_PX = 5
 """Of the profiles, to both sides, and half their width along the edge."""
@@ -272,15 +274,10 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
     return tuple(found)
 
 
-def linear_grey(grey: FloatArray, gamma: float) -> FloatArray:
-    """Grey values, 0 to 255, that are in proportion to the light."""
-    return np.asarray(255.0 * (grey / 255.0) ** (1.0 / gamma))
-
-
 def _lines(board: Board, detection: Detection) -> FloatArray:
     """(M, 2, 2) px: both ends of every edge between neighbouring corners; none for boards of dots."""
-    stated = getattr(board, "stated", board)
-    if not str(stated).startswith(("chessboard", "charuco")):
+    stated = nominal(board)
+    if not isinstance(stated, Chessboard | Charuco):
         return np.zeros((0, 2, 2))
     cells = np.rint(stated.points_mm[detection.ids, :2] / stated.pitch_mm).astype(np.int64)
     known = {(x, y): n for n, (x, y) in enumerate(cells.tolist())}
@@ -345,10 +342,14 @@ _HALF = np.arange(BIN_PX / 2, REACH_PX - 2.0, BIN_PX)
 
 def _by_sector(edges: Edges) -> list[Edges]:
     """The edges by their direction from dark to bright; without directions of which there are too few."""
+    return [one for one in _sectors(edges) if len(one.view) >= MIN_EDGES]
+
+
+def _sectors(edges: Edges) -> list[Edges]:
+    """The edges of each direction, opposite ones SECTORS / 2 apart."""
     angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
     sector = ((angle + math.pi) * SECTORS / (2 * math.pi)).astype(np.int64) % SECTORS
-    found = [edges.some(sector == number) for number in range(SECTORS)]
-    return [one for one in found if len(one.view) >= MIN_EDGES]
+    return [edges.some(sector == number) for number in range(SECTORS)]
 
 
 def _odd_part(edges: Edges, gamma: float) -> float:
@@ -392,15 +393,12 @@ def _response(edges: Edges) -> tuple[float, float, float]:
 
 def _asymmetry_px(edges: Edges) -> float:
     """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
-    angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
-    sector = ((angle + math.pi) * SECTORS / (2 * math.pi)).astype(np.int64) % SECTORS
     skew = []
-    for number in range(SECTORS):
-        here = sector == number
-        if here.sum() < MIN_EDGES // SECTORS:
+    for one in _sectors(edges):
+        if len(one.view) < MIN_EDGES // SECTORS:
             skew.append(math.nan)
             continue
-        profile = _profile(edges.some(here))
+        profile = _profile(one)
         skew.append(float(np.sum(profile.at(_HALF) + profile.at(-_HALF) - 1.0)) * BIN_PX)
     pairs = [0.5 * abs(skew[n] - skew[n + SECTORS // 2]) for n in range(SECTORS // 2)]
     known = [value for value in pairs if math.isfinite(value)]

@@ -10,6 +10,7 @@ import numpy as np
 
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.crossvalidation import HeldOutView
+from edged.vision.calibration.imaging import NOISE_PX
 from edged.vision.calibration.nextbestview import best_next_view, volume_points
 from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.geometry.uncertainty import calibration_covariance
@@ -25,8 +26,6 @@ GOOD_OVERFIT, WORST_OVERFIT = 1.5, 3.0
 """Error of held-out views over that of fitted ones: more says that the views do not determine the lenses."""
 GOOD_SHARE, WORST_SHARE = 1.0, 3.0
 """The calibration's part in the error of a point over that of one picture's noise."""
-NOISE_PX = 0.05
-"""Of an edge point, as the report assumes it."""
 WORTH_ADDING = 0.05
 """A view that lowers the calibration's part in the error by less is not worth a picture."""
 

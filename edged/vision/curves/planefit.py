@@ -502,9 +502,9 @@ class _State:
         """
         towards = -np.repeat([float(curve.polarity) for curve in self.curves], np.diff(starts))
         left, right = CLIPPED_PX * towards * edges.clipped
-        (soft_left, soft_right), none = (
-            (SOFT_SHIFT_PX * seen.normals[:, 0] * soft for seen, soft in zip(sides, edges.soft, strict=True)),
-            np.zeros(len(towards)),
+        none = np.zeros(len(towards))
+        soft_left, soft_right = (
+            SOFT_SHIFT_PX * seen.normals[:, 0] * soft for seen, soft in zip(sides, edges.soft, strict=True)
         )
         return (
             np.column_stack([left, CLIPPED_APART * left, soft_left, none]),

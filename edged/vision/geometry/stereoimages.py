@@ -72,4 +72,9 @@ def linear_image(image: Image, gamma: float) -> Image:
 @lru_cache(maxsize=8)
 def _inverse(gamma: float) -> Image:
     """(256,) uint8: the linear grey value of each."""
-    return np.rint(255.0 * (np.arange(256) / 255.0) ** (1.0 / gamma)).astype(np.uint8)
+    return np.rint(linear_grey(np.arange(256.0), gamma)).astype(np.uint8)
+
+
+def linear_grey(grey: FloatArray, gamma: float) -> FloatArray:
+    """Grey values, 0 to 255, that are in proportion to the light."""
+    return np.asarray(255.0 * (grey / 255.0) ** (1.0 / gamma))
