@@ -15,7 +15,7 @@ from rich.console import Console
 from snapshots import make_snapshot
 
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.app.cellfiles import read_cell
+from edged.cellfiles import read_cell
 from edged.commands.backup import backup, restore, unpack
 from edged.domain import Event, ExposureDone, Frame, FramePair, Status
 from edged.files import atomic, recording

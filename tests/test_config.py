@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edged.app.cellfiles import fingerprint
+from edged.cellfiles import fingerprint
 from edged.config import load
 from edged.errors import ConfigError
 

@@ -40,7 +40,9 @@ from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from edged.commands.calibrate import detect_views, remeasure_views
+from edged.commands.progress import shown_on
+from edged.commissioning.calibration import Views
+from edged.commissioning.pairs import Pair
 from edged.domain import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.files.images import load_image
@@ -135,14 +137,18 @@ def read_folder(path: Path, spec: str, model: LensModel) -> Folder:
         raise CalibrationError(f"--board {spec!r}: expected a chessboard, its corners are measured")
     console = Console(stderr=True)
     pairs = find_pairs(path)
-    sizes, views = detect_views(pairs, [board], console)
-    whole = calibrate_stereo(views, *sizes, model)
+    shown = Views([board])
+    with shown_on(console) as progress:
+        shown.add([Pair.of_files(pair) for pair in pairs], progress)
+    sizes = shown.sizes
+    whole = calibrate_stereo(shown.found, *sizes, model)
     if len(whole.views) <= MIN_PAIRS:
         raise CalibrationError(
             f"{path}: {len(whole.views)} usable pairs; expected more than {MIN_PAIRS}, to leave one out"
         )
     used = {fit.name for fit in whole.views}
-    views = [view for view in remeasure_views(pairs, views, whole, console) if view.name in used]
+    with shown_on(console) as progress:
+        views = [view for view in shown.remeasured(whole, progress) if view.name in used]
     return Folder({pair.name: pair for pair in pairs if pair.name in used}, views, sizes, model)
 
 

@@ -21,7 +21,9 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from edged.commands.calibrate import detect_views, remeasure_views
+from edged.commands.progress import shown_on
+from edged.commissioning.calibration import Views
+from edged.commissioning.pairs import Pair
 from edged.domain import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
@@ -149,8 +151,11 @@ def measure(folder: Path, spec: str, model: LensModel) -> Marks:
     """Find all marks, calibrate roughly, measure the marks again."""
     started = time.perf_counter()
     pairs = find_pairs(folder)
-    sizes, views = detect_views(pairs, [parse_board(spec)], CONSOLE)
-    views = remeasure_views(pairs, views, calibrate_stereo(views, *sizes, model), CONSOLE)
+    shown = Views([parse_board(spec)])
+    with shown_on(CONSOLE) as progress:
+        shown.add([Pair.of_files(pair) for pair in pairs], progress)
+        sizes = shown.sizes
+        views = shown.remeasured(calibrate_stereo(shown.found, *sizes, model), progress)
     return Marks(pairs, sizes, views, time.perf_counter() - started)
 
 

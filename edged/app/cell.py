@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.app.cellfiles import CellFiles, read_cell
+from edged.cellfiles import CellFiles, read_cell
 from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits

@@ -13,10 +13,10 @@ from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import head_of
 from edged.app.cell import LoadedCell, load_cell, warm_up
-from edged.app.cellfiles import exposed_secrets
 from edged.app.servers import Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
+from edged.cellfiles import exposed_secrets
 from edged.cycle import Cycle
 from edged.errors import EdgedError
 from edged.logs import fields

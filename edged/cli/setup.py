@@ -99,8 +99,8 @@ def verify(
     """Check a rig against one fresh pair: rows must agree, and a known length must come out."""
     from rich.console import Console
 
-    from edged.commands.verify import Limits
     from edged.commands.verify import verify as command
+    from edged.commissioning.checking import Limits
 
     limits = Limits(max_epipolar, max_length_error)
     raise typer.Exit(command(rig, left, right, board, job, length or [], limits, as_json, Console()))

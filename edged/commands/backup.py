@@ -35,7 +35,7 @@ from typing import Any
 from rich.console import Console
 
 from edged import __version__
-from edged.app.cellfiles import read_cell
+from edged.cellfiles import read_cell
 from edged.commands.registers import render
 from edged.config import Config
 from edged.errors import ConfigError, FileFormatError, UserError

@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from edged.app.cellfiles import exposed_secrets, read_cell
+from edged.cellfiles import exposed_secrets, read_cell
 from edged.errors import ConfigError
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +13,21 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from edged.commands.calibrate import check_board_size
-from edged.domain import SIDES, FloatArray
+from edged.commissioning.pairs import Pair, Picture, check_board_size
+from edged.commissioning.registration import from_points, from_poses, rig_from_board, save, which_convention
+from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.images import load_image
 from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
-from edged.files.rig import keep_old_rig, load_rig, load_rig_quality, save_rig
+from edged.files.rig import load_rig
 from edged.files.tables import number_of, read_table
-from edged.robot.handeye import HandEye, Mount, hand_eye
-from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FIELDS, READINGS, Brand, transform_of
-from edged.robot.readings import rank_readings
-from edged.robot.touch import PointRegistration, register_points
-from edged.vision.boards.board import NominalBoard, NotDetected, StereoView, parse_board
-from edged.vision.boards.detection import detect_board
-from edged.vision.calibration.verification import pose_of_board
+from edged.robot.handeye import HandEye, Mount
+from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
+from edged.robot.touch import PointRegistration
+from edged.vision.boards.board import NominalBoard, NotDetected, parse_board
 from edged.vision.geometry.camera import StereoRig
-
-DECIDED = 3.0
-"""A reading that fits so many times better than the next is the right one."""
 
 
 def touch(
@@ -46,14 +40,9 @@ def touch(
     check_outputs({"--output": output}, {"--points": points})
     rig = load_rig(rig_path)
     names, rig_mm, robot_mm = read_touched(points)
-    found = register_points(rig_mm, robot_mm)
-    checked = np.isfinite(found.held_out_mm).any()
-    worst = float(np.nanmax(found.held_out_mm)) if checked else found.lengths_mm
-    good = worst <= limit_mm
-    doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(names) > 3 else False
-    registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None)
-    how = {"how": "touched points", "points": len(names), "rms_mm": round(found.rms_mm, 4)}
-    kept = _save(rig_path, registered, output, found.covariance, how) if good else None
+    solved = from_points(rig, rig_mm, robot_mm, limit_mm)
+    found, good = solved.found, solved.good
+    kept = save(rig_path, solved.registered, output) if good else None
     if as_json:
         print(json.dumps(_touch_json(names, found, good, output if good else None)))
         return 0 if good else 1
@@ -62,17 +51,17 @@ def touch(
         table.add_row(name, *("–" if math.isnan(value) else f"{value:.3f}" for value in values))
     console.print(table)
     console.print(f"rms {found.rms_mm:.3f} mm, scale {found.scale:.5f} ± {found.sigma_scale:.5f}")
-    if doubt:
+    if solved.doubt:
         console.print(
             f"the robot's lengths differ by {100 * (found.scale - 1):+.2f} %: is the board's length right?"
         )
-    if not checked:
+    if not solved.checked:
         console.print(
             f"the distances between these points agree to {found.lengths_mm:.3f} mm; only more points show "
             "whether one of them is wrong, and which"
         )
     if not good:
-        console.print(_verdict_of_touch(names, found, worst, limit_mm), markup=False)
+        console.print(_verdict_of_touch(names, found, solved.worst_mm, limit_mm), markup=False)
     else:
         _tell_saved(output, kept, console)
     return 0 if good else 1
@@ -96,27 +85,10 @@ def hand_eye_command(
     numbers = read_poses(poses)
     maker = _brand(brand)
     views = _views(rig, folder, pattern, list(numbers), console)
-    transforms = [_transform(maker, name, numbers[name], poses) for name in views]
-    found = hand_eye(transforms, list(views.values()), pattern.points_mm, mount)
-    # a rejected pose says nothing about the registration, which does not use it
-    held = found.held_out_mm[found.used & np.isfinite(found.held_out_mm)]
-    rms = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
-    good = rms <= limit_mm
-    kept = None
-    if good:
-        fixed = mount == "eye-to-hand"
-        registered = replace(
-            rig,
-            robot_from_rig=found.rig if fixed else None,
-            flange_from_rig=None if fixed else found.rig,
-        )
-        how = {
-            "how": f"hand-eye, {mount}",
-            "poses": int(found.used.sum()),
-            "rejected": [name for name, used in zip(views, found.used, strict=True) if not used],
-            "held_out_rms_mm": round(rms, 4),
-        }
-        kept = _save(rig_path, registered, output, found.covariance, how)
+    transforms = {name: _transform(maker, name, numbers[name], poses) for name in views}
+    solved = from_poses(rig, transforms, views, pattern, mount, limit_mm)
+    found, rms, good = solved.found, solved.held_out_rms_mm, solved.good
+    kept = save(rig_path, solved.registered, output) if good else None
     if as_json:
         print(json.dumps(_hand_eye_json(list(views), found, rms, good)))
         return 0 if good else 1
@@ -148,36 +120,26 @@ def self_test(
     rig, pattern = load_rig(rig_path), parse_board(board)
     numbers = read_poses(poses)
     views = _views(rig, folder, pattern, list(numbers), console)
-    ranked = rank_readings(
-        [numbers[name] for name in views], list(views.values()), pattern.points_mm, READINGS, LENGTH_UNITS_MM
-    )
-    best = ranked[0]
-    rival = next((one for one in ranked[1:] if one.rms_mm > 1.0001 * best.rms_mm), None)
-    stands_out = rival is None or rival.rms_mm > DECIDED * best.rms_mm
-    same = [one for one in ranked if one.rms_mm <= 1.0001 * best.rms_mm]
-    agrees = True
+    stated = None
     if brand is not None:
         maker = _brand(brand)
-        transforms = [_transform(maker, name, numbers[name], poses) for name in views]
-        stated = min(
-            hand_eye(transforms, list(views.values()), pattern.points_mm, mount).rms_mm
-            for mount in ("eye-to-hand", "eye-in-hand")
-        )
-        agrees = stated <= 1.01 * best.rms_mm + 1e-9
+        stated = [_transform(maker, name, numbers[name], poses) for name in views]
+    readings = which_convention([numbers[name] for name in views], list(views.values()), pattern, stated)
+    best, stands_out, agrees = readings.ranked[0], readings.stands_out, readings.agrees
     if as_json:
         rows = [
             {"orientation": r.orientation, "length_unit": r.length_unit, "mount": r.mount, "rms_mm": r.rms_mm}
-            for r in ranked
+            for r in readings.ranked
         ]
         print(json.dumps({"ranked": rows, "decided": stands_out, "agrees_with_brand": agrees}))
         return 0 if stands_out and agrees else 1
     table = Table("orientation", "lengths", "mount", "rms mm")
-    for one in ranked[:8]:
+    for one in readings.ranked[:8]:
         table.add_row(one.orientation, one.length_unit, one.mount, f"{one.rms_mm:.3f}")
     console.print(table)
     if not stands_out:
         console.print("no reading stands out: take more poses, with rotations about different axes")
-    elif len(same) > 1:
+    elif readings.alike > 1:
         console.print("the first readings mean the same for these poses")
     if brand is not None and not agrees:
         console.print(
@@ -274,35 +236,20 @@ def _views(
     """rig_from_board of every pair that shows the board; the others are named and skipped."""
     found: dict[str, FloatArray] = {}
     for name in track(names, "finding the board", console=console, transient=True):
-        sides = []
-        for side in SIDES:
-            path = half_of(folder, name, side)
-            image = load_image(path)
-            camera = rig.left if side == "left" else rig.right
-            if image.shape != (camera.height, camera.width):
-                raise UserError(f"{path}: not of the size the rig was calibrated for")
-            sides.append(detect_board(image, board))
-        pose = pose_of_board(rig, StereoView(name, board, sides[0], sides[1]))
-        if isinstance(pose, NotDetected):
-            console.print(f"skipped {name}: {pose.reason}", markup=False)
+        placed = rig_from_board(rig, Pair(name, *(_picture(folder, name, side) for side in SIDES)), board)
+        if isinstance(placed, NotDetected):
+            console.print(f"skipped {name}: {placed.reason}", markup=False)
             continue
-        found[name] = pose[1]
+        found[name] = placed
     if not found:
         check_board_size([load_image(half_of(folder, name, "left")) for name in names[:4]], board)
         raise CalibrationError(f"{folder}: the board was seen in no pair")
     return found
 
 
-def _save(
-    source: Path, rig: StereoRig, output: Path, covariance: FloatArray, how: dict[str, object]
-) -> Path | None:
-    """Write the registered rig; what stood there before is kept beside it. Returns that copy."""
-    known = covariance if np.isfinite(covariance).all() else None
-    when = datetime.now(UTC).isoformat(timespec="seconds")
-    quality = {**load_rig_quality(source), "registration": {**how, "when": when}}
-    kept = keep_old_rig(output)
-    save_rig(output, replace(rig, registration_covariance=known), quality)
-    return kept
+def _picture(folder: Path, name: str, side: Side) -> Picture:
+    path = half_of(folder, name, side)
+    return Picture(str(path), partial(load_image, path))
 
 
 def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.app.cellfiles import exposed_secrets, read_cell
+from edged.cellfiles import exposed_secrets, read_cell
 from edged.config import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict

@@ -14,9 +14,9 @@ from rich.console import Console
 from zenohcell import free_port
 
 from edged.app.cell import load_cell
-from edged.app.cellfiles import exposed_secrets, read_cell
 from edged.app.daemon import Daemon
 from edged.app.status import config_summary
+from edged.cellfiles import exposed_secrets, read_cell
 from edged.commands.check import check
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import replay

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from typer.testing import CliRunner
 
-from edged.app.cellfiles import read_cell
+from edged.cellfiles import read_cell
 from edged.cli.main import app
 from edged.commands import backup as module
 from edged.commands.backup import Backup, backup, pack, restore, unpack

@@ -15,7 +15,8 @@ from cells import flange
 from rich.console import Console
 from rigs import make_rig
 
-from edged.commands.verify import Limits, verify
+from edged.commands.verify import verify
+from edged.commissioning.checking import Limits
 from edged.domain import FloatArray
 from edged.errors import ImageError, UserError
 from edged.files.jobs import save_job

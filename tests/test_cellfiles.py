@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from edged.app import cellfiles
-from edged.app.cellfiles import read_cell
+from edged import cellfiles
+from edged.cellfiles import read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.errors import ConfigError
 from edged.files.jobs import job_of
@@ -163,7 +163,7 @@ def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
 @pytest.mark.parametrize("name", ["zenoh-acl-example.json5", "zenoh-router-example.json5"])
 def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
     """They are the remedy that the message names."""
-    config, examples = folder / "cell.toml", Path(__file__).parents[2] / "config"
+    config, examples = folder / "cell.toml", Path(__file__).parents[1] / "config"
     shutil.copy(examples / name, folder)
     config.write_text(config.read_text().replace("[zenoh]", f'[zenoh]\nconfig_file = "{name}"'))
 

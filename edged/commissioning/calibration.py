@@ -1,0 +1,296 @@
+"""A rig from pairs that show a board: pairs come and go, and are solved when there are enough."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from edged.commissioning.pairs import Pair, Picture, Progress, check_board_size, silent, work_on
+from edged.domain import SIDES, Side
+from edged.errors import CalibrationError
+from edged.report.calibration import calibration_report
+from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
+from edged.vision.boards.deformation import nominal
+from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
+from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
+from edged.vision.calibration.imaging import (
+    Edges,
+    Finding,
+    Imaging,
+    edges_of,
+    findings,
+    imaging_of,
+    with_response,
+)
+from edged.vision.calibration.nextbestview import depths_mm
+from edged.vision.calibration.plainopencv import plain_opencv
+from edged.vision.calibration.verdict import Verdict, judge_calibration
+from edged.vision.geometry.camera import LensModel, StereoRig
+from edged.vision.geometry.rectification import make_rectification
+
+TRIED_PICTURES = 4
+"""Of those without the stated board, to see whether another size fits."""
+
+Sizes = tuple[tuple[int, int], tuple[int, int]]
+"""(width, height) of the left and of the right images, px."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies."""
+
+    size: tuple[int, int]
+    digest: bytes
+    results: Sequence[Detection | NotDetected]
+
+
+class Views:
+    """The pairs of a calibration, in the order they came, and what each shows of the boards."""
+
+    def __init__(self, boards: Sequence[NominalBoard]) -> None:
+        self.boards = tuple(boards)
+        self._pairs: dict[str, tuple[Pair, _Looked, _Looked]] = {}
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """All of them."""
+        return [pair for pair, _, _ in self._pairs.values()]
+
+    def add(self, pairs: Sequence[Pair], progress: Progress = silent) -> None:
+        """Find one of the boards in each picture. Raises `ImageError`; then none of these pairs was added.
+
+        A pair of a name that is there already takes its place.
+        """
+        tasks = [
+            partial(_look, picture, self.boards) for pair in pairs for picture in (pair.left, pair.right)
+        ]
+        looked = work_on(tasks, "finding the board", progress)
+        for pair, left, right in zip(pairs, looked[::2], looked[1::2], strict=True):
+            self._pairs[pair.name] = pair, left, right
+
+    def remove(self, name: str) -> None:
+        """Take a pair out; `KeyError` when there is none of this name."""
+        del self._pairs[name]
+
+    @property
+    def found(self) -> list[StereoView]:
+        """One view for each pair; a copy of another pair counts for nothing."""
+        views: list[StereoView] = []
+        first_with: dict[bytes, str] = {}
+        for name, (_, left, right) in self._pairs.items():
+            twin = first_with.setdefault(left.digest, name)
+            if left.digest == right.digest:
+                missed = NotDetected("the left and the right picture are the same file twice")
+                views.append(StereoView(name, self.boards[0], missed, missed))
+            elif twin != name:
+                missed = NotDetected(f"the same picture as in {twin}: it would count twice")
+                views.append(StereoView(name, self.boards[0], missed, missed))
+            else:
+                views.append(_view(name, self.boards, left.results, right.results))
+        return views
+
+    @property
+    def sizes(self) -> Sizes:
+        """Of all images of each camera. Raises `CalibrationError` for images of different sizes."""
+        left, right = (
+            _one_size(
+                [pair.side(side).label for pair in self.pairs],
+                [looked[index].size for _, *looked in self._pairs.values()],
+            )
+            for index, side in enumerate(SIDES)
+        )
+        return left, right
+
+    def check_board(self) -> None:
+        """Where hardly a pair shows the stated board: raises `CalibrationError` if another size fits."""
+        seen = [not isinstance(view.left, NotDetected) for view in self.found]
+        if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
+            return
+        missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one][:TRIED_PICTURES]
+        check_board_size([picture.read() for picture in missed], self.boards[0])
+
+    def remeasured(self, calibration: Calibration, progress: Progress = silent) -> list[StereoView]:
+        """The same as `found`, the marks of all views that were used measured with the lenses now known."""
+        rig = calibration.rig
+        tasks = [
+            partial(_remeasure, self._pairs[fit.name][0].side(side), fit, side, rig)
+            for fit in calibration.views
+            for side in SIDES
+        ]
+        marks = work_on(tasks, "measuring the marks", progress)
+        names = [fit.name for fit in calibration.views]
+        done = dict(zip(names, zip(marks[::2], marks[1::2], strict=True), strict=True))
+        return [
+            replace(view, left=done[view.name][0], right=done[view.name][1]) if view.name in done else view
+            for view in self.found
+        ]
+
+    def imaging(self, calibration: Calibration, progress: Progress = silent) -> tuple[Imaging, Imaging]:
+        """What the edges of the boards say of the left and of the right camera."""
+        tasks = [
+            partial(_edges, self._pairs[fit.name][0].side(side), fit, side, number)
+            for side in SIDES
+            for number, fit in enumerate(calibration.views)
+        ]
+        found = work_on(tasks, "looking at the edges", progress)
+        count = len(calibration.views)
+        rig = calibration.rig
+        left, right = (
+            imaging_of([one for one in edges if one is not None], (camera.width, camera.height))
+            for edges, camera in ((found[:count], rig.left), (found[count:], rig.right))
+        )
+        return left, right
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration and what it is worth.
+
+    views : of all pairs, also of those that were left out. found : what the boards' edges say of the cameras.
+    quality : what the rig file keeps of it.
+    """
+
+    calibration: Calibration
+    views: tuple[StereoView, ...]
+    held: tuple[HeldOutView, ...]
+    found: tuple[Finding, ...]
+    verdict: Verdict
+    quality: Mapping[str, Any]
+
+    @property
+    def rig(self) -> StereoRig:
+        """The rig, which can be rectified."""
+        return self.calibration.rig
+
+
+def solve(
+    views: Views, lens: LensModel, *, plate_shape: bool = False, progress: Progress = silent
+) -> Calibrated:
+    """Calibrate from all pairs, and judge what came out. Raises `CalibrationError` when they give no rig.
+
+    plate_shape : measure how the board is bent and misprinted, too.
+    """
+    sizes = views.sizes
+    views.check_board()
+    progress("bundle adjustment", 0, 0)
+    first = calibrate_stereo(views.found, *sizes, lens)
+    remeasured = views.remeasured(first, progress)
+    progress("bundle adjustment", 0, 0)
+    calibration = calibrate_stereo(remeasured, *sizes, lens, plate_shape=plate_shape)
+    progress("holding views out", 0, 0)
+    held = hold_out(calibration)
+    imaging = views.imaging(calibration, progress)
+    found = findings(imaging, calibration.rig, float(depths_mm(calibration)[1]))
+    calibration = replace(calibration, rig=with_response(calibration.rig, imaging))
+    # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
+    make_rectification(calibration.rig)
+    progress("the verdict", 0, 0)
+    verdict = judge_calibration(calibration, held)
+    quality = {
+        **quality_figures(calibration, held, views.boards),
+        "imaging": [asdict(one) for one in found],
+        "verdict": {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add},
+    }
+    return Calibrated(calibration, tuple(remeasured), tuple(held), tuple(found), verdict, quality)
+
+
+def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
+    """The report as a page. about : where the pictures come from, and when it was made."""
+    calibration = calibrated.calibration
+    sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
+    plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
+    return calibration_report(
+        calibration, calibrated.held, calibrated.views, calibrated.quality, about, plain, calibrated.found
+    )
+
+
+def quality_figures(
+    calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[NominalBoard]
+) -> dict[str, Any]:
+    """What the rig file keeps about its calibration."""
+    return {
+        "board": ",".join(str(board) for board in boards),
+        "views": len(calibration.views),
+        "excluded": [{"view": name, "reason": reason} for name, reason in calibration.excluded],
+        "stereo_rms_px": round(calibration.rms_px, 5),
+        "left_rms_px": round(calibration.rms_left_px, 5),
+        "right_rms_px": round(calibration.rms_right_px, 5),
+        "epipolar_rms_px": round(calibration.epipolar_rms_px, 5),
+        "held_out": _held_out_figures(held),
+        "model_error_px": [round(value, 5) for value in calibration.model_error_px],
+        "outliers": calibration.outliers,
+        "notes": list(calibration.notes),
+    }
+
+
+def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
+    """Root mean squares over the views; None where no view could be held out."""
+    if not held:
+        return None
+
+    def rms(values: Sequence[float]) -> float:
+        return round(float(np.sqrt(np.mean(np.square(values)))), 6)
+
+    scales = np.array([view.scale for view in held])
+    return {
+        "reprojection_rms_px": rms([view.reprojection_rms_px for view in held]),
+        "epipolar_rms_px": rms([view.epipolar_rms_px for view in held]),
+        "board_size": round(float(scales.mean()), 7),
+        "board_size_std": round(float(scales.std()), 7),
+        "length_error_rms_mm": rms([view.length_error_mm for view in held]),
+        "flatness_rms_mm": rms([view.flatness_mm for view in held]),
+    }
+
+
+def _look(picture: Picture, boards: Sequence[NominalBoard]) -> _Looked:
+    """Look for every board; after one is found the others are not tried."""
+    image = picture.read()
+    results: list[Detection | NotDetected] = []
+    for board in boards:
+        seen_another = any(isinstance(result, Detection) for result in results)
+        results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
+    return _Looked((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest(), results)
+
+
+def _view(
+    name: str,
+    boards: Sequence[NominalBoard],
+    left: Sequence[Detection | NotDetected],
+    right: Sequence[Detection | NotDetected],
+) -> StereoView:
+    """The view of the board that both pictures show, or of the first board with what was missed."""
+    choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
+    return min(
+        choices, key=lambda view: isinstance(view.left, NotDetected) + isinstance(view.right, NotDetected)
+    )
+
+
+def _remeasure(picture: Picture, fit: ViewFit, side: Side, rig: StereoRig) -> Detection | NotDetected:
+    board, camera, camera_from_board = nominal(fit.view.board), rig.left, fit.left_from_board
+    if side == "right":
+        camera, camera_from_board = rig.right, rig.right_from_left @ fit.left_from_board
+    return remeasure_board(picture.read(), board, fit.view.found(side), camera, camera_from_board)
+
+
+def _edges(picture: Picture, fit: ViewFit, side: Side, number: int) -> Edges | None:
+    return edges_of(picture.read(), fit.view.board, fit.view.found(side), number)
+
+
+def _one_size(labels: Sequence[str], sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    if not sizes:
+        raise CalibrationError("no pairs")
+    usual, _ = Counter(sizes).most_common(1)[0]
+    others = [f"  {label}: {w} x {h}" for label, (w, h) in zip(labels, sizes, strict=True) if (w, h) != usual]
+    if others:
+        raise CalibrationError(
+            f"pictures of one camera have different sizes; most are {usual[0]} x {usual[1]}, but\n"
+            + "\n".join(others)
+        )
+    return usual

@@ -1,0 +1,98 @@
+"""Stereo pairs to work on: a picture is read when it is needed, and two are worked on at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol, Self, TypeVar
+
+from edged.domain import Image, Side
+from edged.errors import CalibrationError
+from edged.files.images import load_image
+from edged.files.pairs import ImagePair
+from edged.vision.boards.board import NominalBoard
+from edged.vision.boards.detection import fitting_size
+
+_WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
+T = TypeVar("T")
+
+
+class Progress(Protocol):
+    """Told how far the work is, from the thread that asked for it; what it raises ends the work."""
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """stage : in words, for people. done of total pieces; total 0: it is one piece, and has begun."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """label : what messages call it. read : its pixels; raises `ImageError`."""
+
+    label: str
+    read: Callable[[], Image]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two pictures of one exposure."""
+
+    name: str
+    left: Picture
+    right: Picture
+
+    @classmethod
+    def of_files(cls, pair: ImagePair) -> Self:
+        """Pictures that stay on the disc: each is read again whenever it is needed."""
+        left, right = (Picture(path.name, partial(load_image, path)) for path in (pair.left, pair.right))
+        return cls(pair.name, left, right)
+
+    @classmethod
+    def of_images(cls, name: str, left: Image, right: Image) -> Self:
+        """Pictures in memory. left, right : (H, W) uint8, not to be changed any more."""
+        return cls(name, Picture(f"{name}_left", lambda: left), Picture(f"{name}_right", lambda: right))
+
+    def side(self, side: Side) -> Picture:
+        """The picture of one camera."""
+        return self.left if side == "left" else self.right
+
+
+def work_on(tasks: Sequence[Callable[[], T]], stage: str, progress: Progress) -> list[T]:
+    """Results of all tasks, in their order; two run at a time.
+
+    The first error in that order ends the work: what has not begun by then never does.
+    """
+    with _pool() as pool:
+        futures = [pool.submit(task) for task in tasks]
+        progress(stage, 0, len(tasks))
+        results: list[T] = []
+        for future in futures:
+            results.append(future.result())
+            progress(stage, len(results), len(tasks))
+    return results
+
+
+@contextmanager
+def _pool() -> Iterator[ThreadPoolExecutor]:
+    """Workers that drop what has not begun when an error or ctrl-C ends the block."""
+    pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="board")
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def check_board_size(images: Sequence[Image], board: NominalBoard) -> None:
+    """Raises `CalibrationError` if images that do not show a board show it with another number of corners."""
+    if (fits := fitting_size(images, board)) is not None:
+        kind, stated, *rest = str(board).split(":")
+        raise CalibrationError(
+            f"--board {board}: the pictures show {fits} inner corners, not {stated}; count where four "
+            f"squares meet, not the squares: --board {':'.join([kind, fits, *rest])}"
+        )
