@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Literal
 
@@ -283,17 +284,59 @@ class NearMiss:
     needed_score: float
 
 
+class Nearest:
+    """The place that is most like a part which was not found: looked for when somebody asks, and once.
+
+    A look takes as long as a cycle, or longer, and helps people only: whoever publishes for machines does
+    without.  look : gives the same answer to whoever is first, in whichever thread.
+    """
+
+    def __init__(self, look: Callable[[], NearMiss | None]) -> None:
+        self._look: Callable[[], NearMiss | None] | None = look
+        self._answer: NearMiss | None = None
+        self._answered = False
+        self._lock = threading.Lock()
+
+    def ask(self) -> NearMiss | None:
+        """Look, or wait for whoever looks; None where no place is like the part, or all is forgotten."""
+        with self._lock:
+            look = self._look
+            if look is not None:
+                self._answer, self._answered = look(), True
+                self._look = None
+            return self._answer
+
+    def forget(self) -> None:
+        """Let go of the pair: who asks later gets the answer that is there, if one is."""
+        self._look = None
+
+    @property
+    def open(self) -> bool:
+        """Whether asking still means to look."""
+        return self._look is not None
+
+    @property
+    def answered(self) -> bool:
+        """Whether somebody has looked."""
+        return self._answered
+
+    @property
+    def answer(self) -> NearMiss | None:
+        """The answer as far as it is there; None also before somebody asked."""
+        return self._answer
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
     """What the pipeline says of one pair: pure result, no time, no identity.
 
-    nearest : where nothing was found at all, the place that is most like the part; None: none is.
+    nearest : where nothing was found at all, who knows the place that is most like the part.
     """
 
     status: Status
     targets: tuple[Target, ...] = ()
     dismissed: tuple[NotMeasured, ...] = ()
-    nearest: NearMiss | None = None
+    nearest: Nearest | None = None
 
 
 class CommandKind(enum.IntEnum):
@@ -411,7 +454,7 @@ class Snapshot:
     drift: DriftState = DriftState()
     exposed_bound_ns: int | None = None
     dismissed: tuple[NotMeasured, ...] = ()
-    nearest: NearMiss | None = None
+    nearest: Nearest | None = None
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance):

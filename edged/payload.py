@@ -24,7 +24,7 @@ from edged.domain import (
     FloatArray,
     Match,
     Measurement,
-    NearMiss,
+    Nearest,
     NotMeasured,
     Outcome,
     Reject,
@@ -267,7 +267,8 @@ def _dismissed(one: NotMeasured) -> Json:
     }
 
 
-def _near_miss(one: NearMiss | None) -> Json | None:
+def _near_miss(nearest: Nearest | None) -> Json | None:
+    one = None if nearest is None else nearest.answer
     if one is None:
         return None
     return {

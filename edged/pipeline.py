@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from edged.domain import FramePair, NearMiss, NotMeasured, Outcome, Reject, Status
+from edged.domain import FramePair, Image, Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.stereoimages import StereoImages
@@ -18,6 +18,7 @@ from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.tilt import views_of
+from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 
@@ -55,11 +56,11 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """All that was seen: parts that were measured, what could not be, else what came nearest."""
+    """All that was seen: parts that were measured, what could not be, else who knows what came nearest."""
 
     measured: tuple[Measured, ...]
     dismissed: tuple[NotMeasured, ...]
-    nearest: NearMiss | None = None
+    nearest: Nearest | None = None
 
 
 def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
@@ -67,9 +68,7 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
     images = _rectified(pair, rig)
     rectified = images.rectified_left
     lap("rectify")
-    with rig.workspaces.lend() as work:
-        views = views_of(job, rig.rectification)
-        matches = find_shapes(rectified, job.shape, job.search, rig.rectification.valid_left, work, views)
+    matches = _found(rectified, job, job.search, rig)
     lap("find")
     measured, dismissed = [], []
     for match in matches:
@@ -79,15 +78,21 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
-    nearest = None if matches else _nearest(images, job, rig)
+    nearest = None if matches else Nearest(lambda: _nearest(pair, job, rig))
     return Inspection(tuple(measured), tuple(dismissed), nearest)
 
 
-def _nearest(images: StereoImages, job: Job, rig: PreparedRig) -> NearMiss | None:
+def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -> list[ShapeMatch]:
+    """Where the job's part is in a rectified left image, in all the views that the job allows."""
+    views, valid = views_of(job, rig.rectification), rig.rectification.valid_left
+    with rig.workspaces.lend() as work:
+        return find_shapes(rectified, job.shape, params, valid, work, views)
+
+
+def _nearest(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
     """The best match of a more lenient search: it says whether the part was missed narrowly, and where."""
     lenient = replace(job.search, min_score=NEAR_SHARE * job.search.min_score, max_matches=1)
-    with rig.workspaces.lend() as work:
-        found = find_shapes(images.rectified_left, job.shape, lenient, rig.rectification.valid_left, work)
+    found = _found(_rectified(pair, rig).rectified_left, job, lenient, rig)
     if not found:
         return None
     return NearMiss(match_in_raw(rig.rectification, found[0]), job.search.min_score)

@@ -19,6 +19,7 @@ from edged.domain import (
     Command,
     CommandKind,
     Match,
+    Nearest,
     NearMiss,
     NotMeasured,
     Outcome,
@@ -56,7 +57,11 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
     snapshot = make_snapshot(status=status, targets=targets, command=command, robot_from_rig=robot_from_rig)
     match = Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.5)
     missed = (NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)
-    snapshot = replace(snapshot, dismissed=missed, nearest=NearMiss(match, 0.6))
+    snapshot = replace(snapshot, dismissed=missed, nearest=Nearest(lambda: NearMiss(match, 0.6)))
+    assert snapshot_to_json(snapshot)["nearest"] is None  # to publish is not to ask
+    assert snapshot.nearest is not None
+    snapshot.nearest.ask()
+    assert 0.6 == snapshot_to_json(snapshot)["nearest"]["needed_score"]
     assert [] == violations(publish(snapshot_to_json(snapshot), "target"), SCHEMA, SCHEMA)
 
 

@@ -181,6 +181,8 @@ class Recorder:
         size = 0 if pair is None else pair.left.image.nbytes + pair.right.image.nbytes
         if not self._make_room(size):
             raise OSError(0, f"less than {settings.min_free_mib} MiB are free, and nothing is left to remove")
+        if snapshot.nearest is not None:
+            snapshot.nearest.ask()  # beside its pictures it says why they are kept; nobody waits for it here
         if files:
             recording.save_setup(settings.folder, snapshot.fingerprint, files)
         entry = recording.save(settings.folder, self._next, now, snapshot, pair)

@@ -67,10 +67,11 @@ def locate(
 
     inspection = inspect(pair, taught, prepared, lap)
     outcome = judge(inspection)
+    nearest = None if inspection.nearest is None else inspection.nearest.ask()
     if overlay is not None:
         images = pair.left.image, pair.right.image
         seen = inspection.measured, inspection.dismissed
-        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=inspection.nearest)
+        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=nearest)
         _write_picture(overlay, picture)
     if ply is not None or cloud is not None:
         points = point_cloud(pair, taught, prepared, inspection)
@@ -135,7 +136,8 @@ def _print(outcome: Outcome, rig: StereoRig, convention: Convention, console: Co
         if target.reject:
             console.print(f"  not good: {', '.join(reasons(target.reject))} ({target.reject.name})")
     if outcome.dismissed or not outcome.targets:
-        for line in why_nothing(outcome.dismissed, outcome.nearest):
+        nearest = None if outcome.nearest is None else outcome.nearest.answer
+        for line in why_nothing(outcome.dismissed, nearest):
             console.print(line, markup=False, highlight=False)
 
 

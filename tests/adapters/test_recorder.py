@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import threading
 import time
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -24,7 +25,17 @@ from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import compare, replay
-from edged.domain import Event, ExposureDone, Frame, FramePair, Snapshot, Status
+from edged.domain import (
+    Event,
+    ExposureDone,
+    Frame,
+    FramePair,
+    Match,
+    Nearest,
+    NearMiss,
+    Snapshot,
+    Status,
+)
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -330,6 +341,23 @@ def test_a_torn_write_is_swept_away(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "cycles").iterdir()] == [
         entry.path.name for entry in recording.entries(tmp_path)
     ]
+
+
+def test_a_recorded_miss_says_what_came_nearest(tmp_path: Path) -> None:
+    """The recorder asks, in its own thread."""
+    near, looks = NearMiss(Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.5), 0.6), list[str]()
+
+    def look() -> NearMiss:
+        looks.append(threading.current_thread().name)
+        return near
+
+    missed = replace(make_snapshot(1, Status.NO_TARGET), fingerprint=FINGERPRINT, nearest=Nearest(look))
+    run_events(recorder(tmp_path), [ExposureDone(1, None, make_pair(1)), missed])
+
+    (entry,) = recording.entries(tmp_path)
+    assert 0.6 == recording.load(entry.path).snapshot["nearest"]["needed_score"]
+    (thread,) = looks
+    assert thread.startswith("recorder")
 
 
 def test_good_cycles_are_left_out_first(tmp_path: Path) -> None:

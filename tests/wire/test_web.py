@@ -36,6 +36,7 @@ from edged.domain import (
     Frame,
     FramePair,
     Match,
+    Nearest,
     NearMiss,
     NotMeasured,
     Reject,
@@ -355,15 +356,52 @@ def test_why_nothing_was_found_reaches_the_page() -> None:
         ),
         (
             2,
-            {"nearest": NearMiss(replace(match, score=0.52), 0.6)},
+            {"nearest": Nearest(lambda: NearMiss(replace(match, score=0.52), 0.6))},
             r"0\.52 at 512, 300 px, 0\.60 is needed\. Try",
         ),
         (3, {}, r"nothing in the left picture is like the part\. Try"),
     ):
         page.take(replace(make_snapshot(cycle, Status.NO_TARGET), **found))
+        for question in set(page.questions()):
+            assert [] == page.status()["why"]  # not yet: it would be a guess
+            question.ask()
         (line,) = page.status()["why"]
         assert re.search(expected, line)
         assert line == page.status()["faults"][0]["text"] or cycle > 1
+
+
+def test_only_a_viewer_has_the_cell_look_again() -> None:
+    """A miss alone asks nothing; the first who looks at the page does, and the answer is kept."""
+    looks = list[str]()
+
+    def look() -> None:
+        looks.append(threading.current_thread().name)
+
+    async def test() -> None:
+        async with served() as (web, session):
+            web.announce(replace(make_snapshot(1, Status.NO_TARGET), nearest=Nearest(look)))
+            assert not looks
+            for _ in range(2):
+                async with session.get("/status.json") as answer:
+                    (line,) = (await answer.json())["why"]
+                    assert "nothing in the left picture is like the part" in line
+            (thread,) = looks
+            assert thread.startswith("web")  # never the loop's, which has the PLC to answer
+
+    run(test)
+
+
+def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is forgotten of it are the pictures that a look would need; the text does not guess."""
+    monkeypatch.setattr(page, "FAULT_BYTES", 0)
+    shown, asked = Page("cell", sources()), [Nearest(lambda: None), Nearest(lambda: None)]
+    for cycle, nearest in enumerate(asked, 1):
+        shown.take(ExposureDone(cycle, None, make_pair()))
+        shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), nearest=nearest))
+    assert {asked[1]} == set(shown.questions())
+    assert asked[0].ask() is None
+    assert not asked[0].answered
+    assert "" == shown.status()["faults"][1]["text"]
 
 
 def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ from edged.domain import (
     ExposureDone,
     FloatArray,
     FramePair,
+    Nearest,
     Side,
     Snapshot,
     Status,
@@ -138,6 +139,8 @@ class Page:
                 size += shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
                 if size > FAULT_BYTES and index < len(self._faults) - 1:
                     self._faults[index] = replace(shown, pair=None)
+                    if shown.snapshot.nearest is not None:
+                        shown.snapshot.nearest.forget()
 
     # --- answers -----------------------------------------------------------------------------
 
@@ -145,6 +148,11 @@ class Page:
     def state(self) -> CellState | None:
         """The newest state of the cell."""
         return self._state
+
+    def questions(self) -> list[Nearest]:
+        """What to ask, away from the loop, so that `status` says why nothing was found."""
+        shown = (*self._faults, *([] if self._last is None else [self._last]))
+        return [one for it in shown if (one := it.snapshot.nearest) is not None and one.open]
 
     def status(self) -> Json:
         """Everything but history, for /status.json and each update of the page."""
@@ -320,7 +328,9 @@ def _why(snapshot: Snapshot) -> list[str]:
         return [snapshot.error]
     if snapshot.status is Status.NO_TARGET:
         grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
-        return [] if grabbed else why_nothing(snapshot.dismissed, snapshot.nearest)
+        if grabbed or (snapshot.nearest is not None and not snapshot.nearest.answered):
+            return []
+        return why_nothing(snapshot.dismissed, None if snapshot.nearest is None else snapshot.nearest.answer)
     return sorted({words for t in snapshot.targets if t.reject for words in reasons(t.reject)})
 
 

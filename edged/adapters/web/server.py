@@ -28,7 +28,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import Page, Sources, picture
-from edged.domain import Event, Side
+from edged.domain import Event, Nearest, Side
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
 from edged.logs import LogLimit
@@ -349,9 +349,12 @@ class WebPublisher:
     # --- data --------------------------------------------------------------------------------
 
     async def _status(self, _request: web.Request) -> web.Response:
-        return web.json_response(self._shown())
+        return web.json_response(await self._shown())
 
-    def _shown(self) -> Json:
+    async def _shown(self) -> Json:
+        questions = self._page.questions()
+        if questions:
+            await asyncio.get_running_loop().run_in_executor(self._drawer, _ask, questions)
         return {**self._page.status(), "protected": not self._access.is_open}
 
     async def _registers(self, _request: web.Request) -> web.Response:
@@ -406,7 +409,7 @@ class WebPublisher:
         try:
             await response.prepare(request)
             points = self._page.history()
-            await write(_event("all", {**self._shown(), "points": points}))
+            await write(_event("all", {**await self._shown(), "points": points}))
             while viewer in self._viewers and not self._closing:
                 try:
                     await asyncio.wait_for(viewer.changed.wait(), ALIVE_S)
@@ -416,7 +419,7 @@ class WebPublisher:
                 viewer.changed.clear()
                 if viewer in self._viewers and not self._closing:
                     points = self._page.history(after=points[-1]["cycle"] if points else 0) or points[-1:]
-                    await write(_event("update", {**self._shown(), "points": points}))
+                    await write(_event("update", {**await self._shown(), "points": points}))
                     await asyncio.sleep(PERIOD_S)
         except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
             guest.abort()
@@ -435,6 +438,11 @@ class WebPublisher:
                 del self._viewers[viewer]
                 viewer.changed.set()
                 viewer.guest.abort()
+
+
+def _ask(questions: Sequence[Nearest]) -> None:
+    for one in questions:
+        one.ask()
 
 
 def _foremost(guests: Sequence[Guest], everybody: Sequence[Guest]) -> Guest | None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from cells import PLACE_MM, frame_pair, pictures, pose, scene, small_rig
 from flatparts import METAL, PLATE, Cell, cell, only
 
-from edged.domain import FloatArray, Outcome, Reject, Status
+from edged import pipeline
+from edged.domain import FloatArray, Image, Outcome, Reject, Status
 from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import cloud, inspect, judge, locate
@@ -25,7 +28,8 @@ from edged.vision.part.job import Job, MeasurementSpec, nominal_size
 from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import CONTOUR, FACE
-from edged.vision.shape.search import find_shapes
+from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
 
 ELSEWHERE = pose((6.0, 1.0, 203.0), turn_deg=37.0, tilt_deg=5.0)
 
@@ -242,11 +246,36 @@ def test_a_narrow_miss_says_where_and_by_how_much() -> None:
 
     assert missed.status is Status.NO_TARGET
     assert missed.nearest is not None
-    assert (missed.nearest.match.x_px, missed.nearest.match.y_px) == pytest.approx(
+    nearest = missed.nearest.ask()
+    assert nearest is not None
+    assert (nearest.match.x_px, nearest.match.y_px) == pytest.approx(
         (good.match.x_px, good.match.y_px), abs=1.0
     )
-    assert missed.nearest.match.score < missed.nearest.needed_score == 1.0
-    assert locate(frame_pair(empty, empty), strict, here.rig).nearest is None
+    assert nearest.match.score < nearest.needed_score == 1.0
+    nothing = locate(frame_pair(empty, empty), strict, here.rig).nearest
+    assert nothing is not None
+    assert nothing.ask() is None
+
+
+def test_a_miss_costs_one_search_until_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result of a miss waits for no second look; who asks for it causes one, however often."""
+    here, searches = cell("disc"), list[float]()
+
+    def counted(image: Image, shape: ShapeModel, params: SearchParams, *others: Any) -> list[ShapeMatch]:
+        searches.append(params.min_score)
+        return find_shapes(image, shape, params, *others)
+
+    monkeypatch.setattr(pipeline, "find_shapes", counted)
+    empty = np.full_like(here.see(pose())[0], 40)
+    missed = locate(frame_pair(empty, empty), here.job, here.rig).nearest
+    assert len(searches) == 1
+    assert missed is not None
+    assert (missed.answered, missed.open) == (False, True)
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(lambda _turn: missed.ask(), range(4)))
+    assert len(searches) == 2
+    assert searches[1] < searches[0] == here.job.search.min_score
+    assert (missed.answered, missed.open) == (True, False)
 
 
 def test_an_ambiguous_rotation_is_refused() -> None:

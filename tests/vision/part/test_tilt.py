@@ -219,3 +219,19 @@ def test_nothing_is_invented_where_no_part_lies() -> None:
         pair = frame_pair(*pictures(here.rig.rig, world, 1))
         outcome = judge(inspect(pair, job, here.rig))
         assert all(target.reject is not Reject.NONE for target in outcome.targets)
+
+
+def test_what_came_nearest_is_looked_for_in_all_views() -> None:
+    """A face at 40° that scores too little is told as such; seen as taught it would be like nothing."""
+    here = coarse()
+    job = tilted(here.job, 45.0)
+    strict = replace(job, search=replace(job.search, min_score=1.0))
+    pair = frame_pair(*pictures(here.rig.rig, thin(here.part, lying(here.rig.rig, 40.0, 70.0, 40.0)), 1))
+    good = only(locate(pair, job, here.rig))
+    missed = locate(pair, strict, here.rig).nearest
+    assert missed is not None
+    nearest = missed.ask()
+    assert nearest is not None
+    assert (nearest.match.x_px, nearest.match.y_px) == pytest.approx(
+        (good.match.x_px, good.match.y_px), abs=1.0
+    )
