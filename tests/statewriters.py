@@ -16,7 +16,8 @@ from snapshots import make_snapshot
 
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.cellfiles import read_cell
-from edged.commands.backup import backup, restore, unpack
+from edged.commands.backup import backup, restore
+from edged.commissioning.releases import unpack
 from edged.domain import Event, ExposureDone, Frame, FramePair, Status
 from edged.files import atomic, recording
 from edged.files.jobs import load_job, save_job

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
-from edged.drift import refused
+from edged.commissioning.regression import COMPARED, compare, remeasure
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import write_atomically
 from edged.files.jobs import job_folders, load_job
 from edged.files.rig import load_rig
 from edged.files.secrettext import without_secrets
-from edged.payload import Json, snapshot_to_json
-from edged.pipeline import PreparedRig, locate, prepare
-from edged.robot.covariance import moved_frame
+from edged.payload import Json
+from edged.pipeline import PreparedRig, prepare
 from edged.vision.part.job import Job
 
-COMPARED = ("status", "targets", "rejected")
-"""The pure result; times and identities of a cycle are of their own moment."""
 SHOWN = 12
 
 
@@ -64,7 +57,7 @@ def replay(path: Path, as_json: bool, console: Console, export: Path | None = No
             if taken.pair is None:
                 report.skipped.append({"file": file.name, "reason": "no images: " + _text(taken.snapshot)})
                 continue
-            again = _measure(taken, setups.of(file, taken))
+            again = remeasure(taken, *setups.of(file, taken))
         except UserError as error:
             report.skipped.append({"file": file.name, "reason": str(error)})
             continue
@@ -87,20 +80,6 @@ def replay(path: Path, as_json: bool, console: Console, export: Path | None = No
     return 1 if report.different or damaged else 0
 
 
-def compare(place: str, old: Any, new: Any) -> Iterator[str]:
-    """One line for each value that is not the same, by its path."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted(old.keys() | new.keys()):
-            yield from compare(f"{place}.{key}", old.get(key), new.get(key))
-    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        for index, (before, after) in enumerate(zip(old, new, strict=True)):
-            yield from compare(f"{place}[{index}]", before, after)
-    elif old != new:
-        numbers = all(isinstance(value, int | float) for value in (old, new))
-        apart = f" ({new - old:+.3g})" if numbers and math.isfinite(new - old) else ""
-        yield f"{place}: {_short(old)} -> {_short(new)}{apart}"
-
-
 class _Setups:
     """Rigs and jobs of the fingerprints met so far."""
 
@@ -120,47 +99,6 @@ class _Setups:
         if number not in known:
             raise FileFormatError(f"{folder}: no job {number}")
         return rig, known[number]
-
-
-def _measure(taken: recording.Recording, setup: tuple[PreparedRig, Job]) -> Json:
-    """The snapshot that the same exposure gives now."""
-    rig, job = setup
-    command = taken.snapshot.get("command")
-    if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
-        return {key: taken.snapshot.get(key) for key in COMPARED}  # nothing was measured then
-    outcome = locate(taken.pair, job, rig)
-    drift = taken.snapshot.get("drift")
-    if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
-        outcome = refused(outcome)  # that comes from the cycles before, not from this pair
-    flange = command.get("robot_from_flange") if isinstance(command, dict) else None
-    return json_of(outcome, rig, None if flange is None else np.array(flange, np.float64))
-
-
-def json_of(outcome: Outcome, rig: PreparedRig, robot_from_flange: FloatArray | None = None) -> Json:
-    """The part of a published snapshot that the outcome, and where the flange was, decide."""
-    robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
-    if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
-        robot = robot_from_flange @ rig.rig.flange_from_rig
-        registration = None if registration is None else moved_frame(registration, robot_from_flange)
-    document = snapshot_to_json(
-        Snapshot(
-            cycle=0,
-            status=outcome.status,
-            command=None,
-            job="",
-            job_number=0,
-            calibration_id=rig.rig.calibration_id,
-            fingerprint="",
-            simulated=False,
-            exposed_ns=0,
-            published_ns=0,
-            targets=outcome.targets,
-            robot_from_rig=robot,
-            registration_covariance=registration,
-        )
-    )
-    # through text, as the recorded one went
-    return dict(json.loads(json.dumps({key: document[key] for key in COMPARED})))
 
 
 def _files(path: Path) -> list[Path]:
@@ -217,8 +155,3 @@ def _print(report: Report, console: Console) -> None:
 
 def _text(snapshot: Json) -> str:
     return str(snapshot.get("error") or snapshot.get("status"))
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -4,37 +4,39 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from edged.commissioning.teaching import (
+    Proposal,
+    Wanted,
+    check_name,
+    check_tilt,
+    commit,
+    former_job,
+    job_number,
+    propose_from_drawing,
+    propose_from_pair,
+)
 from edged.errors import TeachError, UserError
 from edged.files.atomic import write_file
 from edged.files.dxf import read_contour, read_dxf
 from edged.files.images import load_image
-from edged.files.jobs import check_job_folder, job_folders, load_job, save_job
+from edged.files.jobs import check_job_folder
 from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
-from edged.pipeline import PreparedRig, prepare
-from edged.report.teaching import Taught, inspection_to_json, teaching_report
+from edged.pipeline import prepare
+from edged.report.teaching import inspection_to_json, teaching_report
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.part.job import MAX_TILT_DEG, Job
+from edged.vision.part.job import Job
 from edged.vision.part.tilt import reach_of, tilted_views
-from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.teaching.cuts import Cut, cut_edges
-from edged.vision.teaching.drawing import teach_drawing
-from edged.vision.teaching.pair import taught_mask
-from edged.vision.teaching.pair import teach as teach_job
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
-from edged.vision.teaching.reteaching import carry_over
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
-MAX_CUTS = 4
-"""Named one by one; with more the report's picture says it better."""
 
 
 def parse_region(text: str, option: str = "--region") -> Area:
@@ -133,26 +135,19 @@ def teach(
     What a person changed in the job that was there is carried over. number : None: that job's, or the first
     that no job beside it has.
     """
-    _check_name(name)
-    _check_tilt(tilt_deg)
+    check_name(name)
+    check_tilt(tilt_deg)
     check_outputs({"--report": report}, _inputs(source))
     check_job_folder(output)
-    former = _former(output)
-    number = _number(output, number, former)
+    former = former_job(output)
+    wanted = Wanted(name, job_number(output, number, former), params, tilt_deg, former)
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
-        job, taught = _job(source, prepared, name, number, params)
-    if tilt_deg is not None:
-        job = replace(job, tilt_rad=math.radians(tilt_deg))
-    carried: tuple[str, ...] = ()
-    if former is not None:
-        job, carried = carry_over(former, job)
-    save_job(output, job)
-    inspection = inspect_model(job.shape, job.search)
-    if taught.cuts:
-        inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
+        proposal = _proposal(source, prepared.rectification, wanted)
+    commit(output, proposal)
+    job, inspection = proposal.job, proposal.inspection
     if report is not None:
-        write_file(report, teaching_report(job, taught, inspection).encode())
+        write_file(report, teaching_report(job, proposal.taught, inspection).encode())
     if as_json:
         print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
@@ -176,7 +171,7 @@ def teach(
     )
     if former is not None:
         console.print(f"  the job that was there is {output}.old", markup=False)
-    for line in carried:
+    for line in proposal.carried:
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
         for line in _about_tilt(job, prepared.rectification):
@@ -192,79 +187,17 @@ def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
     return {"--left": source.left, "--right": source.right}
 
 
-def _former(output: Path) -> Job | None:
-    """The job that is about to be replaced; None where there is none, or none that can be read."""
-    if not (output / "job.toml").is_file():
-        return None
-    try:
-        return load_job(output)
-    except UserError:  # it is kept as it is, and says itself what is wrong with it
-        return None
-
-
-def _number(output: Path, wanted: int | None, former: Job | None) -> int:
-    """The number of the job on the PLC. Raises `UserError` for one that a job beside it has."""
-    folder = output.resolve()
-    taken: dict[int, Path] = {}
-    for other in job_folders(folder.parent) if folder.parent.is_dir() else []:
-        if other != folder:
-            try:
-                taken[load_job(other).number] = other
-            except UserError:  # `edged check` names it
-                continue
-    free = next(number for number in range(1, len(taken) + 2) if number not in taken)
-    if wanted is None:
-        return former.number if former is not None else free
-    if wanted in taken:
-        raise UserError(f"--number {wanted}: is that of {taken[wanted]}; {free} is free")
-    return wanted
-
-
-def _job(
-    source: PairSource | DrawingSource,
-    prepared: PreparedRig,
-    name: str,
-    number: int,
-    params: ModelParams | None,
-) -> tuple[Job, Taught]:
-    """The job, and what it was learnt from."""
+def _proposal(source: PairSource | DrawingSource, rectification: Rectification, wanted: Wanted) -> Proposal:
     if isinstance(source, DrawingSource):
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
-        depth_mm = source.depth_mm or 0.0
-        job, picture = teach_drawing(outlines, prepared.rectification, depth_mm, name, number, params)
-        return job, Taught(picture, None, ())
+        return propose_from_drawing(outlines, rectification, source.depth_mm or 0.0, wanted)
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
-    rectification = prepared.rectification
-    job = teach_job(left, right, rectification, region, name, number, exclude=exclude, params=params)
-    picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
-    cuts = cut_edges(job, picture, mask, rectification)
-    return job, Taught(picture, None if region is None else mask, cuts)
-
-
-def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
-    """What is cut, one sentence each."""
-    said = [
-        f"The region cuts {cut.text}. Only what is inside was learnt. Make it larger, or leave --region out: "
-        "then the whole picture is learnt from."
-        if cut.by_region
-        else f"The picture cuts {cut.text}. Teach from a pair that shows the whole part."
-        for cut in cuts[:MAX_CUTS]
-    ]
-    more = len(cuts) - MAX_CUTS
-    return [*said, f"It cuts {more} more edges."] if more > 0 else said
-
-
-def _check_tilt(tilt_deg: float | None) -> None:
-    if tilt_deg is not None and not 0 < tilt_deg <= MAX_TILT_DEG:
-        raise TeachError(
-            f"--tilt {tilt_deg:g}: expected above 0 and at most {MAX_TILT_DEG:g} degrees, against the line "
-            "amid both cameras"
-        )
+    return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
 
 
 def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
@@ -281,12 +214,3 @@ def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
             for side in reach.outside
         ),
     ]
-
-
-def _check_name(name: str) -> None:
-    allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
-    if not allowed or len(name) > 64:
-        raise TeachError(
-            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
-            "beginning with a letter or digit"
-        )

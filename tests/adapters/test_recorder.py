@@ -24,7 +24,8 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commands.replay import compare, replay
+from edged.commands.replay import replay
+from edged.commissioning.regression import compare
 from edged.domain import (
     Event,
     ExposureDone,

@@ -20,9 +20,10 @@ from typer.testing import CliRunner
 
 from edged.cellfiles import read_cell
 from edged.cli.main import app
-from edged.commands import backup as module
-from edged.commands.backup import Backup, backup, pack, restore, unpack
+from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commissioning import releases as module
+from edged.commissioning.releases import Backup, pack, unpack
 from edged.config import load
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.passwords import hash_password

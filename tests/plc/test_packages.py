@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from edged.commands.registers import registers, render
+from edged.commands.registers import registers
 from edged.errors import UserError
 from edged.plc.clients import twincat_files
 from edged.plc.clients.units import codes, structures
+from edged.plc.texts import render
 
 PPX = "{http://www.plcopen.org/xml/tc6_0201}"
 XHTML = "{http://www.w3.org/1999/xhtml}xhtml"

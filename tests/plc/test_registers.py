@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.commands.registers import render
 from edged.domain import Reject, Snapshot, Status
 from edged.errors import UserError
 from edged.plc import registers as reg
+from edged.plc.texts import render
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.vision.geometry.rigid import quaternion
 

@@ -18,14 +18,13 @@ from pydantic import BaseModel
 from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
 from edged.cli.main import app
-from edged.commands.registers import BLOCKS
 from edged.config import Config
 from edged.domain import Calibrated, CommandKind, Reject, Status
 from edged.files.jobs.schema import JobFile
 from edged.files.rig import save_rig
 from edged.pictures.captions import REASONS
 from edged.plc.handshake import Reason
-from edged.plc.registers import TABLE, Flag, Option, ResultCode, StatusBit, Warn
+from edged.plc.registers import BLOCKS, TABLE, Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 

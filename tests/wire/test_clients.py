@@ -26,9 +26,9 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
-from edged.commands.registers import render
 from edged.domain import Reject
 from edged.plc.registers import ADDRESS, STATUS, UR, Option, crc16
+from edged.plc.texts import render
 from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0

@@ -20,13 +20,13 @@ from livecell import LiveCell
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
-from edged.commands.registers import render
 from edged.domain import Target
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.robotlines import Failure
 from edged.plc.lines import LineStatus, answer_fields
 from edged.plc.registers import StatusBit
+from edged.plc.texts import render
 from edged.robot.orientations import Brand, transform_of
 from edged.vision.geometry.rigid import rotation_matrix, transform
 

@@ -19,7 +19,7 @@ from pymodbus.exceptions import ModbusException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
-from edged.commands.registers import render
+from edged.plc.texts import render
 
 CYCLES_BUSY = 3
 DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import enum
 
-from edged.commands.registers import render
 from edged.domain import CommandKind, Reject
 from edged.pictures.captions import REASONS
 from edged.plc.handshake import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
+from edged.plc.texts import render
 from edged.robot.orientations import Convention
 from referencepages.markdown import code, member_docs, table
 

@@ -1,0 +1,161 @@
+"""A job from one stereo pair or a drawing: proposed here, and written when somebody wants it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from edged.domain import FloatArray, Image
+from edged.errors import TeachError, UserError
+from edged.files.jobs import job_folders, load_job, save_job
+from edged.report.teaching import Taught
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.part.job import MAX_TILT_DEG, Job
+from edged.vision.shape.inspection import Inspection, inspect_model
+from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching.cuts import Cut, cut_edges
+from edged.vision.teaching.drawing import teach_drawing
+from edged.vision.teaching.pair import taught_mask, teach
+from edged.vision.teaching.region import Area
+from edged.vision.teaching.reteaching import carry_over
+
+MAX_CUTS = 4
+"""Named one by one; with more the report's picture says it better."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """What the job is to be, wherever it is learnt from.
+
+    number : on the PLC. params : of the model; None: automatic.
+    tilt_deg : how far parts may lie tilted; None: about as at teaching.
+    former : the job that it replaces: what a person changed in it is carried over.
+    """
+
+    name: str
+    number: int
+    params: ModelParams | None = None
+    tilt_deg: float | None = None
+    former: Job | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """A job that is complete and not written. carried : a line for each thing kept of the former one."""
+
+    job: Job
+    taught: Taught
+    inspection: Inspection
+    carried: tuple[str, ...]
+
+
+def propose_from_pair(
+    left: Image,
+    right: Image,
+    rectification: Rectification,
+    wanted: Wanted,
+    *,
+    region: Area | None = None,
+    exclude: Sequence[Area] = (),
+) -> Proposal:
+    """Learn from raw images. region : where the part is, px of the raw left image; None: all of it.
+
+    exclude : what of it is not the part. Raises `TeachError` for a pair that teaches nothing.
+    """
+    name, number, params = wanted.name, wanted.number, wanted.params
+    job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
+    picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
+    cuts = cut_edges(job, picture, mask, rectification)
+    return _proposal(job, Taught(picture, None if region is None else mask, cuts), wanted)
+
+
+def propose_from_drawing(
+    outlines_mm: Sequence[FloatArray], rectification: Rectification, depth_mm: float, wanted: Wanted
+) -> Proposal:
+    """Learn from a drawn face at its nominal distance; each outline (N, 2). Raises `TeachError`."""
+    job, picture = teach_drawing(
+        outlines_mm, rectification, depth_mm, wanted.name, wanted.number, wanted.params
+    )
+    return _proposal(job, Taught(picture, None, ()), wanted)
+
+
+def commit(folder: Path, proposal: Proposal) -> None:
+    """Write the job's folder; one that was there is kept as FOLDER.old. Raises `UserError`."""
+    save_job(folder, proposal.job)
+
+
+def former_job(folder: Path) -> Job | None:
+    """The job that is about to be replaced; None where there is none, or none that can be read."""
+    if not (folder / "job.toml").is_file():
+        return None
+    try:
+        return load_job(folder)
+    except UserError:  # it is kept as it is, and says itself what is wrong with it
+        return None
+
+
+def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
+    """The number of the job on the PLC: the former one's, or the first that no job beside the folder has.
+
+    Raises `UserError` for a wanted one that a job beside it has.
+    """
+    folder = folder.resolve()
+    taken: dict[int, Path] = {}
+    for other in job_folders(folder.parent) if folder.parent.is_dir() else []:
+        if other != folder:
+            try:
+                taken[load_job(other).number] = other
+            except UserError:  # `edged check` names it
+                continue
+    free = next(number for number in range(1, len(taken) + 2) if number not in taken)
+    if wanted is None:
+        return former.number if former is not None else free
+    if wanted in taken:
+        raise UserError(f"--number {wanted}: is that of {taken[wanted]}; {free} is free")
+    return wanted
+
+
+def check_name(name: str) -> None:
+    """Raises `TeachError` for what cannot be the name of a job."""
+    allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
+    if not allowed or len(name) > 64:
+        raise TeachError(
+            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
+            "beginning with a letter or digit"
+        )
+
+
+def check_tilt(tilt_deg: float | None) -> None:
+    """Raises `TeachError` for a tilt that no job can have."""
+    if tilt_deg is not None and not 0 < tilt_deg <= MAX_TILT_DEG:
+        raise TeachError(
+            f"--tilt {tilt_deg:g}: expected above 0 and at most {MAX_TILT_DEG:g} degrees, against the line "
+            "amid both cameras"
+        )
+
+
+def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
+    """What is cut, one sentence each."""
+    said = [
+        f"The region cuts {cut.text}. Only what is inside was learnt. Make it larger, or leave --region out: "
+        "then the whole picture is learnt from."
+        if cut.by_region
+        else f"The picture cuts {cut.text}. Teach from a pair that shows the whole part."
+        for cut in cuts[:MAX_CUTS]
+    ]
+    more = len(cuts) - MAX_CUTS
+    return [*said, f"It cuts {more} more edges."] if more > 0 else said
+
+
+def _proposal(job: Job, taught: Taught, wanted: Wanted) -> Proposal:
+    if wanted.tilt_deg is not None:
+        job = replace(job, tilt_rad=math.radians(wanted.tilt_deg))
+    carried: tuple[str, ...] = ()
+    if wanted.former is not None:
+        job, carried = carry_over(wanted.former, job)
+    inspection = inspect_model(job.shape, job.search)
+    if taught.cuts:
+        inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
+    return Proposal(job, taught, inspection, carried)

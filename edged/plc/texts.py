@@ -1,0 +1,119 @@
+"""The Modbus map and the clients' sources as text, from the schema that encodes both."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator
+
+from edged.errors import UserError
+from edged.plc.clients import (
+    drl_source,
+    karel_files,
+    krl_files,
+    plcopen_source,
+    python_source,
+    rapid_source,
+    scl_source,
+    structured_text_source,
+    twincat_files,
+    urscript_source,
+)
+from edged.plc.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
+
+
+def render(fmt: str) -> str:
+    """The map, or a client's source, as text that ends with a newline."""
+    writer = FORMATS.get(fmt)
+    if writer is None:
+        raise UserError(f"--format {fmt}: expected {', '.join((*FORMATS, *SEVERAL))}")
+    return writer()
+
+
+def _rows() -> Iterator[tuple[Block, Register]]:
+    for block in BLOCKS:
+        for register in block.registers:
+            yield block, register
+
+
+def _markdown() -> str:
+    lines = [
+        f"Map version {MAP_VERSION}. Addresses are 0-based PDU addresses; function codes 3 and 4 read the "
+        "same words. 32-bit and 64-bit values take 2 and 4 words, high word first unless set otherwise.",
+    ]
+    for block in BLOCKS:
+        if block in TABLE[1:]:
+            continue
+        last = TABLE[-1] if block is TABLE[0] else block
+        access = "read and write" if block.writable else "read"
+        name = f"target table, {len(TABLE)} rows" if block is TABLE[0] else block.name
+        lines += [
+            "",
+            f"### {block.address}-{last.address + last.words - 1}: {name} ({access})",
+            "",
+            "| address | name | type | unit | meaning |",
+            "|---:|---|---|---|---|",
+        ]
+        lines += [
+            f"| {one.address} | {one.name} | {one.kind.name} | {one.unit} | {one.help} |"
+            for one in block.registers
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _csv() -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["address", "words", "block", "name", "type", "unit", "access", "meaning"])
+    for block, register in _rows():
+        access = "rw" if block.writable else "r"
+        writer.writerow(
+            [
+                register.address,
+                register.kind.words,
+                block.name,
+                register.name,
+                register.kind.name,
+                register.unit,
+                access,
+                register.help,
+            ]
+        )
+    return out.getvalue()
+
+
+def _json() -> str:
+    rows = [
+        {
+            "address": register.address,
+            "words": register.kind.words,
+            "block": block.name,
+            "name": register.name,
+            "type": register.kind.name,
+            "unit": register.unit,
+            "access": "rw" if block.writable else "r",
+            "meaning": register.help,
+        }
+        for block, register in _rows()
+    ]
+    return json.dumps({"map_version": MAP_VERSION, "registers": rows}, indent=1, ensure_ascii=False) + "\n"
+
+
+FORMATS: dict[str, Callable[[], str]] = {
+    "md": _markdown,
+    "csv": _csv,
+    "json": _json,
+    "st": structured_text_source,
+    "plcopen": plcopen_source,
+    "scl": scl_source,
+    "urscript": urscript_source,
+    "python": python_source,
+    "rapid": rapid_source,
+    "drl": drl_source,
+}
+SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
+    "twincat": twincat_files,
+    "karel": karel_files,
+    "krl": krl_files,
+}
