@@ -35,6 +35,8 @@ from edged.domain import (
     Idle,
     JobChanged,
     Outcome,
+    Picking,
+    Reloaded,
     Snapshot,
     Status,
 )
@@ -43,6 +45,7 @@ from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, Captur
 from edged.logs import FaultLog, cycle_number, fields
 from edged.ports import Publisher
 from edged.robot.covariance import moved_frame
+from edged.robot.picking import picked
 
 log = logging.getLogger(__name__)
 
@@ -83,12 +86,16 @@ Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedJob:
-    """A job that is in memory and warm. witness : its measurement whose size is known, for the drift."""
+    """A job that is in memory and warm.
+
+    witness : its measurement whose size is known, for the drift. picking : what of its parts a robot gets.
+    """
 
     name: str
     number: int
     locate: Locate
     witness: str | None = None
+    picking: Picking = field(default_factory=Picking)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,6 +211,8 @@ class Cycle:
 
     def _problem(self, command: Command) -> str:
         """Why the present setup cannot carry a command out; "" when it can."""
+        if command.kind is CommandKind.NEXT_PART:
+            return "NEXT_PART goes on with a list of parts: whoever keeps one answers it"
         if command.job and command.job not in self._setup.jobs:
             known = ", ".join(f"{job.number} ({job.name})" for job in self._setup.jobs.values())
             return f"unknown job {command.job}, there are {known}"
@@ -259,6 +268,7 @@ class Cycle:
         if (setup.calibration_id, setup.drift) != (self._setup.calibration_id, self._setup.drift):
             self._drift = DriftMonitor(setup.drift)
         self._setup = setup
+        self._announce(Reloaded())
         gone = self._active if self._active.number not in setup.jobs else None
         self._active = setup.jobs[setup.active_job if gone is not None else self._active.number]
         self._check_waiting(gone)
@@ -397,6 +407,9 @@ class Cycle:
             if robot_from_flange is not None:
                 robot_from_rig = robot_from_flange @ setup.flange_from_rig
                 registration = None if registration is None else moved_frame(registration, robot_from_flange)
+        if outcome is not None:
+            outcome = picked(outcome, job.picking, robot_from_rig)
+            status = outcome.status
         return Snapshot(
             cycle=self._number,
             status=status,

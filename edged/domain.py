@@ -64,6 +64,28 @@ class Reject(enum.IntFlag):
     """The reference may lie on another edge than the taught one: a chamfer, a step, a burr."""
 
 
+class Order(enum.StrEnum):
+    """Which of several good parts comes first."""
+
+    SCORE = "score"
+    """The one that agrees best with the taught shape."""
+    NEAREST = "nearest"
+    """The one nearest to the left camera."""
+    TOPMOST = "topmost"
+    """The highest in the robot's frame; without a registration the least deep along the camera's axis."""
+    LEFTMOST = "leftmost"
+    """The leftmost in the left picture."""
+    LEAST_SIGMA = "least_sigma"
+    """The one whose position is known best."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picking:
+    """What a job says of picking its parts."""
+
+    order: Order = Order.SCORE
+
+
 class TimeBase(enum.StrEnum):
     """Where the time of an exposure comes from, best first."""
 
@@ -350,6 +372,8 @@ class CommandKind(enum.IntEnum):
     """Take the pictures only."""
     VERIFY = 4
     """Measure and say OK or NOK, without coordinates."""
+    NEXT_PART = 5
+    """Give the next good part that the last LOCATE found, without another picture."""
 
 
 PLC_SOURCE = "modbus"
@@ -499,8 +523,13 @@ class CellState:
 
 
 @dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Jobs, rig or cameras have been exchanged: what was measured before was measured by those before."""
+
+
+@dataclass(frozen=True, slots=True)
 class Idle:
     """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
 
 
-Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Idle
+Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Reloaded | Idle

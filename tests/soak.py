@@ -13,7 +13,8 @@ Checked at every look of an independent observer, on words as they travel:
 - never ACK and NACK at once, never more than 8 open commands.
 Checked for every command: it runs only if its client means it now; accepted ones end in exactly one ACK or
 NACK, within their time-out. Checked for every part that is picked: its exposure came after the question, by
-the cameras that belong to the calibration, and it was measured as the job that was asked for.
+the cameras that belong to the calibration, and it was measured as the job that was asked for. Checked for
+every part of a list: it is shown under one command only, and no other exposure was asked for since its own.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ from edged.domain import (
     Reject,
     Snapshot,
     Status,
+    Target,
 )
 from edged.errors import CommandRefused, FrameTimeout
 from edged.plc import handshake as hs
@@ -59,7 +61,7 @@ VALIDITY_S = 2.0
 CYCLE_S = 0.02
 IMAGE = np.zeros((2, 2), np.uint8)
 GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
-NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE)
+NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE, hs.Reason.NO_LIST)
 WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
 WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
@@ -126,6 +128,7 @@ class WatchedRegisters(CellRegisters):
         self._world, self._writer = world, 0
         self.is_over = False
         self.written: dict[int, float] = {}
+        self._exposed_for_s = -math.inf  # when the newest command that makes an exposure was written
         super().__init__(*args)
 
     def write(self, client: int, address: int, words: Sequence[int]) -> None:
@@ -138,14 +141,16 @@ class WatchedRegisters(CellRegisters):
         if self.is_over:  # a connection of it ends: nobody is told any more
             return effects
         for effect in effects:
-            if isinstance(effect, hs.Submit):
+            is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
+            if isinstance(effect, hs.Submit) or (is_next and effect.answer is hs.Answer.ACK):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
-                self.written[sequence] = now_s
+                self._exposed_for_s = self._exposed_for_s if is_next else now_s
+                self.written[sequence] = self._exposed_for_s
                 line = self._world.lines.get(self._writer)
                 self._world.book.expect(
                     line is not None and line.means(sequence), f"{sequence} of {self._writer} ran unasked"
                 )
-        self._world.book.note(self, effects, now_s)
+        self._world.book.note(self, event, effects, now_s)
         return effects
 
 
@@ -160,8 +165,9 @@ class Book:
     ended: set[tuple[int, int]] = field(default_factory=set)
     violations: list[str] = field(default_factory=list)
 
-    def note(self, cell: object, effects: tuple[hs.Effect, ...], now_s: float) -> None:
-        """Count what was accepted and how it ended."""
+    def note(self, cell: object, event: Any, effects: tuple[hs.Effect, ...], now_s: float) -> None:
+        """Count what was accepted and how it ended; what NEXT_PART asks for is never open."""
+        is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
         for effect in effects:
             key = (id(cell), effect.ticket)
             if isinstance(effect, hs.Submit):
@@ -170,7 +176,9 @@ class Book:
                 self.open[key] = now_s
                 continue
             self.counts[f"{effect.answer.name} {effect.reason.name}"] += 1
-            refused = effect.reason in NEVER_OPEN
+            if is_next and effect.answer is hs.Answer.ACK:
+                self.counts["parts given by NEXT_PART"] += 1
+            refused = effect.reason in NEVER_OPEN or is_next
             self.expect(key not in self.ended, f"a second answer for {effect}")
             self.expect((key in self.open) != refused, f"an answer without a command: {effect}")
             self.open.pop(key, None)
@@ -252,7 +260,7 @@ class Trigger:
         asked = self._triggers.take(event.command)
         if asked is None or isinstance(event, CommandFailed) or event.status is not Status.OK:
             return
-        (asked_s, job), (target,) = asked, event.targets
+        (asked_s, job), (target, *_) = asked, event.targets
         world, place_mm = self._world, target.rig_from_part[:3, 3]
         world.book.counts["triggers answered"] += 1
         if place_mm[0] < 1e6:
@@ -312,7 +320,17 @@ class World:
         place[:2, 3] = x_mm, job
         if chance < 0.08:
             return Outcome(Status.LOW_QUALITY, (dataclasses.replace(BAD, rig_from_part=place),))
-        return Outcome(Status.OK, (dataclasses.replace(GOOD, rig_from_part=place),))
+        return Outcome(Status.OK, self._parts(place))
+
+    def _parts(self, first: np.ndarray) -> tuple[Target, ...]:
+        """One to four, bad ones among them; Z says which it is."""
+        parts = []
+        for number in range(self.dice.choice((1, 1, 2, 3, 4))):
+            place = first.copy()
+            place[2, 3] = 1 + number
+            part = BAD if number and self.dice.random() < 0.2 else GOOD
+            parts.append(dataclasses.replace(part, rig_from_part=place))
+        return tuple(parts)
 
     def new_head(self) -> Head:
         """Other cameras."""
@@ -454,6 +472,8 @@ class Soak:
         self.loop = VirtualLoop(self._vision_s)
         self.clients = 1
         self._block_s = block_s
+        self._picked: set[tuple[int, int]] = set()  # exposure and number of each part that a robot moved to
+        self._shown: dict[tuple[int, int], tuple[Any, ...]] = {}  # by which command a part was seen as VALID
 
     def run(self, seconds: float) -> Book:
         """Simulate; returns what was counted and every violation."""
@@ -491,6 +511,7 @@ class Soak:
     async def _plc(self) -> None:
         """Handshakes, each register once, as docs/how-to/plc.md says; now and then its power fails."""
         line, sequence = self._line(), 0
+        self._listed = (0, -math.inf)
         while self._going:
             if self.dice.random() < 0.01:
                 line.gone()
@@ -510,11 +531,16 @@ class Soak:
 
     async def _handshake(self, line: Line, sequence: int) -> bool:
         """Whether the command was answered."""
-        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4))[0]
+        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2))[0]
         job = self.dice.choice((1, 2)) if self.dice.random() < 0.99 else 9
+        goes_on = self._listed[1] > 0 and self.dice.random() < 0.8
+        if goes_on:
+            kind, job = CommandKind.NEXT_PART, self.dice.choice((0, self._listed[0], self._listed[0], job))
         timeout_ms = self.dice.choice((0, 100, 1000, 5000))
-        # the first CMD_SEQ of a connection runs nothing: 0 never does
-        if not line.write(reg.ADDRESS["CMD_SEQ"], 0) or not line.write(reg.ADDRESS["TIMEOUT"], timeout_ms):
+        # the first CMD_SEQ of a connection runs nothing: 0 never does; and it ends a list
+        if not (goes_on or line.write(reg.ADDRESS["CMD_SEQ"], 0)) or not line.write(
+            reg.ADDRESS["TIMEOUT"], timeout_ms
+        ):
             self.book.counts["not my turn"] += 1
             await asyncio.sleep(1.0)
             return True
@@ -524,6 +550,8 @@ class Soak:
             self.book.counts["not my turn"] += 1
             return True
         written_s = self.loop.time()
+        located_job, located_s = self._listed if goes_on else (job, written_s)
+        self._listed = (0, -math.inf)
         while self._going:
             await asyncio.sleep(self.dice.choice((0.01, 0.02, 0.1)))
             status = line.read(reg.STATUS)
@@ -538,7 +566,9 @@ class Soak:
         if (result["SEQ_HEAD"], result["START_EPOCH"]) != (sequence, epoch):
             return True
         if int(result["FLAGS"]) & reg.Flag.VALID:
-            self._pick(kind, job, result, written_s)
+            self._pick(kind, located_job, result, located_s)
+            if result["REMAINING"]:
+                self._listed = located_job, located_s
             if self.dice.random() < 0.5:
                 await asyncio.sleep(self.dice.uniform(0.0, 3.0))
             if not line.write(reg.ADDRESS["ACK_SEQ"], sequence):
@@ -551,7 +581,12 @@ class Soak:
     def _pick(self, kind: int, job: int, result: Mapping[str, reg.Number], asked_s: float) -> None:
         """A robot moves to it."""
         self.book.counts["parts picked"] += 1
-        self.book.expect(kind == CommandKind.LOCATE, f"coordinates for command {kind}")
+        with_pose = (CommandKind.LOCATE, CommandKind.NEXT_PART)
+        self.book.expect(kind in with_pose, f"coordinates for command {kind}")
+        part = int(result["X"]), int(result["Z"])
+        self.book.expect(part not in self._picked, f"part {part} was picked twice")
+        self._picked.add(part)
+        self.book.counts["further parts picked"] += part[1] > 1000
         exposed_s, _ = self.world.exposures[int(result["X"])]
         self.book.expect(exposed_s >= asked_s, f"picked by an exposure {asked_s - exposed_s:.3f} s too old")
         measured = {int(result["JOB"]), round(int(result["Y"]) / 1000)}
@@ -561,7 +596,7 @@ class Soak:
         """A PLC as most are: the same registers every 20 ms, for ever, whatever happens in between."""
         line = self._line()
         memory = [0, 0, 0, 0]  # COMMAND, JOB, CMD_SEQ, ACK_SEQ
-        asked_s, epoch, looks = -math.inf, 0, 0
+        asked_s, located_s, epoch, looks = -math.inf, -math.inf, 0, 0
         while self._going:
             await asyncio.sleep(CYCLE_S)
             looks += 1
@@ -582,9 +617,13 @@ class Soak:
                         result = line.read(reg.RESULT)
                         mine = (result["SEQ_HEAD"], result["START_EPOCH"]) == (memory[2], epoch)
                         if mine and int(result["FLAGS"]) & reg.Flag.VALID:
-                            self._pick(memory[0], memory[1], result, asked_s)
+                            self._pick(memory[0], memory[1], result, located_s)
                             memory[3] = memory[2]
                         asked_s = -math.inf
+                        if mine and result["REMAINING"] and self.dice.random() < 0.8:
+                            sequence = memory[2] % 65535 + 1
+                            memory = [CommandKind.NEXT_PART, memory[1], sequence, memory[2]]
+                            line.intent, asked_s = {sequence}, self.loop.time()
                     if asked_s < 0 and self.dice.random() < 0.05 and status["CMD_SEQ_ECHO"] == memory[2]:
                         memory = [CommandKind.LOCATE, self.dice.choice((0, 1, 2)), memory[2] % 65535 + 1, 0]
                         line.intent, asked_s, epoch = (
@@ -592,6 +631,7 @@ class Soak:
                             self.loop.time(),
                             int(status["START_EPOCH"]),
                         )
+                        located_s = asked_s
             except (LinkDown, RequestRefused):
                 line.intent.clear()  # its program gives up; its registers stay
                 asked_s = -math.inf
@@ -611,7 +651,7 @@ class Soak:
                     sequence = self.dice.choice((self.dice.randrange(65536), self.dice.randrange(9)))
                     line.intent = {sequence}
                     option = self.dice.choice((0, 0, reg.Option.ONCE))
-                    words = (self.dice.choice((1, 2, 3, 4, 77)), 0, sequence, 0, 0, option)
+                    words = (self.dice.choice((1, 2, 3, 4, 5, 5, 77)), 0, sequence, 0, 0, option)
                     if line.write(reg.ADDRESS["COMMAND"], *words):
                         self.book.counts["careless writes"] += 1
                 if self.dice.random() < 0.3:
@@ -645,8 +685,14 @@ class Soak:
             except LinkDown:
                 values["xLinkOk"] = False
             if not values["xExecute"] and values["xReady"] and self.dice.random() < 0.2:
-                values |= {"xExecute": True, "uiJob": self.dice.choice((0, 1, 2))}
-                asked_s = self.loop.time()
+                # the newest result is the last scan's
+                goes_on = values["stResult"]["uiREMAINING"] > 0 and self.dice.random() < 0.8
+                values |= {"xExecute": True, "uiCommand": CommandKind.LOCATE}
+                if goes_on:
+                    values["uiCommand"] = CommandKind.NEXT_PART
+                else:
+                    values["uiJob"] = self.dice.choice((0, 1, 2))
+                    asked_s = self.loop.time()
             elif values["xExecute"] and not values["xBusy"] and self.dice.random() < 0.1:
                 values["xExecute"] = False
             block.scan()
@@ -654,6 +700,7 @@ class Soak:
             if not values["stResult"]["xValid"]:
                 continue
             self.book.counts["scans of the function block with something valid"] += 1
+            self.book.counts["scans with a further part"] += values["stResult"]["diZ"] > 1000
             result = values["stResult"]
             exposed_s, _ = self.world.exposures[result["diX"]]
             age_s = self.loop.time() - exposed_s
@@ -733,11 +780,14 @@ class Soak:
         expect, now_s = self.book.expect, self.loop.time()
         raw = line.ask(struct.pack(">BHH", 3, reg.RESULT.address, reg.RESULT.words))[2:]
         result = reg.decode(reg.RESULT, struct.unpack(f">{reg.RESULT.words}H", raw))
-        status, ur, mirror, row = (line.read(b) for b in (reg.STATUS, reg.UR, reg.FLOAT, reg.TABLE[0]))
+        status, ur, mirror = (line.read(b) for b in (reg.STATUS, reg.UR, reg.FLOAT))
+        index = int(result["INDEX"])
+        rows = [line.read(reg.TABLE[i]) for i in range(index + 1)]
+        row = {name.removeprefix(f"T{index}_"): value for name, value in rows[index].items()}
         bits = reg.StatusBit(int(status["STATUS_BITS"]))
         sequence = int(result["SEQ_HEAD"])
         heads = {sequence, result["SEQ_TAIL"], ur["UR_SEQ_HEAD"], ur["UR_SEQ_TAIL"]}
-        heads |= {mirror["F_SEQ_HEAD"], mirror["F_SEQ_TAIL"], row["T0_SEQ"] or sequence}
+        heads |= {mirror["F_SEQ_HEAD"], mirror["F_SEQ_TAIL"], row["SEQ"] or sequence}
         expect(len(heads) == 1, f"sequences {heads} in one picture")
         expect(reg.crc16(raw[:92]) == result["CRC16"], "CRC")
         expect(not (reg.StatusBit.ACK in bits and reg.StatusBit.NACK in bits), "ACK and NACK")
@@ -745,7 +795,10 @@ class Soak:
         valid = reg.StatusBit.RESULT_VALID in bits
         flags = (result["FLAGS"], ur["UR_FLAGS"], mirror["F_FLAGS"])
         expect({bool(int(word) & reg.Flag.VALID) for word in flags} == {valid}, f"VALID: {flags}, {bits!r}")
-        places = (result["X"], ur["UR_X"], row["T0_X"])
+        places = (result["X"], ur["UR_X"], row["X"])
+        given = [rows[i][f"T{i}_X"] for i in range(index)]
+        expect({reg.INT32_MIN} >= set(given), f"rows before {index} with coordinates: {given}")
+        expect(result["REMAINING"] == ur["UR_REMAINING"] <= 3 - index, f"{result['REMAINING']} remain")
         if not valid:
             expect(set(places) == {reg.INT32_MIN} and math.isnan(mirror["F_X"]), f"not VALID, but {places}")
             return
@@ -758,5 +811,8 @@ class Soak:
         expect(
             exposed_s >= written_s, f"the exposure is {written_s - exposed_s:.3f} s older than its command"
         )
+        part = int(result["X"]), int(result["Z"])
+        command = (result["START_EPOCH"], sequence)
+        expect(self._shown.setdefault(part, command) == command, f"part {part} under two commands")
         # the transfer of the images is not part of the age when the clock was set during the cycle
         expect(now_s - exposed_s <= VALIDITY_S + 0.06, f"VALID after {now_s - exposed_s:.3f} s")

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scriptedhead import Ear, Head, until
+from snapshots import make_target, make_transform
 
 from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
@@ -24,7 +25,11 @@ from edged.domain import (
     FramePair,
     Idle,
     JobChanged,
+    Order,
     Outcome,
+    Picking,
+    Reject,
+    Reloaded,
     Snapshot,
     Status,
 )
@@ -88,6 +93,51 @@ def test_every_accepted_command_gets_exactly_one_answer() -> None:
     kinds = [type(ear.answers(command)[0]) for command in commands]
     assert [Snapshot, Snapshot, JobChanged, Snapshot] == kinds
     assert ("job1", "job2") == (ear.answers(commands[0])[0].job, ear.answers(commands[3])[0].job)
+
+
+def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() -> None:
+    """Topmost: the highest in the robot's frame, whose z is against the camera's axis; bad ones last."""
+    targets = [
+        dataclasses.replace(make_target(), rig_from_part=make_transform((0, 0, 0), (0, 0, z)))
+        for z in (210.0, 190.0, 200.0)
+    ]
+    targets.append(make_target(reject=Reject.TOLERANCE))
+
+    def found(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+        return Outcome(Status.OK, tuple(targets))
+
+    def places(order: Order, robot_from_rig: np.ndarray | None) -> list[float]:
+        job = LoadedJob("job1", 1, found, picking=Picking(order))
+        setup = dataclasses.replace(make_setup(), jobs={1: job}, robot_from_rig=robot_from_rig)
+
+        async def script(cycle, ear, head):
+            cycle.submit(locate_command(1))
+            await until(ear.snapshots)
+
+        ear, _ = drive(setup, script)
+        (snapshot,) = ear.snapshots()
+        assert Reject.TOLERANCE is snapshot.targets[-1].reject
+        return [target.rig_from_part[2, 3] for target in snapshot.targets[:3]]
+
+    looks_down = make_transform((np.pi, 0, 0), (0, 0, 800.0))
+    assert [210.0, 190.0, 200.0] == places(Order.SCORE, looks_down)
+    assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, looks_down)
+    assert [210.0, 200.0, 190.0] == places(Order.TOPMOST, np.eye(4))
+    assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, None)
+
+
+def test_a_reload_is_announced_and_a_list_of_parts_is_no_business_of_the_loop() -> None:
+    """Whoever keeps a list hears of each exchange; NEXT_PART is refused where nobody keeps one."""
+
+    async def script(cycle, ear, head):
+        with pytest.raises(CommandRefused, match="NEXT_PART"):
+            cycle.submit(Command(CommandKind.NEXT_PART, "zenoh", 1))
+        cycle.exchange(make_setup())
+        await until(lambda: any(isinstance(event, Reloaded) for event in ear.events))
+
+    ear, _ = drive(make_setup(), script)
+    assert 1 == sum(isinstance(event, Reloaded) for event in ear.events)
+    assert [] == ear.snapshots()
 
 
 def test_exposure_done_comes_before_the_result() -> None:

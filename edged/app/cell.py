@@ -29,7 +29,7 @@ def load_cell(path: Path) -> LoadedCell:
     """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
     cell = read_cell(path)
     config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
-    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness) for job in cell.jobs]
+    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness, job.picking) for job in cell.jobs]
     setup = Setup(
         jobs={job.number: job for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),

@@ -25,6 +25,7 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
 from edged.robot.orientations import Convention
+from edged.robot.picking import picked
 from edged.robot.reading import frame_name, reading_of
 from edged.vision.geometry.camera import StereoRig
 
@@ -66,7 +67,7 @@ def locate(
         last_s = now_s
 
     inspection = inspect(pair, taught, prepared, lap)
-    outcome = judge(inspection)
+    outcome = picked(judge(inspection), taught.picking, prepared.rig.robot_from_rig)
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     if overlay is not None:
         images = pair.left.image, pair.right.image

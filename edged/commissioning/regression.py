@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import Calibrated, FloatArray, Outcome, Snapshot
+from edged.domain import Calibrated, FloatArray, Outcome, Picking, Snapshot
 from edged.drift import refused
 from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json
 from edged.pipeline import PreparedRig, locate
 from edged.robot.covariance import moved_frame
+from edged.robot.picking import picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
@@ -31,15 +32,18 @@ def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
     if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
     flange = command.get("robot_from_flange") if isinstance(command, dict) else None
-    return _json_of(outcome, rig, None if flange is None else np.array(flange, np.float64))
+    return _json_of(outcome, rig, job.picking, None if flange is None else np.array(flange, np.float64))
 
 
-def _json_of(outcome: Outcome, rig: PreparedRig, robot_from_flange: FloatArray | None = None) -> Json:
+def _json_of(
+    outcome: Outcome, rig: PreparedRig, picking: Picking, robot_from_flange: FloatArray | None = None
+) -> Json:
     """The part of a published snapshot that the outcome, and where the flange was, decide."""
     robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
     if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
         robot = robot_from_flange @ rig.rig.flange_from_rig
         registration = None if registration is None else moved_frame(registration, robot_from_flange)
+    outcome = picked(outcome, picking, robot)
     document = snapshot_to_json(
         Snapshot(
             cycle=0,

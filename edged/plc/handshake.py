@@ -21,6 +21,10 @@ The rules:
   free-running cell are, the newest replacing the one before.
 - A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
   time-out (counted from the exposure), until the next command, or until the client is lost.
+- A measurement that finds several good parts leaves a list of the others. NEXT_PART shows the next one under
+  its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
+  as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
+  a client that is lost, the validity time-out and a reload. Without one NEXT_PART is a NACK.
 - At most `Limits.queue` commands are open; one more is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
@@ -67,6 +71,8 @@ class Reason(enum.IntEnum):
     """The cameras gave no pair of images: ERROR says why."""
     BASELINE = 8
     """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
+    NO_LIST = 9
+    """NEXT_PART, and there is no next part: the list is at its end, too old or gone, or never was."""
 
 
 class Verdict(enum.Enum):
@@ -114,9 +120,23 @@ class Result(Generic[Payload]):
 
 
 @dataclass(frozen=True, slots=True)
+class PartList(Generic[Payload]):
+    """What NEXT_PART can still give: the further parts of the newest measurement, in their order.
+
+    client : who asked for it. job : the number of the job that was measured. exposed_s : as of a `Result`.
+    """
+
+    client: int
+    job: int
+    exposed_s: float
+    rest: tuple[Payload, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Handshake(Generic[Payload]):
     """The state. Build it with the limits only; everything else is the state after start.
 
+    parts : None where there is no list; one at its end is none.
     synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
     """
 
@@ -132,6 +152,7 @@ class Handshake(Generic[Payload]):
     exposure_done: bool = False
     overrun: bool = False
     result: Result[Payload] | None = None
+    parts: PartList[Payload] | None = None
     heartbeat: int = 0
     heartbeat_due_s: float | None = None
     client_lost: bool = False
@@ -148,6 +169,7 @@ class SequenceWritten:
 
     client : who wrote it. once : it is no part of a block that is written again and again: it runs although
     nothing is known of what this client wrote before. timeout_s : for this command, None for none.
+    next_of : it is NEXT_PART, of a list of this job (0: whatever job); None: it is another command.
     """
 
     sequence: int
@@ -155,6 +177,7 @@ class SequenceWritten:
     timeout_s: float | None = None
     client: int = 0
     once: bool = False
+    next_of: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +225,8 @@ class Finished(Generic[Payload]):
     """A measurement, a picture or a job change is complete.
 
     ticket : the command's, None when nobody here asked; cycle : its number (for free-running cells).
-    payload : what to display, None for nothing.
+    payload : what to display, None for nothing. rest : what to display of each further good part, for
+    NEXT_PART; job : the number of the job that was measured.
     """
 
     ticket: int | None
@@ -210,6 +234,8 @@ class Finished(Generic[Payload]):
     verdict: Verdict
     exposed_s: float
     payload: Payload | None
+    rest: tuple[Payload, ...] = ()
+    job: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +261,11 @@ class Barred:
 
 
 @dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Jobs, rig or cameras have been exchanged: the parts of a list were measured with those before."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Only time has passed."""
 
@@ -251,6 +282,7 @@ Event = (
     | ClaimedBy
     | Released
     | Barred
+    | Reloaded
     | Tick
 )
 
@@ -292,8 +324,17 @@ def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
         result is not None
         and not state.client_lost
         and state.acknowledged != result.sequence
-        and 0.0 <= now_s - result.exposed_s <= state.limits.validity_s
+        and _is_young(state, result.exposed_s, now_s)
     )
+
+
+def _is_young(state: Handshake[Payload], exposed_s: float, now_s: float) -> bool:
+    return 0.0 <= now_s - exposed_s <= state.limits.validity_s
+
+
+def remaining(state: Handshake[Payload]) -> int:
+    """How many parts NEXT_PART can still give."""
+    return len(state.parts.rest) if state.parts is not None else 0
 
 
 def may_write(state: Handshake[Payload], client: int, now_s: float) -> bool:
@@ -348,6 +389,8 @@ def _take(
         case Barred(client):
             # what it goes on writing when its turn comes may be a command that it has given up meanwhile
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
+        case Reloaded():
+            return replace(state, parts=None), ()
         case Tick():
             return state, ()
 
@@ -360,7 +403,9 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
             effects += ended
     if state.heartbeat_due_s is not None and now_s >= state.heartbeat_due_s:
         # whoever takes over must not find a result that was meant for somebody else
-        state = replace(state, heartbeat_due_s=None, client_lost=True, owner=None, result=None)
+        state = replace(state, heartbeat_due_s=None, client_lost=True, owner=None, result=None, parts=None)
+    if state.parts is not None and not _is_young(state, state.parts.exposed_s, now_s):
+        state = replace(state, parts=None)
     return state, effects
 
 
@@ -372,7 +417,8 @@ def _command(
     # what another connection was answered under this very number is no answer to this one
     if event.sequence == state.command_sequence and not (is_baseline and event.sequence):
         return state, ()
-    state = replace(state, command_sequence=event.sequence, result=None, exposure_done=False)
+    parts = state.parts
+    state = replace(state, command_sequence=event.sequence, result=None, exposure_done=False, parts=None)
     if event.sequence == 0:
         return state, ()
     ticket = (state.ticket & ~SEQUENCE_MASK) + event.sequence
@@ -384,6 +430,8 @@ def _command(
         return _refuse(state, Reason.BASELINE)
     if not event.known:
         return _refuse(state, Reason.UNKNOWN_COMMAND)
+    if event.next_of is not None:
+        return _next_part(state, parts, event)
     if len(state.open) >= state.limits.queue:
         return _refuse(replace(state, overrun=True), Reason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
@@ -397,6 +445,26 @@ def _refuse(state: Handshake[Payload], reason: Reason) -> tuple[Handshake[Payloa
     sequence = state.ticket & SEQUENCE_MASK
     state = replace(state, done_sequence=sequence, answer=Answer.NACK, reason=reason)
     return state, (Answered(state.ticket, Answer.NACK, reason),)
+
+
+def _next_part(
+    state: Handshake[Payload], parts: PartList[Payload] | None, event: SequenceWritten
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    """Show the next part of the list, which was there until this command; it is never open."""
+    if parts is None or parts.client != event.client or event.next_of not in (0, parts.job):
+        return _refuse(state, Reason.NO_LIST)
+    shown = Result(event.sequence, Verdict.GOOD, parts.exposed_s, parts.rest[0])
+    state = replace(
+        state,
+        result=shown,
+        parts=replace(parts, rest=parts.rest[1:]) if len(parts.rest) > 1 else None,
+        exposure_done=True,
+        overrun=False,
+        done_sequence=event.sequence,
+        answer=Answer.ACK,
+        reason=Reason.NONE,
+    )
+    return state, (Answered(state.ticket, Answer.ACK, Reason.NONE),)
 
 
 def _end(
@@ -432,6 +500,10 @@ def _finish(
         shown = Result(sequence, event.verdict, event.exposed_s, event.payload)
         # a result without a fault proves an exposure, whatever became of the message that said so
         state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
+        # who wrote the newest command and is gone by now has nobody to go on for it
+        if event.verdict is Verdict.GOOD and event.rest and state.synchronised is not None:
+            parts = PartList(state.synchronised, event.job, event.exposed_s, event.rest)
+            state = replace(state, parts=parts)
     return state, effects
 
 
@@ -440,6 +512,8 @@ def _release(state: Handshake[Payload], event: Released) -> Handshake[Payload]:
         state = replace(state, owner=None)
     if event.gone and state.synchronised == event.client:
         state = replace(state, synchronised=None)
+    if event.gone and state.parts is not None and state.parts.client == event.client:
+        state = replace(state, parts=None)
     return state
 
 

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edged.domain import Order
 from edged.errors import FileFormatError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.vision.part.job import (
@@ -130,6 +131,26 @@ def test_a_job_comes_back(tmp_path: Path, limits: Limits | None, search: SearchP
     assert (tmp_path / "two" / "job.toml").read_bytes() == (
         tmp_path / "jobs" / "one" / "job.toml"
     ).read_bytes()
+
+
+@pytest.mark.parametrize("order", Order)
+def test_which_part_comes_first_comes_back(folder: Path, tmp_path: Path, order: Order) -> None:
+    """Each order is kept; a job without one, as older files are, goes by the score."""
+    edit(folder, r'^order = "score"', f'order = "{order}"')
+    save_job(tmp_path / "again", load_job(folder))
+    assert order is load_job(tmp_path / "again").picking.order
+    edit(folder, r"^\[picking\].*$", "")
+    edit(folder, r"^order = .*$", "")
+    assert Order.SCORE is load_job(folder).picking.order
+
+
+def test_an_order_that_does_not_exist_is_named(folder: Path) -> None:
+    """The file, the place, what there is, and what was found."""
+    edit(folder, r'^order = "score"', 'order = "rightmost"')
+    with pytest.raises(
+        FileFormatError, match=r"job\.toml: picking\.order: expected 'score', .* got 'rightmost'"
+    ):
+        load_job(folder)
 
 
 def test_how_far_a_part_may_lie_tilted_comes_back(folder: Path, tmp_path: Path) -> None:

@@ -28,8 +28,22 @@ class Run:
         self.effects += effects
         return effects
 
-    def good(self, ticket: int | None, cycle: int = 1, payload: str = "part") -> None:
-        self.tell(hs.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload))
+    def good(
+        self, ticket: int | None, cycle: int = 1, payload: str = "part", *rest: str, job: int = 0
+    ) -> None:
+        self.tell(hs.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job))
+
+    def next_part(self, sequence: int, client: int = 0, job: int = 0, once: bool = False) -> str:
+        """What NEXT_PART shows; "" for a NACK with the reason of its own. It always ends at once."""
+        (answered,) = self.tell(hs.SequenceWritten(sequence, client=client, once=once, next_of=job))
+        assert isinstance(answered, hs.Answered) and answered.ticket & 0xFFFF == sequence
+        assert () == self.state.open
+        if answered.answer is Answer.NACK:
+            assert (Reason.NO_LIST, None) == (answered.reason, self.state.result)
+            return ""
+        assert self.valid and self.state.exposure_done
+        assert (sequence, sequence) == (self.state.result.sequence, self.state.done_sequence)
+        return self.state.result.payload
 
     @property
     def valid(self) -> bool:
@@ -283,10 +297,120 @@ def test_one_client_writes_at_a_time() -> None:
     assert may_write(run.state, 2, run.now_s)
 
 
+def test_one_exposure_gives_part_after_part_each_held_until_it_is_acknowledged() -> None:
+    """LOCATE shows the first of three, NEXT_PART the others under their own numbers; then there is none."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.good(1, 1, "a", "b", "c")
+    assert 2 == hs.remaining(run.state)
+    run.tell(hs.AckWritten(1))
+    assert not run.valid
+    assert "b" == run.next_part(2)
+    assert 1 == hs.remaining(run.state)
+    run.tell(hs.AckWritten(1))
+    assert run.valid
+    assert "c" == run.next_part(3), "whoever asks for the next one has done with this one"
+    assert 0 == hs.remaining(run.state)
+    assert "" == run.next_part(4)
+    assert not run.valid
+
+
+def test_the_same_number_again_gives_no_other_part() -> None:
+    """A PLC that writes NEXT_PART cyclically gets one part; a number that comes round again, the next one."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.good(1, 1, "a", "b", "c")
+    assert "b" == run.next_part(2)
+    assert () == run.tell(hs.SequenceWritten(2, next_of=0))
+    assert (True, "b", 1) == (run.valid, run.state.result.payload, hs.remaining(run.state))
+    assert "c" == run.next_part(1)
+
+
+def test_a_list_is_as_old_as_its_exposure() -> None:
+    """NEXT_PART makes no part younger: all of a list end together, shown or not."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.good(1, 1, "a", "b", "c")
+    run.now_s += 1.9
+    assert "b" == run.next_part(2)
+    run.now_s += 0.2
+    run.tell(hs.Tick())
+    assert not run.valid
+    assert 0 == hs.remaining(run.state)
+    assert "" == run.next_part(3)
+
+
+OTHERS = {
+    "a trigger": hs.SequenceWritten(2),
+    "a refused one": hs.SequenceWritten(2, known=False),
+    "no command": hs.SequenceWritten(0),
+    "another client": hs.SequenceWritten(2, client=5, once=True),
+    "a reload": hs.Reloaded(),
+    "the connection's end": hs.Released(0, gone=True),
+}
+
+
+@pytest.mark.parametrize("what", OTHERS)
+def test_whatever_else_happens_ends_the_list(what: str) -> None:
+    """A trigger, accepted or not, CMD_SEQ 0, another client, a reload, a connection that ends."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.good(1, 1, "a", "b")
+    run.tell(OTHERS[what])
+    assert 0 == hs.remaining(run.state)
+    run.tell(hs.Finished(2, 2, Verdict.BAD, run.now_s, "bad"))
+    assert "" == run.next_part(3, once=True)
+
+
+def test_a_list_belongs_to_who_asked_for_it_and_to_its_job() -> None:
+    """Another connection, a client that is lost, or another job's number: NACK, and the list is gone."""
+    for client, job, given in ((0, 7, "b"), (0, 0, "b"), (0, 8, ""), (4, 7, "")):
+        run = Run()
+        run.tell(hs.SequenceWritten(1))
+        run.good(1, 1, "a", "b", job=7)
+        assert given == run.next_part(2, client, job, once=True)
+        assert 0 == hs.remaining(run.state)
+    run = Run()
+    run.tell(hs.HeartbeatWritten(1))
+    run.tell(hs.SequenceWritten(1))
+    run.good(1, 1, "a", "b")
+    run.now_s += 1.1
+    assert "" == run.next_part(2)
+
+
+def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
+    """Not a checked part, not a rejected one, not a free-running cycle, not one that came too late."""
+    for verdict in Verdict:
+        run = Run()
+        run.tell(hs.SequenceWritten(1))
+        run.tell(hs.Finished(1, 1, verdict, run.now_s, "a", ("b",)))
+        assert ("b" if verdict is Verdict.GOOD else "") == run.next_part(2)
+    run = Run()
+    run.good(None, 1, "a", "b")
+    assert "" == run.next_part(1)
+    run = Run()
+    run.tell(hs.SequenceWritten(1, timeout_s=0.1))
+    run.now_s += 0.2
+    run.good(1, 1, "a", "b")
+    assert "" == run.next_part(2)
+
+
+def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
+    """The list of LOCATE 1, which ends after NEXT_PART 2, is nobody's."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    (answered,) = run.tell(hs.SequenceWritten(2, next_of=0))
+    assert hs.Answered(2, Answer.NACK, Reason.NO_LIST) == answered
+    run.good(1, 1, "a", "b")
+    assert (0, None) == (hs.remaining(run.state), run.state.result)
+    assert "" == run.next_part(3)
+
+
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
-    The model beside the machine: which tickets were accepted, and how often each was answered.
+    The model beside the machine: which tickets were accepted, and how often each was answered; which parts of
+    the newest exposure are still to be given, to whom, until when.
     """
 
     @initialize()
@@ -297,6 +421,10 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.in_cell: list[int] = []  # commands that the cell has and has not finished
         self.free_cycle = 0
         self.last_writer: int | None = None  # whose CMD_SEQ is known
+        self.list: list[str] = []  # parts that NEXT_PART can give
+        self.list_client, self.list_job, self.list_until_s = 0, 0, 0.0
+        self.given: set[str] = set()  # parts that were shown
+        self.shown = ""  # the part that is on display, where NEXT_PART showed it
 
     @rule(
         sequence=st.sampled_from([0, 1, 2, 3, 4, 65534, 65535]),
@@ -304,31 +432,85 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         quick=st.booleans(),
         client=st.sampled_from([1, 1, 1, 2]),
         once=st.sampled_from([False, False, True]),
+        next_of=st.sampled_from([None, None, 0, 0, 7, 8]),
     )
-    def write_sequence(self, sequence: int, known: bool, quick: bool, client: int, once: bool) -> None:
+    def write_sequence(
+        self, sequence: int, known: bool, quick: bool, client: int, once: bool, next_of: int | None
+    ) -> None:
         begins = client != self.last_writer and not once
         self.last_writer = client
         changed = sequence != self.run.state.command_sequence or (begins and sequence != 0)
-        effects = self.run.tell(hs.SequenceWritten(sequence, known, 0.5 if quick else None, client, once))
+        timeout_s = 0.5 if quick else None
+        effects = self.run.tell(hs.SequenceWritten(sequence, known, timeout_s, client, once, next_of))
+        if changed:
+            self.check_next_part(effects, sequence, client, next_of, asked=known and not begins)
+        if next_of is not None:
+            assert not any(isinstance(effect, hs.Submit) for effect in effects), "NEXT_PART made an exposure"
         submitted = [effect.ticket for effect in effects if isinstance(effect, hs.Submit)]
         assert len(submitted) <= int(changed and sequence != 0 and known and not begins)
         self.accepted += submitted
         self.in_cell += submitted
         if changed:
-            assert not self.run.valid, "an old result survived a new command"
+            assert self.shown or not self.run.valid, "an old result survived a new command"
             self.written_at = self.run.state.ticket if sequence else None
+
+    def check_next_part(
+        self, effects: tuple[hs.Effect, ...], sequence: int, client: int, next_of: int | None, *, asked: bool
+    ) -> None:
+        """One command, one result: the next part to who may have it, else a NACK; others end it."""
+        due, self.shown = self.due(), ""
+        if next_of is None or sequence == 0:
+            self.list = []
+            return
+        (answered,) = (
+            effect
+            for effect in effects
+            if isinstance(effect, hs.Answered) and effect.ticket == self.run.state.ticket
+        )
+        if asked and due and client == self.list_client and next_of in (0, self.list_job):
+            assert (Answer.ACK, sequence) == (answered.answer, self.run.state.result.sequence)
+            self.shown = self.list.pop(0)
+            assert self.shown == self.run.state.result.payload
+            assert self.shown not in self.given, "a part was given twice"
+            self.given.add(self.shown)
+            return
+        assert Answer.NACK is answered.answer
+        assert not asked or Reason.NO_LIST is answered.reason
+        self.list = []
+
+    def due(self) -> bool:
+        """Whether there is a list now."""
+        return bool(self.list) and self.run.now_s <= self.list_until_s
+
+    @rule()
+    def reload(self) -> None:
+        self.run.tell(hs.Reloaded())
+        self.list = []
 
     @rule()
     def decline(self) -> None:
         if self.in_cell:
             self.run.tell(hs.Declined(self.in_cell.pop()))
 
-    @rule(verdict=st.sampled_from(Verdict), age_s=st.floats(0, 3), position=st.integers(0, 7))
-    def finish(self, verdict: Verdict, age_s: float, position: int) -> None:
+    @rule(
+        verdict=st.sampled_from([*Verdict, Verdict.GOOD, Verdict.GOOD]),
+        age_s=st.sampled_from([0.0, 0.0, 1.0, 3.0]),
+        position=st.integers(0, 7),
+        parts=st.integers(1, 4),
+    )
+    def finish(self, verdict: Verdict, age_s: float, position: int, parts: int) -> None:
         if self.in_cell:
             ticket = self.in_cell.pop(position % len(self.in_cell))
             now_s = self.run.now_s
-            self.run.tell(hs.Finished(ticket, 1, verdict, now_s - age_s, f"command {ticket}"))
+            rest = tuple(f"command {ticket}, part {number}" for number in range(1, parts))
+            self.run.tell(hs.Finished(ticket, 1, verdict, now_s - age_s, f"command {ticket}", rest, 7))
+            ended = any(
+                isinstance(e, hs.Answered) and e == hs.Answered(ticket, Answer.ACK, Reason.NONE)
+                for e in self.run.effects
+            )
+            if ended and verdict is Verdict.GOOD and ticket == self.written_at and self.last_writer:
+                self.list, self.list_client, self.list_job = [*rest], self.last_writer, 7
+                self.list_until_s = now_s - age_s + LIMITS.validity_s
             if verdict is not Verdict.GOOD or age_s > LIMITS.validity_s:
                 assert not (self.run.valid and f"command {ticket}" == self.run.state.result.payload)
 
@@ -375,6 +557,8 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             self.run.tell(hs.Released(client, gone))
             if gone and self.last_writer == client:
                 self.last_writer = None
+            if gone and self.list_client == client:
+                self.list = []
         elif may_write(self.run.state, client, self.run.now_s):
             self.run.tell(hs.ClaimedBy(client))
             assert not any(may_write(self.run.state, other, self.run.now_s) for other in {1, 2, 3} - {client})
@@ -385,10 +569,20 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             return
         result = self.run.state.result
         if self.written_at is not None:
-            assert f"command {self.written_at}" == result.payload
+            assert (self.shown or f"command {self.written_at}") == result.payload
             assert self.written_at & 0xFFFF == result.sequence == self.run.state.command_sequence
         else:
             assert f"cycle {self.free_cycle}" == result.payload
+
+    @invariant()
+    def the_list_is_what_is_left_of_one_exposure(self) -> None:
+        if hasattr(self, "run"):
+            state = self.run.state
+            lost = state.client_lost or not self.due()
+            self.run.tell(hs.Tick())
+            if lost:
+                self.list = []
+            assert len(self.list) == hs.remaining(self.run.state)
 
     @invariant()
     def exactly_one_answer_for_each_accepted_command(self) -> None:

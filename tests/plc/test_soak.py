@@ -29,6 +29,8 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
     assert [] == book.violations
     for event in (
         "parts picked",
+        "further parts picked",
+        "NACK NO_LIST",
         "looks at something valid",
         "NACK TIMEOUT",
         "NACK CAPTURE_FAULT",
@@ -88,6 +90,31 @@ def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
     book = Soak(1, block_s=120.0).run(120.0)
     assert [] == book.violations
     assert book.counts["scans of the function block with something valid"]
+    assert book.counts["scans with a further part"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("defect", "violation"),
+    [("gives the same part again", "twice"), ("keeps the list", "s older than its command")],
+)
+def test_a_cell_whose_lists_are_wrong_is_caught(
+    defect: str, violation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor to a part that is given twice, or to a list that outlives another trigger."""
+    real = hs.step
+
+    def wrong(state: Any, event: Any, now_s: float) -> Any:
+        new, effects = real(state, event, now_s)
+        is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
+        if defect == "gives the same part again" and is_next and new.parts is not None:
+            new = dataclasses.replace(new, parts=state.parts)
+        if defect == "keeps the list" and isinstance(event, hs.SequenceWritten) and not is_next:
+            new = dataclasses.replace(new, parts=state.parts)
+        return new, effects
+
+    monkeypatch.setattr(hs, "step", wrong)
+    assert any(violation in one for one in Soak(1).run(600.0).violations)
 
 
 # --- each defect that was once there is found when it is put back -------------------------------

@@ -114,6 +114,29 @@ def test_the_python_client_drives_every_command(client_module: ModuleType, setti
             client.locate(job=99)
 
 
+def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> None:
+    """One picture, three parts, the rejected one left out; then NO_LIST, and each trigger begins anew."""
+    targets = [make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0)]
+    targets.insert(1, make_target(reject=Reject.TOLERANCE, x_mm=40.0))
+    with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        cell.targets = tuple(targets)
+        parts = list(client.parts())
+        assert [(10_000, 2), (20_000, 1), (30_000, 0)] == [
+            (part.values["X"], part.values["REMAINING"]) for part in parts
+        ]
+        assert [0, 1, 2] == [part.values["INDEX"] for part in parts]
+        assert 1 == len({part.values["EXPOSURE_NS"] for part in parts}) == cell.head.captures
+        assert 3 == len({part.sequence for part in parts})
+        with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
+            client.next_part()
+        assert client.locate().ok
+        assert 20_000 == client.next_part().values["X"]
+        client.verify()
+        with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
+            client.next_part()
+
+
 def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
     """Vision that takes too long is a NACK by the time-out of the command, and nothing is valid after it."""
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
@@ -414,6 +437,28 @@ def test_structured_text_runs_the_handshake(order: Any) -> None:
         assert 2 == plc.values["awStatus"][6]
 
 
+def test_structured_text_gives_part_after_part() -> None:
+    """uiCommand 5 while uiREMAINING says so: the other parts of the picture, each acknowledged; then 9."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        plc.until("xReady")
+        seen = []
+        for command in (1, 5, 5):
+            plc.run(uiCommand=command)
+            result = plc.values["stResult"]
+            seen.append((result["xValid"], result["diX"], result["uiREMAINING"]))
+            plc.release()
+            plc.until("xReady")
+        assert [(True, 10_000, 2), (True, 20_000, 1), (True, 30_000, 0)] == seen
+        plc.run(uiCommand=5)
+        assert (True, 9, False) == (
+            plc.values["xError"],
+            plc.values["uiError"],
+            plc.values["stResult"]["xValid"],
+        )
+        assert 1 == cell.head.captures
+
+
 @pytest.mark.slow
 def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
     """Unknown job: the reason; a dead camera: 6; slow vision: 100 here or 4 from the cell; no link: 101."""
@@ -705,6 +750,21 @@ def test_urscript_locates_a_part() -> None:
         robot["edged_locate"](0, 5.0)
         assert (False, 6) == (robot["edged_ok"], robot["edged_error"])
         robot["edged_alive"]()
+
+
+def test_urscript_gives_part_after_part() -> None:
+    """edged_next while edged_remaining says so: the other parts of one picture; then edged_error 9."""
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        seen = [(robot["edged_locate"](0, 5.0)[0], robot["edged_remaining"])]
+        while robot["edged_remaining"] > 0:
+            robot["edged_acknowledge"]()
+            seen.append((robot["edged_next"](5.0)[0], robot["edged_remaining"]))
+            assert robot["edged_ok"]
+        assert [(0.010, 2), (0.020, 1), (0.030, 0)] == seen
+        robot["edged_next"](5.0)
+        assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
 
 
 def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:

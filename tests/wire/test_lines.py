@@ -104,6 +104,22 @@ def test_every_target_is_given_one_after_the_other() -> None:
         assert LineStatus.NO_FURTHER == robot.ask("5,NEXT")[1]
 
 
+def test_each_part_is_held_until_it_is_acknowledged() -> None:
+    """NEXT with numbers of its own: said again the same part, acknowledged the next one; sigmas of each."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        seen = [
+            robot.ask(line) for line in ("5,LOCATE,1", "6,NEXT", "6,NEXT", "6,ACK", "6,NEXT", "7,NEXT_PART")
+        ]
+        assert [0, 0, 0, 0, LineStatus.NO_FURTHER, 0] == [one[1] for one in seen]
+        assert [10.0, 20.0, 20.0, 0.0, 0.0, 30.0] == [one[3][0] for one in seen]
+        assert {1} == {len({one[3][6] for one in seen if one[3][0]})}
+        assert 1 == cell.head.captures
+        assert 0 == robot.ask("7,LOCATE,0")[1], "the cell's own number for NEXT is in nobody's way"
+        assert 2 == cell.head.captures
+
+
 def test_commands_end_with_their_reasons() -> None:
     """Jobs, verification, pictures; nothing found 102, unknown job 2, dead camera 6."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:

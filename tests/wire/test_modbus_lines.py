@@ -16,6 +16,7 @@ from certificates import make_certificates
 from livecell import LiveCell
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
 from serialline import SerialCable
+from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
 from edged.adapters.modbus.cell import CellRegisters
@@ -99,6 +100,22 @@ def drive(line: Line) -> None:
     line.write(105, [reg.Option.RELEASE])
 
 
+def pick(line: Line) -> None:
+    """Every part of one picture, as a PLC does."""
+    line.write(102, [0])
+    wait_for(line, lambda status: int(status["STATUS_BITS"]) & StatusBit.READY)
+    seen = []
+    for sequence, command in enumerate((1, 5, 5, 5), start=21):
+        line.write(100, [command, 0, sequence, 0, 0, 0])
+        status = wait_for(line, lambda status, wanted=sequence: status["DONE_SEQ"] == wanted)
+        result = reg.decode(reg.RESULT, line.read(300, 48))
+        assert (sequence if status["NACK_REASON"] == 0 else 0) == result["SEQ_HEAD"] == result["SEQ_TAIL"]
+        seen.append((status["NACK_REASON"], result["X"], result["REMAINING"], result["INDEX"]))
+        line.write(103, [sequence])
+    assert [(0, 10_000, 2, 0), (0, 20_000, 1, 1), (0, 30_000, 0, 2), (9, reg.INT32_MIN, 0, 0)] == seen
+    line.write(105, [reg.Option.RELEASE])
+
+
 def wait_for(line: Line, condition: Any) -> dict[str, reg.Number]:
     """Read the status until it is so."""
     deadline_s = time.monotonic() + WAIT_S
@@ -126,6 +143,30 @@ def test_tcp_and_rtu_at_once_by_pymodbus(cable: SerialCable) -> None:
         ):
             stack.callback(client.close)
             drive(Pymodbus(client))
+
+
+def test_part_after_part_by_pymodbus() -> None:
+    """One picture, three parts with their remaining count, then NACK 9."""
+    with LiveCell() as cell, ExitStack() as stack:
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2)
+        stack.callback(client.close)
+        pick(Pymodbus(client))
+        assert 1 == cell.head.captures
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> None:
+    """The same by libmodbus; over TCP it connects for each request, and a list ends with its connection."""
+    serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
+    with LiveCell(ModbusSettings(port=0, serial=serial, validity_s=30.0)) as cell:
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+        pick(Mbpoll("-m", "rtu", "-b", "19200", "-P", "none", cable.ends[1]))
+        line = Mbpoll("-m", "tcp", "-p", str(cell.port), "127.0.0.1")
+        for sequence, command in ((31, 1), (32, 5)):
+            line.write(100, [command, 0, sequence, 0, 0, reg.Option.ONCE])
+            status = wait_for(line, lambda status, wanted=sequence: status["DONE_SEQ"] == wanted)
+        assert 9 == status["NACK_REASON"]
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")

@@ -27,6 +27,7 @@ from edged.domain import (
     ExposureDone,
     FloatArray,
     JobChanged,
+    Reloaded,
     Snapshot,
 )
 from edged.errors import CommandRefused
@@ -89,7 +90,7 @@ class CellRegisters:
         self._last: reg.Measured | None = None
         self._command = [0] * reg.COMMAND.words
         self._image = bytearray(2 * MAP_END)
-        self._encoded: tuple[int, int, bool] | None = None
+        self._encoded: tuple[int, int, bool, int] | None = None
         self._held: tuple[object, object] = (None, None)
         self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
@@ -116,7 +117,8 @@ class CellRegisters:
         self._place(reg.STATUS, status)
         COMMAND_WORDS.pack_into(self._image, 2 * reg.COMMAND.address, *self._command)
         result = self._state.result
-        shown = (id(result), id(self._last), valid)  # _held keeps both alive: no id is used twice
+        # _held keeps both alive: no id is used twice
+        shown = (id(result), id(self._last), valid, hs.remaining(self._state))
         if shown != self._encoded:
             self._encoded = shown
             self._held = (result, self._last)
@@ -133,7 +135,13 @@ class CellRegisters:
         values: dict[str, reg.Number] = dict(reg.NOTHING)
         if result is not None:
             free = self._state.command_sequence == 0
-            values = reg.result_values(result.payload, result.sequence, valid=valid, free_running=free)
+            values = reg.result_values(
+                result.payload,
+                result.sequence,
+                valid=valid,
+                free_running=free,
+                remaining=hs.remaining(self._state),
+            )
         values["START_EPOCH"] = values["UR_START_EPOCH"] = self._epoch
         for block in (reg.RESULT, reg.UR, reg.FLOAT):
             self._place(block, values)
@@ -260,7 +268,7 @@ class CellRegisters:
         self._step(hs.Released(client, gone=True), self._clock_s())
 
     def _trigger(self, client: int, now_s: float, *, once: bool) -> None:
-        code = self._command[_offset("COMMAND")]
+        code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
         flange = self._taken_flange()
@@ -270,10 +278,10 @@ class CellRegisters:
             timeout_ms / 1000 if timeout_ms else None,
             client,
             once,
+            job if code == CommandKind.NEXT_PART else None,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
-                job = self._command[_offset("JOB")]
                 self._submit(Command(CommandKind(code), PLC_SOURCE, effect.ticket, job, flange))
 
     def _taken_flange(self) -> FloatArray | None:
@@ -320,6 +328,8 @@ class CellRegisters:
                 if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
+            case Reloaded():
+                self._step(hs.Reloaded(), now_s)
             case CellState():
                 if event.state is CellPhase.BUSY and (
                     self._cell is None or self._cell.state is not CellPhase.BUSY
@@ -335,7 +345,10 @@ class CellRegisters:
         verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
-        self._step(hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result), now_s)
+        rest = result.further() if verdict is hs.Verdict.GOOD else ()
+        self._step(
+            hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, snapshot.job_number), now_s
+        )
 
     def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
         self._state, effects = hs.step(self._state, event, now_s)

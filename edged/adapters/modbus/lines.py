@@ -16,6 +16,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
+from edged.plc.handshake import Reason
 from edged.plc.lines import MAX_LINE_BYTES, UNKNOWN, Answer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
@@ -68,21 +70,28 @@ def parse(line: bytes, brand: Brand) -> Request:
     job = int(fields[2]) if len(fields) > 2 else 0
     if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
         raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
-    if command not in (*CommandKind.__members__, "NEXT", "ACK"):
+    command = "NEXT_PART" if command == "NEXT" else command
+    if command not in (*CommandKind.__members__, "ACK"):
         raise ValueError(f"no such command: {command}")
     flange = transform_of(brand, tuple(float(field) for field in fields[3:])) if len(fields) > 3 else None
     return Request(sequence, command, job, flange)
 
 
 class Robot:
-    """What one connection asks, and what it was given last."""
+    """What one connection asks, and what it was given last.
+
+    _sequence : CMD_SEQ of its newest command. _asked : the robot's own number of it, and whether it is NEXT.
+    _located : the robot's number of the command before all NEXT. _given : the numbers of all since.
+    """
 
     def __init__(self, view: ClientView, settings: ModbusSettings, line: LineSettings) -> None:
         self._view = view
         self._settings = settings
         self._line = line
         self._sequence = 0
-        self._row = 0
+        self._asked = (0, False)
+        self._located = 0
+        self._given: set[int] = set()
 
     async def answer(self, line: bytes) -> Answer:
         """Carry one line out. Never raises for what a robot sent."""
@@ -101,35 +110,59 @@ class Robot:
 
     async def _carry_out(self, request: Request) -> Answer:
         if request.command == "ACK":
-            self._write("ACK_SEQ", [request.sequence])
+            # who fetches several parts and then says that the picture was used means the one on display, too
+            used = self._sequence if request.sequence in self._given else request.sequence
+            self._write("ACK_SEQ", [used])
             return Answer(request.sequence, LineStatus.OK)
-        if request.command == "NEXT":
-            if self._sequence == 0:
-                raise _Refused(LineStatus.NO_FURTHER)
-            return self._target(request.sequence, self._row + 1)
-        await self._run(request)
-        self._row = 0
+        if request.command == "NEXT_PART":
+            return await self._next(request)
+        await self._locate(request)
         result = self._read(reg.RESULT)
         code = int(result["RESULT"])
         if request.command == "LOCATE":
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
-            return self._target(request.sequence, 0)
+            return self._part(request.sequence, LineStatus.NOT_VALID)
         if request.command == "VERIFY" and code != reg.ResultCode.VERIFIED:
             raise _Refused(100 + code)
         return Answer(request.sequence, LineStatus.OK)
 
-    async def _run(self, request: Request) -> None:
-        """Write the command, unless it is the one before again, and wait for its end."""
-        sequence = request.sequence
-        is_repeated = sequence == self._sequence and self._read(reg.STATUS)["CMD_SEQ_ECHO"] == sequence
-        if not is_repeated:
-            if self._read(reg.STATUS)["CMD_SEQ_ECHO"] == sequence:
-                self._write(
-                    "CMD_SEQ", [0]
-                )  # another client's number: what it was answered is no answer to us
-            self._write("COMMAND", self._command(request))
-            self._sequence = sequence
+    async def _locate(self, request: Request) -> None:
+        """Any command but NEXT: its number is the robot's."""
+        shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
+        if self._asked != (request.sequence, False) or shown != self._sequence:
+            if shown == request.sequence:
+                # another client's number, or one of NEXT: what was answered then is no answer to this
+                self._write("CMD_SEQ", [0])
+            self._begin(request, request.sequence)
+            self._located, self._given = request.sequence, {request.sequence}
+        await self._end()
+
+    async def _next(self, request: Request) -> Answer:
+        """The next part of the picture; its number is the cell's: none of the robot's can be in the way.
+
+        With the number of the LOCATE each line is another request, with one of its own it may be said again.
+        """
+        shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
+        if self._sequence == 0 or shown != self._sequence:
+            raise _Refused(LineStatus.NO_FURTHER)  # another client's list must stay
+        if self._asked != (request.sequence, True) or request.sequence == self._located:
+            self._begin(request, shown % 0xFFFF + 1)
+            self._given.add(request.sequence)
+        try:
+            await self._end()
+        except _Refused as refused:
+            is_end = refused.status == Reason.NO_LIST
+            raise _Refused(LineStatus.NO_FURTHER if is_end else refused.status) from None
+        return self._part(request.sequence, LineStatus.NO_FURTHER)
+
+    def _begin(self, request: Request, sequence: int) -> None:
+        self._write("COMMAND", self._command(request, sequence))
+        self._sequence, self._asked = sequence, (request.sequence, request.command == "NEXT_PART")
+
+    async def _end(self) -> None:
+        """Wait for the end of the command."""
+        sequence = self._sequence
         end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
         while asyncio.get_running_loop().time() < end_s:
             status = self._read(reg.STATUS)
@@ -144,12 +177,12 @@ class Robot:
             await asyncio.sleep(POLL_S)
         raise _Refused(LineStatus.TAKEN_OVER)
 
-    def _command(self, request: Request) -> list[int]:
+    def _command(self, request: Request, sequence: int) -> list[int]:
         """The command block. ONCE: a line is sent on purpose, none of a block that is written for ever."""
         values: dict[str, reg.Number] = {
             "COMMAND": CommandKind[request.command],
             "JOB": request.job,
-            "CMD_SEQ": request.sequence,
+            "CMD_SEQ": sequence,
             "OPTIONS": reg.Option.ONCE,
             "TIMEOUT": round(TIMEOUT_S * 1000),
             **{f"FLANGE_{axis}": 0 for axis in "XYZABC"},
@@ -162,40 +195,27 @@ class Robot:
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
         return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 
-    def _target(self, sequence: int, first: int) -> Answer:
-        """The first row from `first` on that may be used."""
-        rows = [self._row_values(index) for index in range(first, len(reg.TABLE))]
-        usable = [
-            first + i
-            for i, row in enumerate(rows)
-            if row["SEQ"] == self._sequence and int(row["FLAGS"]) & reg.Flag.VALID
-        ]
-        if not usable:
-            raise _Refused(LineStatus.NOT_VALID if first == 0 else LineStatus.NO_FURTHER)
-        flags = int(rows[usable[0] - first]["FLAGS"])
+    def _part(self, sequence: int, otherwise: LineStatus) -> Answer:
+        """The part on display. otherwise : the status where it may not be used any more."""
+        result = self._read(reg.RESULT)
+        flags = int(result["FLAGS"])
+        if result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
+            raise _Refused(otherwise)
         if not flags & reg.Flag.ROBOT_FRAME:
             raise _Refused(LineStatus.RIG_FRAME)
         if flags & reg.Flag.SIMULATED and not self._line.allow_simulated:
             raise _Refused(LineStatus.SIMULATED)
-        self._row = usable[0]
-        x, y, z, a, b, c = (float(rows[usable[0] - first][axis]) / 1000 for axis in "XYZABC")
+        x, y, z, a, b, c = (float(result[axis]) / 1000 for axis in "XYZABC")
         robot_from_part = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
         pose = pose_of(self._line.brand, robot_from_part)
         age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
-        return Answer(sequence, LineStatus.OK, len(usable) - 1, pose, self._sigma(usable[0]), age_s)
+        return Answer(sequence, LineStatus.OK, int(result["REMAINING"]), pose, self._sigma(result), age_s)
 
-    def _sigma(self, row: int) -> tuple[float, ...]:
-        """Of X, Y, Z in the brand's unit; only the first target's are in the registers."""
-        if row != 0:
-            return (UNKNOWN,) * 3
-        result = self._read(reg.RESULT)
+    def _sigma(self, result: Mapping[str, reg.Number]) -> tuple[float, ...]:
+        """Of X, Y, Z in the brand's unit."""
         to_unit = 1e-7 if self._line.brand is Brand.UR else 1e-4  # from 0.1 µm
         known = (float(result[f"SIGMA_{axis}"]) for axis in "XYZ")
         return tuple(sigma * to_unit if sigma != reg.UINT16_MAX else UNKNOWN for sigma in known)
-
-    def _row_values(self, index: int) -> dict[str, reg.Number]:
-        prefix = f"T{index}_"
-        return {name.removeprefix(prefix): value for name, value in self._read(reg.TABLE[index]).items()}
 
     def _read(self, block: reg.Block) -> dict[str, reg.Number]:
         words = self._view.read(self._settings.base_address + block.address, block.words)

@@ -35,7 +35,8 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
         if name not in known:
             raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
         known[name] = value
-    kinds = {kind.name.lower(): kind for kind in CommandKind}
+    # one answer holds every part: there is no next one to ask for
+    kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.NEXT_PART}
     kind = kinds.get(known["kind"].lower())
     if kind is None:
         raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")

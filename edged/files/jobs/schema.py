@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from edged.domain import Order, Picking
 from edged.vision.part.job import (
     MAX_TILT_DEG,
     MEASURES,
@@ -243,6 +244,19 @@ class _Measurement(_Section):
         return MeasurementSpec(self.name, self.kind, tuple(self.of), nominal, tolerance)
 
 
+class _Picking(_Section):
+    """Several parts in one picture: which a robot gets first."""
+
+    order: Literal["score", "nearest", "topmost", "leftmost", "least_sigma"] = Field(
+        "score",
+        description='"score": agrees best with the taught shape; "nearest": to the left camera; "topmost": '
+        'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best',
+    )
+
+    def values(self) -> Picking:
+        return Picking(Order(self.order))
+
+
 class JobFile(_Section):
     """The whole file; a `ValidationError` says what in it is wrong."""
 
@@ -256,6 +270,7 @@ class JobFile(_Section):
     ] = Field(description="pose at teaching: x_rig = rig_from_part x_part, mm")
     limits: _Limits
     search: _Search
+    picking: _Picking = _Picking()
     witness: str | None = Field(
         None, description="a measurement whose size is known, with `nominal_mm`: tells when the rig drifts"
     )
@@ -346,4 +361,5 @@ class JobFile(_Section):
             witness=self.witness,
             calibration_id=self.calibration,
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
+            picking=self.picking.values(),
         )

@@ -76,6 +76,9 @@ def to_toml(job: Job) -> str:
         f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
         ("# tilt_deg = 45" if job.tilt_rad is None else f"tilt_deg = {math.degrees(job.tilt_rad):.6g}")
         + "   # how far the part may lie tilted, against the line amid both cameras",
+        "",
+        "[picking]   # several parts in one picture: which the robot gets first",
+        f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',
     ]
     return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
 

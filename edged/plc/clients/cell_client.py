@@ -5,6 +5,8 @@
         if result.ok:
             print(result.values["X"] / 1000, "mm, sigma", result.values["SIGMA_X"] / 10, "um")
         cell.acknowledge(result)
+        for part in cell.parts():  # every good part of one picture, in the order of the job
+            print(part.values["X"], part.values["REMAINING"])
 
 Whatever goes wrong is a `CellError`. Not thread safe: one object for one thread.
 """
@@ -16,6 +18,7 @@ import inspect
 import socket
 import struct
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -161,6 +164,26 @@ class EdgedCell:
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> Result:
         """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`."""
         return self._measure("LOCATE", job, timeout_s)
+
+    def next_part(self, job: int = 0, timeout_s: float = 5.0) -> Result:
+        """The next good part of the picture that the last `locate` took; job : of it, 0 for whatever it was.
+
+        The register REMAINING says whether there is one; without one `CommandRefused` says NO_LIST.
+        """
+        return self._measure("NEXT_PART", job, timeout_s)
+
+    def parts(self, job: int = 0, timeout_s: float = 5.0) -> Iterator[Result]:
+        """Every good part of one picture, each acknowledged when the next one is asked for.
+
+        Raises as `locate`, also when the picture has grown too old on the way.
+        """
+        part = self.locate(job, timeout_s)
+        while part.ok:
+            yield part
+            self.acknowledge(part)
+            if not part.values["REMAINING"]:
+                return
+            part = self.next_part(0, timeout_s)
 
     def verify(self, job: int = 0, timeout_s: float = 5.0) -> Result:
         """Measure without asking for coordinates: the code is VERIFIED when the part is good."""

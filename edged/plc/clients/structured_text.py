@@ -123,7 +123,8 @@ used. Its falling edge acknowledges the result, which is then withdrawn.
     xError         it was not, or its result is lost; uiError: a NACK_REASON (@REASONS@),
                    100 not within tTimeout, 101 link down, 102 the cell's heartbeat stands still,
                    103 the cell was started anew, or another client's command took the place of this one.
-After 100 to 103 the command is taken back (CMD_SEQ 0): it does not run when the link returns. *)
+After 100 to 103 the command is taken back (CMD_SEQ 0): it does not run when the link returns.
+While stResult.uiREMAINING > 0, uiCommand @NEXT_PART@ gives the next part of the same picture. *)
 FUNCTION_BLOCK FB_EDGED
 VAR_INPUT
     xLinkOk : BOOL;
@@ -317,6 +318,7 @@ def _block() -> str:
     words = {
         "LOCATE": CommandKind.LOCATE.value,
         "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
+        "NEXT_PART": CommandKind.NEXT_PART.value,
         "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
         "BASELINE": f"16#{Reason.BASELINE.value:04X}",

@@ -35,6 +35,10 @@ SCRIPT = """\
 #         movel(pose_trans(target, p[0, 0, -0.1, 0, 0, 0]))
 #     end
 #     edged_acknowledge()
+#     while edged_remaining > 0:
+#         target = edged_next(5.0)        # the next part of the same picture, in the order of the job
+#         ...
+#     end
 # The cell listens on port 502 (a robot's Modbus client knows no other). Positions are in m and rad in the
 # robot's base. edged_error: 0 none, a NACK_REASON (@REASONS@),
 # 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot, 103 a virtual cell
@@ -44,6 +48,7 @@ SCRIPT = """\
 
 global edged_ok = False
 global edged_error = 0
+global edged_remaining = 0
 global edged_sequence = 0
 global edged_allow_simulated = False
 global edged_in = [@ZEROS_IN@]
@@ -155,6 +160,7 @@ def edged_run(command, job, timeout):
     local before = 0
     edged_ok = False
     edged_error = 0
+    edged_remaining = 0
     while waited < timeout:
         edged_in = modbus_get_signal_status("edged_in", False)
         if edged_in[@HEARTBEAT@] != beat:
@@ -225,7 +231,15 @@ def edged_locate(job, timeout):
     return p[0, 0, 0, 0, 0, 0]
 end
 
-# The pose in a block of words; sets edged_ok.
+# The next part of the picture that edged_locate took. Without one edged_error is @NO_LIST@.
+def edged_next(timeout):
+    if edged_run(@NEXT_PART@, 0, timeout):
+        return edged_pose(edged_in, 0)
+    end
+    return p[0, 0, 0, 0, 0, 0]
+end
+
+# The pose in a block of words; sets edged_ok and edged_remaining.
 def edged_pose(words, job):
     if words[@HEAD@] != edged_sequence or words[@TAIL@] != edged_sequence:
         edged_error = 105
@@ -239,6 +253,7 @@ def edged_pose(words, job):
         edged_error = 103
     else:
         edged_ok = True
+        edged_remaining = words[@REMAINING@]
         return p[@POSE@]
     end
     return p[0, 0, 0, 0, 0, 0]
@@ -273,7 +288,10 @@ def _values() -> dict[str, str]:
         "EPOCH": _at("START_EPOCH"),
         "EPOCH_LOW": _at("START_EPOCH") + 1,
         "CRC": _at("CRC16"),
+        "REMAINING": _at("REMAINING"),
         "LOCATE": CommandKind.LOCATE.value,
+        "NEXT_PART": CommandKind.NEXT_PART.value,
+        "NO_LIST": Reason.NO_LIST.value,
         "BASELINE": Reason.BASELINE.value,
         "VALID": Flag.VALID.value,
         "ROBOT_FRAME": Flag.ROBOT_FRAME.value,

@@ -50,7 +50,7 @@ COMMAND = make_block(
             _U16,
             "",
             f"{list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and answers OK or NOK, "
-            "but no robot gets coordinates from it",
+            "but no robot gets coordinates from it; NEXT_PART goes on with the parts of the last LOCATE",
         ),
         ("JOB", _U16, "", "job number; 0: the active one"),
         (
@@ -129,7 +129,8 @@ STATUS = make_block(
             _U16,
             "",
             "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
-            "8 first CMD_SEQ of a connection, or after a start or another client's: nothing ran",
+            "8 first CMD_SEQ of a connection, or after a start or another client's: nothing ran, 9 no next "
+            "part",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
         (
@@ -156,7 +157,7 @@ RESULT = make_block(
             list_bits(Reject),
         ),
         ("COUNT", _U16, "", "targets that were found"),
-        ("INDEX", _U16, "", "row of the target table that is shown here"),
+        ("INDEX", _U16, "", "row of the target table that is shown here; NEXT_PART shows a later one"),
         ("SCORE", _U16, "0.01 %", "visible share of the model that agrees"),
         ("FLAGS", _U16, "bits", list_bits(Flag) + "; coordinates are in the rig frame without ROBOT_FRAME"),
         *((axis, _I32, "µm" if axis in "XYZ" else "0.001°", "INT32_MIN when not VALID") for axis in AXES),
@@ -172,7 +173,7 @@ RESULT = make_block(
             for name in (*AXES, "RADIUS", "DEPTH")
         ),
         ("EPIPOLAR_ERROR", _U16, "0.001 px", "rms row difference of corresponding points; 65535: not known"),
-        ("RESERVED_333", _U16, "", "0"),
+        ("REMAINING", _U16, "", "good parts of the same exposure that NEXT_PART can still give"),
         ("EXPOSURE_NS", _U64, "ns", "UTC of the exposure since 1970"),
         ("CYCLE", _U32, "", "cycle number"),
         ("LATENCY", _U32, "µs", "from exposure to publication"),
@@ -205,6 +206,7 @@ UR = make_block(
         ("UR_START_EPOCH", _U32, "", "as START_EPOCH"),
         ("UR_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
         ("UR_SEQ_TAIL", _U16, "", "equals UR_SEQ_HEAD"),
+        ("UR_REMAINING", _U16, "", "as REMAINING"),
     ],
     high_first=True,
 )
@@ -237,7 +239,7 @@ def _row(index: int) -> Block:
             (t + "SCORE", _U16, "0.01 %", "as SCORE"),
             *((t + axis, _I32, "µm" if axis in "XYZ" else "0.001°", "as in the result") for axis in AXES),
             (t + "RADIUS", _I32, "µm", "as RADIUS"),
-            (t + "FLAGS", _U16, "bits", "as FLAGS"),
+            (t + "FLAGS", _U16, "bits", "as FLAGS; not VALID when an earlier row than INDEX"),
             (t + "CRC16", _U16, "", "of the row's words before"),
         ],
     )

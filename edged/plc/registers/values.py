@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,7 @@ class Measured:
 
     good : the first part was found and is within all limits; for a VERIFY that is all that is said.
     poses : of each target; None where one cannot be expressed (not finite, out of range).
+    index : the target that is shown.
     """
 
     code: ResultCode
@@ -70,6 +71,15 @@ class Measured:
     cycle: int
     calibration: int
     config: int
+    index: int = 0
+
+    def further(self) -> tuple[Measured, ...]:
+        """The same, showing each of the other targets that are good."""
+        return tuple(
+            replace(self, index=index)
+            for index, pose in enumerate(self.poses)
+            if index > self.index and pose is not None and not pose.reject
+        )
 
 
 def measured(snapshot: Snapshot, convention: Convention) -> Measured:
@@ -174,17 +184,21 @@ def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
-def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: bool) -> dict[str, Number]:
+def result_values(
+    shown: Measured, sequence: int, *, valid: bool, free_running: bool, remaining: int = 0
+) -> dict[str, Number]:
     """Values of the blocks result, ur and float by name; coordinates only when valid."""
     flags = (
         shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
     )
-    pose = shown.poses[0] if shown.poses else None
+    pose = shown.poses[shown.index] if shown.poses else None
     values: dict[str, Number] = {
         **NOTHING,
         "JOB": shown.job,
         "RESULT": shown.code,
         "COUNT": _clamp(len(shown.poses), UINT16_MAX),
+        "INDEX": shown.index,
+        "REMAINING": remaining,
         "FLAGS": flags,
         "SEQ_HEAD": sequence,
         "SEQ_TAIL": sequence,
@@ -197,6 +211,7 @@ def result_values(shown: Measured, sequence: int, *, valid: bool, free_running: 
         "UR_FLAGS": flags,
         "UR_RESULT": shown.code,
         "UR_JOB": shown.job,
+        "UR_REMAINING": remaining,
         "F_SEQ_HEAD": sequence,
         "F_SEQ_TAIL": sequence,
         "F_FLAGS": flags,
@@ -235,12 +250,12 @@ def _coordinates(pose: Pose) -> dict[str, Number]:
 
 
 def row_values(shown: Measured, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
-    """Values of one row of the target table; a rejected target is listed without coordinates."""
+    """Values of one row of the target table; one that is rejected, or was given, has no coordinates."""
     if index >= len(shown.poses):
         return {}
     t = f"T{index}_"
     pose = shown.poses[index]
-    usable = valid and pose is not None and not pose.reject
+    usable = valid and index >= shown.index and pose is not None and not pose.reject
     flags = shown.flags | (Flag.VALID if usable else Flag(0))
     values: dict[str, Number] = {t + "SEQ": sequence, t + "JOB": shown.job, t + "FLAGS": flags}
     if pose is not None:

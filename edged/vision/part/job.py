@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain import FloatArray, Picking
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 
@@ -157,6 +157,7 @@ class Job:
     from a drawing, or nobody knows.
     tilt_rad : how far it may lie tilted, to the bisector of both cameras; None: the taught look alone is
     searched for.
+    picking : which of several parts a robot gets first.
     """
 
     name: str
@@ -174,6 +175,7 @@ class Job:
     witness: str | None = None
     calibration_id: str | None = None
     tilt_rad: float | None = None
+    picking: Picking = field(default_factory=Picking)
 
     @property
     def reference_circle(self) -> CircleFeature:
