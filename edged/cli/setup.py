@@ -60,8 +60,14 @@ def board(
 @app.command()
 def calibrate(
     directory: Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")],
-    board: Annotated[str, typer.Option(help="for example chessboard:11x8:4.0 (inner corners, square in mm)")],
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    board: Annotated[
+        str | None,
+        typer.Option(
+            help="for example chessboard:11x8:4.0 (inner corners, square in mm), or 4.0 alone: the rest is "
+            "seen in the pictures"
+        ),
+    ] = None,
     model: Annotated[str, typer.Option(help="lens model: brown or division")] = "brown",
     report: Annotated[Path | None, typer.Option(help="HTML report to write")] = None,
     plate_shape: Annotated[
@@ -267,7 +273,7 @@ PosesOption = Annotated[
     Path, typer.Option("--poses", help="lines NAME,x,y,z and orientation, as the robot shows them")
 ]
 PairsArgument = Annotated[Path, typer.Argument(help="folder with pairs NAME_left.png, NAME_right.png")]
-BoardOption = Annotated[str, typer.Option("--board", help="as for calibrate")]
+BoardOption = Annotated[str | None, typer.Option("--board", help="as for calibrate")]
 
 
 @register.command("touch")
@@ -296,9 +302,9 @@ def register_hand_eye(
     directory: PairsArgument,
     rig: RigOption,
     poses: PosesOption,
-    board: BoardOption,
     brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki or doosan")],
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    board: BoardOption = None,
     in_hand: Annotated[
         bool, typer.Option("--in-hand", help="the rig is on the flange, the board is not")
     ] = False,
@@ -320,7 +326,7 @@ def register_self_test(
     directory: PairsArgument,
     rig: RigOption,
     poses: PosesOption,
-    board: BoardOption,
+    board: BoardOption = None,
     brand: Annotated[str | None, typer.Option(help="whose poses these should be")] = None,
     as_json: JsonOption = False,
 ) -> None:

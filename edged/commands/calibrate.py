@@ -14,6 +14,7 @@ from rich.table import Table
 
 from edged import __version__
 from edged.commands.progress import shown_on
+from edged.commissioning.boards import boards_in, stated_boards
 from edged.commissioning.calibration import Views, report_of, solve
 from edged.commissioning.pairs import Pair
 from edged.errors import CalibrationError, FileFormatError
@@ -21,7 +22,6 @@ from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
 from edged.files.pairs import find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
-from edged.vision.boards.board import parse_boards
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.imaging import Finding
 from edged.vision.geometry.camera import LensModel
@@ -29,7 +29,7 @@ from edged.vision.geometry.camera import LensModel
 
 def calibrate(
     directory: Path,
-    board: str,
+    board: str | None,
     output: Path,
     model: str,
     report: Path | None,
@@ -45,10 +45,14 @@ def calibrate(
     if model not in get_args(LensModel):
         raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
     lens: LensModel = "brown" if model == "brown" else "division"
-    views = Views(parse_boards(board))
+    stated = stated_boards(board)
     check_outputs({"--output": output, "--report": report})
     pairs = [Pair.of_files(pair) for pair in find_pairs(directory)]
     with shown_on(console) as progress:
+        boards, remark = boards_in(stated, [pair.left for pair in pairs], progress)
+        if remark:
+            console.print(remark, markup=False, highlight=False, soft_wrap=True)
+        views = Views(boards)
         views.add(pairs, progress)
         solved = solve(views, lens, plate_shape=plate_shape, progress=progress)
         about = {

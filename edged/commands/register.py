@@ -13,7 +13,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from edged.commissioning.pairs import Pair, Picture, check_board_size
+from edged.commands.progress import shown_on
+from edged.commissioning.boards import Stated, boards_in, check_board_shown, stated_boards
+from edged.commissioning.pairs import Pair, Picture
 from edged.commissioning.registration import from_points, from_poses, rig_from_board, save, which_convention
 from edged.domain import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
@@ -26,7 +28,7 @@ from edged.files.tables import number_of, read_table
 from edged.robot.handeye import HandEye, Mount
 from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
 from edged.robot.touch import PointRegistration
-from edged.vision.boards.board import NominalBoard, NotDetected, parse_board
+from edged.vision.boards.board import NominalBoard, NotDetected
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -71,7 +73,7 @@ def hand_eye_command(
     rig_path: Path,
     folder: Path,
     poses: Path,
-    board: str,
+    board: str | None,
     brand: str,
     mount: Mount,
     output: Path,
@@ -81,9 +83,10 @@ def hand_eye_command(
 ) -> int:
     """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
     check_outputs({"--output": output}, {"--poses": poses})
-    rig, pattern = load_rig(rig_path), parse_board(board)
+    rig, stated = load_rig(rig_path), stated_boards(board)
     numbers = read_poses(poses)
     maker = _brand(brand)
+    pattern = _board_in(stated, folder, list(numbers), console)
     views = _views(rig, folder, pattern, list(numbers), console)
     transforms = {name: _transform(maker, name, numbers[name], poses) for name in views}
     solved = from_poses(rig, transforms, views, pattern, mount, limit_mm)
@@ -114,11 +117,18 @@ def hand_eye_command(
 
 
 def self_test(
-    rig_path: Path, folder: Path, poses: Path, board: str, brand: str | None, as_json: bool, console: Console
+    rig_path: Path,
+    folder: Path,
+    poses: Path,
+    board: str | None,
+    brand: str | None,
+    as_json: bool,
+    console: Console,
 ) -> int:
     """Try every reading of the poses; 0 when one stands out and, if a brand is stated, it is that one's."""
-    rig, pattern = load_rig(rig_path), parse_board(board)
+    rig, wanted = load_rig(rig_path), stated_boards(board)
     numbers = read_poses(poses)
+    pattern = _board_in(wanted, folder, list(numbers), console)
     views = _views(rig, folder, pattern, list(numbers), console)
     stated = None
     if brand is not None:
@@ -230,6 +240,18 @@ def _transform(brand: Brand, name: str, numbers: tuple[float, ...], path: Path) 
         raise FileFormatError(f"{path}: {name}: {error}") from None
 
 
+def _board_in(stated: Stated, folder: Path, names: list[str], console: Console) -> NominalBoard:
+    """The one board of all poses."""
+    with shown_on(console) as progress:
+        pictures = [] if isinstance(stated, tuple) else [_picture(folder, name, "left") for name in names]
+        boards, remark = boards_in(stated, pictures, progress)
+    if remark:
+        console.print(remark, markup=False, highlight=False, soft_wrap=True)
+    if len(boards) != 1:
+        raise CalibrationError(f"--board: {len(boards)} boards, expected the one that is in every picture")
+    return boards[0]
+
+
 def _views(
     rig: StereoRig, folder: Path, board: NominalBoard, names: list[str], console: Console
 ) -> dict[str, FloatArray]:
@@ -242,7 +264,7 @@ def _views(
             continue
         found[name] = placed
     if not found:
-        check_board_size([load_image(half_of(folder, name, "left")) for name in names[:4]], board)
+        check_board_shown([_picture(folder, name, "left") for name in names], board)
         raise CalibrationError(f"{folder}: the board was seen in no pair")
     return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from edged.commissioning.boards import boards_in, stated_boards
 from edged.commissioning.checking import Finding, Limits, by_board, by_part
+from edged.commissioning.pairs import Picture
 from edged.domain import Image
 from edged.errors import ImageError, UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig
-from edged.vision.boards.board import parse_boards
 from edged.vision.calibration.verification import COVERAGE
 from edged.vision.geometry.camera import StereoRig
 
@@ -47,7 +49,11 @@ def verify(
     if board is not None and job is None:
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")
-        finding = by_board(rig, images, parse_boards(board), limits)
+        pictures = [Picture(str(path), partial(load_image, path)) for path in (left, right)]
+        boards, remark = boards_in(stated_boards(board), pictures)
+        if remark and not as_json:
+            console.print(remark, markup=False, highlight=False, soft_wrap=True)
+        finding = by_board(rig, images, boards, limits)
     elif job is not None and board is None:
         if not lengths:
             raise UserError(f"--job needs --length NAME=MM. {_WARNING}")

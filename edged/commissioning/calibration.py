@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from edged.commissioning.pairs import Pair, Picture, Progress, check_board_size, silent, work_on
+from edged.commissioning.boards import check_board_shown
+from edged.commissioning.pairs import Pair, Picture, Progress, silent, work_on
 from edged.domain import SIDES, Side
 from edged.errors import CalibrationError
 from edged.report.calibration import calibration_report
@@ -34,9 +35,6 @@ from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.calibration.verdict import Verdict, judge_calibration
 from edged.vision.geometry.camera import LensModel, StereoRig
 from edged.vision.geometry.rectification import make_rectification
-
-TRIED_PICTURES = 4
-"""Of those without the stated board, to see whether another size fits."""
 
 Sizes = tuple[tuple[int, int], tuple[int, int]]
 """(width, height) of the left and of the right images, px."""
@@ -109,12 +107,12 @@ class Views:
         return left, right
 
     def check_board(self) -> None:
-        """Where hardly a pair shows the stated board: raises `CalibrationError` if another size fits."""
+        """Where hardly a pair shows the stated board: raises `CalibrationError` if they show another."""
         seen = [not isinstance(view.left, NotDetected) for view in self.found]
         if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
             return
-        missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one][:TRIED_PICTURES]
-        check_board_size([picture.read() for picture in missed], self.boards[0])
+        missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one]
+        check_board_shown(missed, self.boards[0])
 
     def remeasured(self, calibration: Calibration, progress: Progress = silent) -> list[StereoView]:
         """The same as `found`, the marks of all views that were used measured with the lenses now known."""

@@ -10,11 +10,8 @@ from functools import partial
 from typing import Protocol, Self, TypeVar
 
 from edged.domain import Image, Side
-from edged.errors import CalibrationError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
-from edged.vision.boards.board import NominalBoard
-from edged.vision.boards.detection import fitting_size
 
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 T = TypeVar("T")
@@ -86,13 +83,3 @@ def _pool() -> Iterator[ThreadPoolExecutor]:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def check_board_size(images: Sequence[Image], board: NominalBoard) -> None:
-    """Raises `CalibrationError` if images that do not show a board show it with another number of corners."""
-    if (fits := fitting_size(images, board)) is not None:
-        kind, stated, *rest = str(board).split(":")
-        raise CalibrationError(
-            f"--board {board}: the pictures show {fits} inner corners, not {stated}; count where four "
-            f"squares meet, not the squares: --board {':'.join([kind, fits, *rest])}"
-        )

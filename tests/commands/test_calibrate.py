@@ -46,7 +46,7 @@ def folder(pictures: Path, tmp_path: Path) -> Path:
 
 
 def run(
-    folder: Path, output: Path, report: Path | None = None, board: str = SPEC, model: str = "division"
+    folder: Path, output: Path, report: Path | None = None, board: str | None = SPEC, model: str = "division"
 ) -> str:
     """Run the command; returns what it said."""
     said = io.StringIO()
@@ -125,7 +125,9 @@ def test_a_view_without_a_board_is_named(folder: Path, tmp_path: Path) -> None:
     assert "right: no 8x6 inner corners found" in said
 
 
-def refused(folder: Path, tmp_path: Path, expected: str, board: str = SPEC, model: str = "division") -> None:
+def refused(
+    folder: Path, tmp_path: Path, expected: str, board: str | None = SPEC, model: str = "division"
+) -> None:
     """The command raises a UserError that says `expected`, and leaves an existing rig alone."""
     output = tmp_path / "rig.json"
     output.write_text("precious")
@@ -159,9 +161,54 @@ def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
-    """A board specification that fits no picture is refused, with the reason of every view."""
+    """A board that is in no picture is refused with the one that is, or with the reason of every view."""
+    refused(folder, tmp_path, r"show 8x6 .*, not 12x4.*--board chessboard:8x6:6", board="chessboard:12x4:6")
+    refused(folder, tmp_path, "show a chessboard of 8x6 inner corners: --board", board="dots:8x6:6")
+    for path in folder.glob("*.png"):
+        cv2.imwrite(str(path), np.random.default_rng(len(path.name)).integers(0, 9, (480, 640), np.uint8))
+    expected = r"0 of 6 pairs(.|\n)*v0: left: no 12x4 inner corners"
+    refused(folder, tmp_path, expected, board="chessboard:12x4:6")
+
+
+def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) -> None:
+    """They show which board it is, and never how large: what to measure and to type is said."""
     refused(
-        folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: no 12x4 inner corners", board="chessboard:12x4:6"
+        folder,
+        tmp_path,
+        r"a chessboard of 8x6 inner corners \(6 of 6 .*(.|\n)*Measure the side of a square"
+        r"(.|\n)*--board chessboard:8x6:MM, or --board MM alone",
+        board=None,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", ["6", "6.0mm", "6,0 mm"])
+def test_a_length_alone_suffices(pictures: Path, tmp_path: Path, length: str) -> None:
+    """The board is recognised, said, and kept in the rig as if it had been stated in full."""
+    said = run(pictures, tmp_path / "rig.json", board=length)
+    assert "board chessboard:8x6:6: a chessboard of 8x6 inner corners (6 of 6 pictures looked at)" in said
+    assert "chessboard:8x6:6" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
+
+
+def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None:
+    """Half of them with another board: each picture is named with what it shows, in folders' order."""
+    other = parse_board("chessboard:7x5:6")
+    for number, pose in enumerate(board_poses(RIG, other, 3, seed=5)):
+        cv2.imwrite(str(folder / f"v{number}_left.png"), draw_board(other, RIG.left, pose))
+    refused(
+        folder,
+        tmp_path,
+        r"do not agree(.|\n)*v0_left.png: a chessboard of 7x5 inner corners(.|\n)*v5_left.png: a chess.*8x6",
+        board="6",
+    )
+
+
+def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> None:
+    """Where nothing is recognised, that is said of these pictures, with an example of --board."""
+    for path in folder.glob("*.png"):
+        cv2.imwrite(str(path), np.full((480, 640), 90, np.uint8))
+    refused(
+        folder, tmp_path, "no board was recognised in v0_left.png(.|\n)*example chessboard:11x8", board=None
     )
 
 

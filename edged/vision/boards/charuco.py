@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import cv2
 import numpy as np
 
 from edged.domain import FloatArray, Image
 from edged.vision.boards.board import Charuco, Detection, NotDetected
-from edged.vision.boards.chessboard import judge_corners, refine_corners
+from edged.vision.boards.chessboard import judge_corners, reduced, refine_corners
 from edged.vision.geometry.camera import CameraModel
 
 _MIN_CORNERS = 6  # a homography and half as much again; fewer say nothing of the lens
+_DICTIONARIES = (
+    *("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36H12"),
+    *("APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
+)
+"""The largest of each kind: the smaller ones are the beginnings of these."""
+_MIN_MARKERS = 6  # that hang together: what is read by chance does not
+_PLACE_TOLERANCE = 0.2  # of a square: perspective and lens, from one marker to the next
 
 
 def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
@@ -61,3 +69,96 @@ def _markers(image: Image, board: Charuco, *, legacy: bool) -> tuple[FloatArray,
     if ids is None or corners is None:
         return np.empty((0, 2)), []
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2), [int(i) for i in np.ravel(ids)]
+
+
+# --- boards of which nothing is known ---------------------------------------------------------------
+
+
+def recognise_charuco(image: Image) -> Charuco | None:
+    """A ChArUco board of any size in an image (H, W) uint8, its squares 1 mm; None where none is seen.
+
+    Its last rows may be out of view: rows is the least that the markers prove. The dictionary is the
+    largest of its kind; see `smallest_dictionary`.
+    """
+    small, _ = reduced(image)
+    every = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}")) for name in _DICTIONARIES]
+    corners, ids, _, kinds = cv2.aruco.ArucoDetector(every).detectMarkersMultiDict(small)
+    if ids is None or not len(ids):
+        return None
+    kind = int(Counter(np.ravel(kinds).tolist()).most_common(1)[0][0])
+    some = np.ravel(kinds) == kind
+    outlines = np.asarray(corners, np.float64).reshape(-1, 4, 2)[some]
+    share, places = _lattice(outlines)
+    if len(places) < _MIN_MARKERS:
+        return None
+    size = _size_of({index: int(np.ravel(ids)[some][index]) for index in places}, places)
+    if size is None or min(size) < 3:
+        return None
+    return Charuco(*size, 1.0, round(share, 2), _DICTIONARIES[kind])
+
+
+def smallest_dictionary(board: Charuco) -> str:
+    """The name of the smallest dictionary that has the markers of a board."""
+    kind, _, count = board.dictionary.rpartition("_")
+    if count != "1000":
+        return board.dictionary
+    return next(f"{kind}_{size}" for size in (50, 100, 250, 1000) if size >= board.columns * board.rows / 2)
+
+
+def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
+    """The markers' side as a share of a square's, and the place in squares of those that hang together.
+
+    outlines (N, 4, 2) px, clockwise from the upper left corner as printed.
+    """
+    unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]], np.float32)
+    maps = [cv2.getPerspectiveTransform(outline.astype(np.float32), unit) for outline in outlines]
+    middles = np.array(
+        [cv2.perspectiveTransform(np.zeros((1, 1, 2)), np.linalg.inv(one))[0, 0] for one in maps]
+    )
+    # (N, N, 2): places of all markers in the frame of each, in sides of a marker
+    away = np.array([cv2.perspectiveTransform(middles[None], one)[0] for one in maps])
+    off = np.abs(away)
+    diagonal = (
+        (off.min(axis=2) > 1.0) & (off.max(axis=2) < 3.0) & (np.ptp(off, axis=2) < 0.2 * off.max(axis=2))
+    )
+    if not diagonal.any():
+        return 0.0, {}
+    # the next white square is one square on both ways
+    share = 1.0 / float(np.median(off[diagonal & (off.max(axis=2) < 1.3 * off[diagonal].max(axis=1).min())]))
+    steps = np.rint(away * share)
+    near = (np.abs(steps).max(axis=2) <= 2) & (np.abs(away * share - steps).max(axis=2) < _PLACE_TOLERANCE)
+    near &= steps.sum(axis=2) % 2 == 0
+    best: dict[int, tuple[int, int]] = {}
+    for seed in range(len(outlines)):
+        if seed in best:
+            continue
+        places = {seed: (0, 0)}
+        queue = [seed]
+        while queue:
+            here = queue.pop()
+            for index in np.flatnonzero(near[here]).tolist():
+                if index not in places:
+                    x, y = steps[here, index].astype(int).tolist()
+                    places[index] = places[here][0] + x, places[here][1] + y
+                    queue.append(index)
+        best = max(best, places, key=len)
+    return share, best
+
+
+def _size_of(ids: dict[int, int], places: dict[int, tuple[int, int]]) -> tuple[int, int] | None:
+    """Columns and rows in squares of a board from the numbers of its markers, which run row by row.
+
+    Two rows on, the number has grown by the columns, be they even or odd.
+    """
+    at = {place: ids[index] for index, place in places.items()}
+    grown = Counter(at[x, y + 2] - number for (x, y), number in at.items() if (x, y + 2) in at)
+    if not grown or (columns := grown.most_common(1)[0][0]) < 1:
+        return None
+    rows = 0
+    agreeing = 0
+    for first in {columns // 2, columns - columns // 2}:  # markers in the first row
+        row = {place: 2 * (number // columns) + (number % columns >= first) for place, number in at.items()}
+        start, count = Counter(row[place] - place[1] for place in at).most_common(1)[0]
+        if count > agreeing:
+            agreeing, rows = count, 1 + start + max(y for x, y in at if row[x, y] - y == start)
+    return (columns, rows) if agreeing > 0.8 * len(at) else None

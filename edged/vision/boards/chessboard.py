@@ -28,6 +28,7 @@ _RADIUS_SHARE = 0.7  # of the distance to the next edge, which must stay out of 
 _MIN_CONTRAST = 8.0  # grey values; below, 8-bit rounding decides
 _ROUGH = 8.0  # times the usual sigma: no corner, but a thumb or a highlight; sharp and soft ends differ by 3
 _MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
+_LEAST_SIZE = (5, 4)  # of a board whose size is not known; smaller ones are seen in many a picture without
 
 
 def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetected:
@@ -77,10 +78,45 @@ def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | NotDetected:
     return Detection(ids[ok], good[:, :2].copy(), good[:, 2].copy(), float(np.median(good[:, 3])), contrast)
 
 
+def recognise_chessboard(image: Image) -> Chessboard | None:
+    """A chessboard of any size in an image (H, W) uint8, its squares 1 mm, the longer side as columns.
+
+    It may be a part of a board that is cut or covered; None where fewer corners than 5x4 hang together.
+    """
+    small, _ = reduced(image)
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, corners, squares = cv2.findChessboardCornersSBWithMeta(small, _LEAST_SIZE, flags)
+    if not found or corners is None or squares is None:
+        return None
+    grid = np.asarray(corners, dtype=np.float64).reshape(*squares.shape[:2], 2)
+    if not _squares_touch(small, grid):
+        return None
+    return Chessboard(max(squares.shape), min(squares.shape), 1.0)
+
+
+def _squares_touch(image: Image, grid: FloatArray) -> bool:
+    """Whether most corners are half dark, half bright; between round marks there is a gap."""
+    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
+    centres = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
+    levels = smooth[tuple(np.rint(centres).astype(int)[..., ::-1].reshape(-1, 2).T)]
+    x, y = np.rint(grid).astype(int).reshape(-1, 2).T
+    dark, bright = np.percentile(levels, (25, 75))
+    share = (smooth[y, x] - dark) / max(bright - dark, 1.0)
+    return bool(0.25 < np.median(share) < 0.75)
+
+
+def reduced(image: Image) -> tuple[Image, float]:
+    """The image small enough to be searched, and its scale."""
+    scale = min(1.0, math.sqrt(_MAX_SEARCH_PX / image.size))
+    if scale == 1:
+        return image, scale
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), scale
+
+
 def _find(image: Image, board: Chessboard) -> FloatArray | None:
     """Corners (rows, columns, 2) to about a pixel, or None."""
-    scale = min(1.0, math.sqrt(_MAX_SEARCH_PX / image.size))
-    small = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small, scale = reduced(image)
     size = (board.columns, board.rows)
     found, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:  # the older detector sees some boards that the newer one does not, and the other way round

@@ -18,7 +18,7 @@ Source of the effect: J. Heikkilä, PAMI 2000, doi:10.1109/34.879788.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import cv2
@@ -43,6 +43,7 @@ _SIZE_ROUNDS = 3
 _SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
 _MARK_OFFSET = 0.62  # of the pitch, from a corner dot outwards: in the filled corner, else plain plate
 _CIRCLE_POINTS = 64
+_LEAST_MARKS = 9  # of a plate whose size is not known
 
 
 Plate = DotGrid | CircleGrid
@@ -266,13 +267,8 @@ def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | NotDetected:
     wanted = board.columns * board.rows
     if len(blobs) < wanted:
         return NotDetected(f"{len(blobs)} dots found, the plate has {wanted}")
-    centres = blobs[:, :2]
-    middle = np.median(centres, axis=0)
-    sizes = 1 / np.sqrt(_inverse_areas(blobs))
     best = 0
-    for seed in np.argsort(np.linalg.norm(centres - middle, axis=1))[:12]:
-        alike = np.abs(np.log(sizes / sizes[seed])) < np.log(_SIZE_RATIO)
-        places = _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
+    for places in _grids(blobs):
         best = max(best, len(places))
         if len(places) != wanted:
             continue
@@ -282,6 +278,68 @@ def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | NotDetected:
     if best == wanted:
         return NotDetected(f"the {best} dots found are arranged in another way than the plate's")
     return NotDetected(f"the dots form a grid of {best} marks, the plate has {wanted}")
+
+
+def recognise_dots(image: Image) -> Plate | None:
+    """A complete plate of round marks of any size in an image (H, W) uint8, its pitch 1 mm, or None.
+
+    The filled corner tells columns from rows; a square grid without it has more columns than rows.
+    """
+    for picture in (image, np.asarray(255 - image)):
+        for share in _BLOCK_SHARES:
+            blobs = _ellipses(picture, min(image.shape) // share)
+            for places in _grids(blobs):
+                if len(places) >= _LEAST_MARKS and (plate := _plate_of(picture, places, blobs)) is not None:
+                    return plate
+    return None
+
+
+def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArray) -> Plate | None:
+    """The plate whose marks have these places, if there is one."""
+    keys, seen = np.array(list(places)), blobs[list(places.values())]
+    rows, columns = sorted((np.ptp(keys, axis=0) + 1).tolist())
+    if len(keys) == columns * rows and rows >= 3:
+        board = DotGrid(columns, rows, 1.0, _diameter(keys, seen))
+        return _marked(image, places, blobs[:, :2], board)
+    for steps in _STEPS:
+        lattice = keys @ steps.T
+        narrow, wide = sorted((np.ptp(lattice, axis=0) + 1).tolist())
+        for columns, rows in ((narrow // 2, wide), (wide // 2, narrow)):
+            if min(columns, rows) < 3 or len(keys) != columns * rows:
+                continue
+            plate = CircleGrid(columns, rows, 1.0, _diameter(lattice, seen))
+            if plate.gap_mm > 0 and _asymmetric(places, plate) is not None:
+                return plate
+    return None
+
+
+def _diameter(lattice: IntArray, blobs: FloatArray) -> float:
+    """Of the marks (N, 5) in steps of their lattice (N, 2), to a hundredth."""
+    design = np.column_stack([lattice, np.ones(len(lattice))])
+    map_px = np.linalg.lstsq(design, blobs[:, :2], rcond=None)[0][:2]
+    size_px = 2 / np.sqrt(np.median(_inverse_areas(blobs)))
+    return round(float(size_px / np.sqrt(abs(np.linalg.det(map_px)))), 2)
+
+
+def _marked(image: Image, places: dict[tuple[int, int], int], centres: FloatArray, board: DotGrid) -> DotGrid:
+    """The board, or the one with rows and columns exchanged if that has its filled corner where one is."""
+    turned = replace(board, columns=board.rows, rows=board.columns)
+    for plate in (board, turned):
+        grid = _rectangle(places, plate)
+        if grid is not None and not isinstance(_orient(image, grid, centres, plate), NotDetected):
+            return plate
+    return board
+
+
+def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
+    """What grows from the blobs in the middle: places (i, j) -> index."""
+    if not len(blobs):
+        return
+    centres = blobs[:, :2]
+    sizes = 1 / np.sqrt(_inverse_areas(blobs))
+    for seed in np.argsort(np.linalg.norm(centres - np.median(centres, axis=0), axis=1))[:12]:
+        alike = np.abs(np.log(sizes / sizes[seed])) < np.log(_SIZE_RATIO)
+        yield _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
 
 
 def _rectangle(places: dict[tuple[int, int], int], board: DotGrid) -> IntArray | None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from statistics import median
 
 from edged.domain import FloatArray, Image
-from edged.vision.boards.board import Charuco, Chessboard, Detection, NominalBoard, NotDetected
-from edged.vision.boards.charuco import detect_charuco, remeasure_charuco
-from edged.vision.boards.chessboard import detect_chessboard, remeasure_chessboard
-from edged.vision.boards.circlegrid import detect_dots, remeasure_dots
+from edged.vision.boards.board import Charuco, Chessboard, Detection, DotGrid, NominalBoard, NotDetected
+from edged.vision.boards.charuco import (
+    detect_charuco,
+    recognise_charuco,
+    remeasure_charuco,
+    smallest_dictionary,
+)
+from edged.vision.boards.chessboard import detect_chessboard, recognise_chessboard, remeasure_chessboard
+from edged.vision.boards.circlegrid import detect_dots, recognise_dots, remeasure_dots
 from edged.vision.geometry.camera import CameraModel
-
-NEIGHBOUR_SIZES = ((1, 1), (0, 1), (1, 0), (0, -1), (-1, 0), (-1, -1))
-"""Columns and rows more than stated, larger boards first: a smaller one may be a part of the true one."""
 
 
 def detect_board(image: Image, board: NominalBoard) -> Detection | NotDetected:
@@ -24,25 +29,63 @@ def detect_board(image: Image, board: NominalBoard) -> Detection | NotDetected:
     return detect_dots(image, board)
 
 
-def fitting_size(images: Sequence[Image], board: NominalBoard) -> str | None:
-    """The COLSxROWS of the chessboard that most images (H, W) uint8 show, where it is not the stated size.
+def recognise_board(image: Image) -> NominalBoard | None:
+    """The board in an image (H, W) uint8, whatever its kind and size, in units of its pitch; None: none seen.
 
-    Most often squares were counted: a chessboard of 12x9 squares has 11x8 inner corners. None: no other fits.
+    Its size is what this one image proves: `agreed_board` makes one of several.
     """
-    if not isinstance(board, Chessboard):
+    return recognise_charuco(image) or recognise_chessboard(image) or recognise_dots(image)
+
+
+def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:
+    """The board that more than half of some images show, by what `recognise_board` says of each, or None.
+
+    In units of its pitch, with the smallest dictionary that has its markers.
+    """
+    if not seen:
         return None
-    images = [image for image in images if isinstance(detect_board(image, board), NotDetected)]
-    if not images:
+    alike = Counter(map(_alike, seen)).most_common(1)[0]
+    if 2 * alike[1] <= len(seen):
         return None
-    for columns, rows in NEIGHBOUR_SIZES:
-        size = board.columns + columns, board.rows + rows
-        if min(size) < 3:
-            continue
-        other = Chessboard(*size, board.pitch_mm)
-        seen = sum(isinstance(detect_board(image, other), Detection) for image in images)
-        if 2 * seen >= len(images):
-            return f"{size[0]}x{size[1]}"
-    return None
+    boards = [board for board in seen if _alike(board) == alike[0]]
+    # of a ChArUco board the last rows may be out of view
+    most = max(boards, key=lambda board: board.rows)
+    if not isinstance(most, Charuco):
+        return most
+    share = round(median(board.marker_mm for board in boards if isinstance(board, Charuco)), 2)
+    return replace(most, marker_mm=share, dictionary=smallest_dictionary(most))
+
+
+def _alike(board: NominalBoard) -> NominalBoard:
+    """The same for all images of one board."""
+    if isinstance(board, Charuco):
+        return replace(board, rows=0, marker_mm=0.0)
+    return board if isinstance(board, Chessboard) else replace(board, diameter_mm=0.0)
+
+
+def of_size(board: NominalBoard, pitch_mm: float) -> NominalBoard:
+    """A board given in units of its pitch, with this pitch."""
+    if isinstance(board, Chessboard):
+        return replace(board, pitch_mm=pitch_mm)
+    if isinstance(board, Charuco):
+        return replace(board, pitch_mm=pitch_mm, marker_mm=_rounded(pitch_mm * board.marker_mm))
+    return replace(board, pitch_mm=pitch_mm, diameter_mm=_rounded(pitch_mm * board.diameter_mm))
+
+
+def _rounded(length_mm: float) -> float:
+    return float(f"{length_mm:.4g}")
+
+
+def in_words(board: NominalBoard) -> str:
+    """Kind and size, as one counts them on the board."""
+    size = f"{board.columns}x{board.rows}"
+    if isinstance(board, Chessboard):
+        return f"a chessboard of {size} inner corners"
+    if isinstance(board, Charuco):
+        return f"a ChArUco board of {size} squares, markers of {smallest_dictionary(board)}"
+    if isinstance(board, DotGrid):
+        return f"a plate of {size} dots"
+    return f"an asymmetric plate of {size} circles"
 
 
 def remeasure_board(
