@@ -95,6 +95,15 @@ def test_a_rig_that_holds_is_ok(folder: Path) -> None:
     assert "Rows alone do not see a wrong baseline" in said
 
 
+def test_the_pitch_alone_names_the_plate(folder: Path) -> None:
+    """Which plate it is the pair shows; that is said before the verdict."""
+    code, said = run(folder, board="5.0 mm")
+    assert code == 0
+    assert said.startswith("board dots:7x7:5:2.5")
+    assert "a plate of 7x7 dots (2 of 2 pictures looked at)" in said
+    assert "\nOK test" in said
+
+
 def test_a_wrong_baseline_is_seen_by_the_length_alone(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

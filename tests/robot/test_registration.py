@@ -429,6 +429,20 @@ def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixt
     assert self_test(*arguments, "kuka", True, console) == 0
 
 
+@pytest.mark.slow
+def test_poses_need_no_board_in_full(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The millimetres of a square suffice; without them the board in the pictures is named."""
+    files = pictured / "rig.json", pictured, pictured / "poses.csv"
+    console = Console(width=200)
+
+    assert self_test(*files, "4.0", "kuka", False, console) == 0
+    assert "board chessboard:9x6:4: a chessboard of 9x6 inner corners" in capsys.readouterr().out
+    with pytest.raises(CalibrationError, match="--board chessboard:9x6:MM, or --board MM alone"):
+        self_test(*files, None, "kuka", False, console)
+    with pytest.raises(CalibrationError, match="2 boards, expected the one"):
+        self_test(*files, "chessboard:9x6:4,chessboard:9x6:5", "kuka", False, console)
+
+
 # --- files and the command -----------------------------------------------------------------------
 
 
