@@ -148,7 +148,7 @@ def read_folder(path: Path, spec: str, model: LensModel) -> Folder:
         )
     used = {fit.name for fit in whole.views}
     with shown_on(console) as progress:
-        views = [view for view in shown.remeasured(whole, progress) if view.name in used]
+        views = [view for view in shown.remeasured(whole, progress).views if view.name in used]
     return Folder({pair.name: pair for pair in pairs if pair.name in used}, views, sizes, model)
 
 

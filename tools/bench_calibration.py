@@ -155,7 +155,7 @@ def measure(folder: Path, spec: str, model: LensModel) -> Marks:
     with shown_on(CONSOLE) as progress:
         shown.add([Pair.of_files(pair) for pair in pairs], progress)
         sizes = shown.sizes
-        views = shown.remeasured(calibrate_stereo(shown.found, *sizes, model), progress)
+        views = shown.remeasured(calibrate_stereo(shown.found, *sizes, model), progress).views
     return Marks(pairs, sizes, views, time.perf_counter() - started)
 
 

@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 
 from edged.commissioning.boards import check_board_shown
 from edged.commissioning.pairs import Pair, Picture, Progress, silent, work_on
-from edged.domain import SIDES, Side
+from edged.domain import SIDES, Image, Side
 from edged.errors import CalibrationError
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
@@ -36,17 +37,50 @@ from edged.vision.calibration.verdict import Verdict, judge_calibration
 from edged.vision.geometry.camera import LensModel, StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
+THUMBNAIL_PX = 240
+"""Width of the pictures in the report: a few kB each."""
+
 Sizes = tuple[tuple[int, int], tuple[int, int]]
 """(width, height) of the left and of the right images, px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looked:
-    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies."""
+    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies.
+
+    small : the picture for people, THUMBNAIL_PX wide at most.
+    """
 
     size: tuple[int, int]
     digest: bytes
+    small: Image
     results: Sequence[Detection | NotDetected]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remeasured:
+    """views : of all pairs, the marks of those that were used measured again.
+
+    edges : of these, what lies between the marks, by the name of the pair and the side.
+    """
+
+    views: list[StereoView]
+    edges: Mapping[tuple[str, Side], Edges | None]
+
+    def imaging(self, calibration: Calibration) -> tuple[Imaging, Imaging]:
+        """What the edges of the boards say of the left and of the right camera."""
+        left, right = (
+            imaging_of(
+                [
+                    replace(edges, view=np.full(len(edges.view), number))
+                    for number, fit in enumerate(calibration.views)
+                    if (edges := self.edges[fit.name, side]) is not None
+                ],
+                (camera.width, camera.height),
+            )
+            for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True)
+        )
+        return left, right
 
 
 class Views:
@@ -114,37 +148,31 @@ class Views:
         missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one]
         check_board_shown(missed, self.boards[0])
 
-    def remeasured(self, calibration: Calibration, progress: Progress = silent) -> list[StereoView]:
+    @property
+    def thumbnails(self) -> dict[str, tuple[Image, Image]]:
+        """The left and the right picture of each pair, small."""
+        return {name: (left.small, right.small) for name, (_, left, right) in self._pairs.items()}
+
+    def remeasured(self, calibration: Calibration, progress: Progress = silent) -> Remeasured:
         """The same as `found`, the marks of all views that were used measured with the lenses now known."""
         rig = calibration.rig
+        keys = [(fit, side) for fit in calibration.views for side in SIDES]
         tasks = [
-            partial(_remeasure, self._pairs[fit.name][0].side(side), fit, side, rig)
-            for fit in calibration.views
-            for side in SIDES
+            partial(_remeasure, self._pairs[fit.name][0].side(side), fit, side, rig) for fit, side in keys
         ]
-        marks = work_on(tasks, "measuring the marks", progress)
-        names = [fit.name for fit in calibration.views]
-        done = dict(zip(names, zip(marks[::2], marks[1::2], strict=True), strict=True))
-        return [
-            replace(view, left=done[view.name][0], right=done[view.name][1]) if view.name in done else view
+        done = {
+            (fit.name, side): one
+            for (fit, side), one in zip(
+                keys, work_on(tasks, "measuring the marks and edges", progress), strict=True
+            )
+        }
+        views = [
+            replace(view, left=done[view.name, "left"][0], right=done[view.name, "right"][0])
+            if (view.name, "left") in done
+            else view
             for view in self.found
         ]
-
-    def imaging(self, calibration: Calibration, progress: Progress = silent) -> tuple[Imaging, Imaging]:
-        """What the edges of the boards say of the left and of the right camera."""
-        tasks = [
-            partial(_edges, self._pairs[fit.name][0].side(side), fit, side, number)
-            for side in SIDES
-            for number, fit in enumerate(calibration.views)
-        ]
-        found = work_on(tasks, "looking at the edges", progress)
-        count = len(calibration.views)
-        rig = calibration.rig
-        left, right = (
-            imaging_of([one for one in edges if one is not None], (camera.width, camera.height))
-            for edges, camera in ((found[:count], rig.left), (found[count:], rig.right))
-        )
-        return left, right
+        return Remeasured(views, {key: edges for key, (_, edges) in done.items()})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +180,7 @@ class Calibrated:
     """A calibration and what it is worth.
 
     views : of all pairs, also of those that were left out. found : what the boards' edges say of the cameras.
-    quality : what the rig file keeps of it.
+    quality : what the rig file keeps of it. thumbnails : the pictures of all pairs, small.
     """
 
     calibration: Calibration
@@ -161,6 +189,7 @@ class Calibrated:
     found: tuple[Finding, ...]
     verdict: Verdict
     quality: Mapping[str, Any]
+    thumbnails: Mapping[str, tuple[Image, Image]]
 
     @property
     def rig(self) -> StereoRig:
@@ -181,10 +210,10 @@ def solve(
     first = calibrate_stereo(views.found, *sizes, lens)
     remeasured = views.remeasured(first, progress)
     progress("bundle adjustment", 0, 0)
-    calibration = calibrate_stereo(remeasured, *sizes, lens, plate_shape=plate_shape)
+    calibration = calibrate_stereo(remeasured.views, *sizes, lens, plate_shape=plate_shape)
     progress("holding views out", 0, 0)
     held = hold_out(calibration)
-    imaging = views.imaging(calibration, progress)
+    imaging = remeasured.imaging(calibration)
     found = findings(imaging, calibration.rig, float(depths_mm(calibration)[1]))
     calibration = replace(calibration, rig=with_response(calibration.rig, imaging))
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
@@ -196,7 +225,9 @@ def solve(
         "imaging": [asdict(one) for one in found],
         "verdict": {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add},
     }
-    return Calibrated(calibration, tuple(remeasured), tuple(held), tuple(found), verdict, quality)
+    return Calibrated(
+        calibration, tuple(remeasured.views), tuple(held), tuple(found), verdict, quality, views.thumbnails
+    )
 
 
 def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
@@ -205,7 +236,15 @@ def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
     sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
     plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
     return calibration_report(
-        calibration, calibrated.held, calibrated.views, calibrated.quality, about, plain, calibrated.found
+        calibration,
+        calibrated.held,
+        calibrated.views,
+        calibrated.quality,
+        about,
+        plain,
+        calibrated.found,
+        verdict=str(calibrated.verdict),
+        thumbnails=calibrated.thumbnails,
     )
 
 
@@ -254,7 +293,14 @@ def _look(picture: Picture, boards: Sequence[NominalBoard]) -> _Looked:
     for board in boards:
         seen_another = any(isinstance(result, Detection) for result in results)
         results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
-    return _Looked((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest(), results)
+    size = image.shape[1], image.shape[0]
+    return _Looked(size, hashlib.sha256(image.tobytes()).digest(), _small(image), results)
+
+
+def _small(image: Image) -> Image:
+    shrink = max(1.0, image.shape[1] / THUMBNAIL_PX)
+    size = round(image.shape[1] / shrink), max(1, round(image.shape[0] / shrink))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _view(
@@ -270,15 +316,16 @@ def _view(
     )
 
 
-def _remeasure(picture: Picture, fit: ViewFit, side: Side, rig: StereoRig) -> Detection | NotDetected:
+def _remeasure(
+    picture: Picture, fit: ViewFit, side: Side, rig: StereoRig
+) -> tuple[Detection | NotDetected, Edges | None]:
+    """The marks, and the edges between them."""
     board, camera, camera_from_board = nominal(fit.view.board), rig.left, fit.left_from_board
     if side == "right":
         camera, camera_from_board = rig.right, rig.right_from_left @ fit.left_from_board
-    return remeasure_board(picture.read(), board, fit.view.found(side), camera, camera_from_board)
-
-
-def _edges(picture: Picture, fit: ViewFit, side: Side, number: int) -> Edges | None:
-    return edges_of(picture.read(), fit.view.board, fit.view.found(side), number)
+    image = picture.read()
+    marks = remeasure_board(image, board, fit.view.found(side), camera, camera_from_board)
+    return marks, None if isinstance(marks, NotDetected) else edges_of(image, board, marks)
 
 
 def _one_size(labels: Sequence[str], sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:

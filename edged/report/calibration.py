@@ -6,11 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from edged.report.figures import coverage, lengths, radial, sigma_maps, view_bars
+from edged.domain import SIDES, Image
+from edged.report.figures import coverage, lengths, radial, sigma_maps, thumbnail, view_bars
 from edged.report.page import Table, render
 from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.imaging import NOISE_PX, Finding
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
@@ -30,12 +33,16 @@ def calibration_report(
     about: Mapping[str, str] | None = None,
     plain: PlainCalibration | None = None,
     found: Sequence[Finding] = (),
+    *,
+    verdict: str = "",
+    thumbnails: Mapping[str, tuple[Image, Image]] | None = None,
 ) -> str:
     """The page.
 
     held : views measured without themselves.  views : all that were offered, used or not.
     about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : what the
-    boards' edges say of the cameras.
+    boards' edges say of the cameras.  verdict : as the command prints it.  thumbnails : both pictures of each
+    view, small.
     """
     rig, rectification = calibration.rig, make_rectification(calibration.rig)
     internal, lenses = _internal(rig, rectification)
@@ -45,10 +52,12 @@ def calibration_report(
         heading="Stereo calibration",
         calibration_id=rig.calibration_id,
         about=_about(calibration, quality, about or {}),
+        verdict=verdict,
         fitted=_fitted(calibration),
         independent=_independent(held, quality),
         remarks=calibration.notes,
         lengths=lengths(held) if held else None,
+        covered=coverage_in_words([coverage_of(calibration, side) for side in SIDES]),
         coverage=coverage(calibration, "left", rig.left) + coverage(calibration, "right", rig.right),
         radial=radial(calibration),
         imaging=[finding.text for finding in found],
@@ -62,7 +71,30 @@ def calibration_report(
         comparison=None if plain is None else _comparison(calibration, plain),
         view_bars=view_bars(calibration, held),
         views=_views(calibration, held, views),
+        pictures=_pictures(calibration, views, thumbnails or {}),
     )
+
+
+def _pictures(
+    calibration: Calibration, views: Sequence[StereoView], thumbnails: Mapping[str, tuple[Image, Image]]
+) -> list[tuple[Markup, str]]:
+    """Both pictures of each view, with a caption."""
+    fits = {fit.name: fit for fit in calibration.views}
+    reasons = dict(calibration.excluded)
+    sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
+    shown = []
+    for view in views:
+        if view.name not in thumbnails:
+            continue
+        both = zip(SIDES, thumbnails[view.name], sizes, strict=True)
+        said = (
+            f"rms {fits[view.name].rms_px:.4f} px"
+            if view.name in fits
+            else f"skipped: {reasons.get(view.name, '')}"
+        )
+        pictures = Markup().join(thumbnail(view, side, small, size) for side, small, size in both)
+        shown.append((pictures, f"{view.name}: {said}"))
+    return shown
 
 
 def _about(calibration: Calibration, quality: Mapping[str, Any], about: Mapping[str, str]) -> Table:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from markupsafe import Markup
 
-from edged.domain import SIDES, FloatArray, Side
+from edged.domain import SIDES, FloatArray, Image, Side
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
+from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.coverage import COLUMNS, ROWS, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.geometry.camera import CameraModel
@@ -21,6 +25,9 @@ _NOISE_PX = 0.05
 _MAP_COLUMNS, _MAP_ROWS = 8, 6
 _RADIAL_BINS = 10
 _VECTOR_SHARE = 0.015  # of the image's width: a residual of the rms' length
+_THUMBNAIL_QUALITY = 65  # of JPEG: about 4 kB a picture
+_NOT_REACHED, _NOT_COMMON = "#f7d4bf", "#e4e7eb"
+_FOUND, _FIRST = "#23d96c", "#ff8f3a"
 
 
 def lengths(held: Sequence[HeldOutView]) -> Markup:
@@ -41,19 +48,52 @@ def lengths(held: Sequence[HeldOutView]) -> Markup:
 
 
 def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Markup:
-    """Where the marks lay in an image, each with its residual."""
+    """Where the marks lay in an image, each with its residual, and which fields no mark reached."""
     pixels, residuals = _marks(calibration, side)
     rms = calibration.rms_left_px if side == "left" else calibration.rms_right_px
     exaggeration = _VECTOR_SHARE * camera.width / max(rms, 1e-9)
     chart = Chart((0.0, camera.width - 1.0), (camera.height - 1.0, 0.0), "x, px", "y, px", 470.0, equal=True)
+    fields = coverage_of(calibration, side)
+    x_edges, y_edges = (
+        np.linspace(0, n - 1.0, m + 1) for n, m in ((camera.width, COLUMNS), (camera.height, ROWS))
+    )
+    for row, y in enumerate(pairwise(y_edges)):
+        for column, x in enumerate(pairwise(x_edges)):
+            if not fields.common[row, column]:
+                chart.rectangle(x, y, _NOT_COMMON)
+            elif not fields.reached[row, column]:
+                chart.rectangle(x, y, _NOT_REACHED)
     chart.strokes(pixels, pixels + exaggeration * residuals)
-    fields = np.floor(pixels / (camera.width / 8, camera.height / 6)).clip(0, (7, 5)).astype(int)
-    share = 100 * len(np.unique(fields, axis=0)) / 48
     caption = (
-        f"{side}: {len(pixels)} marks in {share:.0f} % of the image; residuals "
+        f"{side}: {len(pixels)} marks in {100 * fields.share:.0f} % of the common view; residuals "
         f"magnified {exaggeration:.0f}×, rms {rms:.4f} px"
     )
     return chart.figure(caption)
+
+
+def thumbnail(view: StereoView, side: Side, small: Image, size: tuple[int, int]) -> Markup:
+    """A picture with the marks that were found in it, the first of them as a ring.
+
+    small (h, w) uint8.  size (W, H) : of the image that the marks were measured in.
+    """
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])
+    found = view.left if side == "left" else view.right
+    path, ring = "", Markup()
+    if not isinstance(found, NotDetected):
+        path = "".join(f"M{x:.0f} {y:.0f}h0" for x, y in found.pixels)
+        first = found.pixels[int(np.argmin(found.ids))]
+        mark = Markup(
+            '<circle cx="{:.0f}" cy="{:.0f}" r="{:.0f}" fill="none" stroke="{}" stroke-width="{:.0f}"/>'
+        )
+        ring = mark.format(*first, size[0] / 45, _FIRST, size[0] / 150)
+    picture = Markup(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} {}" role="img" aria-label="{}">'
+        '<image href="data:image/jpeg;base64,{}" width="{}" height="{}"/>'
+        '<path d="{}" fill="none" stroke="{}" stroke-width="{:.0f}" stroke-linecap="round"/>{}</svg>'
+    )
+    label = f"{view.name}, {side}: the marks that were found"
+    encoded = base64.b64encode(jpeg.tobytes()).decode()
+    return picture.format(*size, label, encoded, *size, path, _FOUND, size[0] / 50, ring)
 
 
 def _marks(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray]:

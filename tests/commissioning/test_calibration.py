@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,7 +19,7 @@ from edged.commands.calibrate import calibrate
 from edged.commands.verify import verify
 from edged.commissioning.calibration import Calibrated, Views, solve
 from edged.commissioning.checking import Limits, by_board
-from edged.commissioning.pairs import Pair
+from edged.commissioning.pairs import Pair, Picture
 from edged.domain import Image
 from edged.errors import CalibrationError, ImageError
 from edged.files.pairs import ImagePair
@@ -75,6 +77,28 @@ def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
 
 
 @pytest.mark.slow
+def test_each_picture_is_read_twice(images: Images) -> None:
+    """Once to find the board, once to measure its marks and edges; small copies stay for the report."""
+    reads: Counter[str] = Counter()
+
+    def counted(label: str, image: Image) -> Image:
+        reads[label] += 1
+        return image
+
+    def pair(name: str, left: Image, right: Image) -> Pair:
+        labels = [(f"{name}_left", left), (f"{name}_right", right)]
+        return Pair(name, *(Picture(label, partial(counted, label, image)) for label, image in labels))
+
+    views = Views([BOARD])
+    views.add([pair(name, *both) for name, both in images.items()])
+    solved = solve(views, "division")
+
+    assert {f"{name}_{side}": 2 for name in images for side in ("left", "right")} == dict(reads)
+    assert list(images) == list(solved.thumbnails)
+    assert {(180, 240)} == {small.shape for both in solved.thumbnails.values() for small in both}
+
+
+@pytest.mark.slow
 def test_a_check_says_the_same_to_the_last_bit(
     images: Images, solved: Calibrated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,7 +129,7 @@ def test_progress_counts_each_stage_to_its_end(images: Images) -> None:
     solve(views, "division", progress=lambda *now: told.append(now))
     last = {stage: (done, total) for stage, done, total in told}
 
-    assert (6, 6) == last["finding the board"] == last["measuring the marks"] == last["looking at the edges"]
+    assert (6, 6) == last["finding the board"] == last["measuring the marks and edges"]
     assert (0, 0) == last["bundle adjustment"] == last["holding views out"] == last["the verdict"]
 
 

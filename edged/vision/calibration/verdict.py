@@ -8,7 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from edged.domain import SIDES
 from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.imaging import NOISE_PX
 from edged.vision.calibration.nextbestview import best_next_view, volume_points
@@ -26,6 +28,8 @@ GOOD_OVERFIT, WORST_OVERFIT = 1.5, 3.0
 """Error of held-out views over that of fitted ones: more says that the views do not determine the lenses."""
 GOOD_SHARE, WORST_SHARE = 1.0, 3.0
 """The calibration's part in the error of a point over that of one picture's noise."""
+GOOD_COVERAGE, WORST_COVERAGE = 0.7, 0.4
+"""Share of the common view that marks reached, in the worse image: elsewhere the lens is extrapolated."""
 WORTH_ADDING = 0.05
 """A view that lowers the calibration's part in the error by less is not worth a picture."""
 
@@ -79,6 +83,9 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
             f"their board size error {size_percent:.3f} %",
         )
     )
+    coverage = [coverage_of(calibration, side) for side in SIDES]
+    least = min(one.share for one in coverage)
+    findings.append((_grade(-least, -GOOD_COVERAGE, -WORST_COVERAGE), coverage_in_words(coverage)))
     points = volume_points(calibration)
     if calibration.rig.covariance is not None and len(points):
         ours = np.sqrt(np.mean(calibration_covariance(calibration.rig, points)[:, 2, 2]))

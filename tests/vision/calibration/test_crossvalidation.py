@@ -14,6 +14,7 @@ from edged.commissioning.calibration import quality_figures
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Chessboard, NotDetected
 from edged.vision.calibration.calibrate import calibrate_stereo
+from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import hold_out
 from edged.vision.calibration.plainopencv import plain_opencv
 
@@ -116,3 +117,28 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     ):
         assert text in parsed.text
     assert f"{calibration.rms_px:.4f} px" in parsed.text
+
+
+@pytest.mark.slow
+def test_the_report_shows_what_was_found_in_each_picture() -> None:
+    """Small pictures of both sides of each view, also the skipped; coverage in the verdict's words."""
+    views = [*VIEWS[:4], replace(VIEWS[4], right=NotDetected("covered"))]
+    calibration = calibrate_stereo(views, SIZE, SIZE, "division")
+    small = np.full((180, 240), 90, np.uint8)
+    page = calibration_report(
+        calibration,
+        hold_out(calibration),
+        views,
+        quality_figures(calibration, (), [BOARD]),
+        verdict="verdict: usable: 4 views",
+        thumbnails={view.name: (small, small) for view in views},
+    )
+    parsed = HtmlPage(page)
+    assert [] == parsed.open
+    assert 2 * len(views) == len(parsed.outside)
+    assert all(text.startswith("data:image/jpeg;base64,") and len(text) < 20_000 for text in parsed.outside)
+    assert 9 * len(BOARD.points_mm) == page.count("h0")  # four views twice, and the left half of the fifth
+    assert "verdict: usable: 4 views" in parsed.text
+    assert "view_04: skipped: right: covered" in parsed.text
+    said = coverage_in_words([coverage_of(calibration, "left"), coverage_of(calibration, "right")])
+    assert said in parsed.text

@@ -12,6 +12,7 @@ from edged.vision.calibration.crossvalidation import hold_out
 from edged.vision.calibration.verdict import judge_calibration
 
 BOARD = Chessboard(11, 8, 4.0)
+SMALL = Chessboard(7, 6, 4.0)
 RIG = make_rig("division")
 SIZE = (RIG.left.width, RIG.left.height)
 
@@ -35,6 +36,18 @@ def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grad
     assert any(why in text for text in verdict.why)
     assert (grade == "good") == (verdict.add == "")
     assert str(verdict).startswith(f"verdict: {grade}: ")
+
+
+@pytest.mark.slow
+def test_boards_in_one_half_of_the_image_are_no_good_calibration() -> None:
+    """Twenty views, all in the right half: the other half is named, and the grade is not good."""
+    poses = [pose for pose in board_poses(RIG, SMALL, 120, 0) if pose[0, 3] > 0][:20]
+    calibration = calibrate_stereo(synthetic_views(RIG, SMALL, poses, 0.02, 0), SIZE, SIZE, "division")
+    verdict = judge_calibration(calibration, hold_out(calibration))
+
+    assert 20 == len(calibration.views)
+    assert "usable" == verdict.grade
+    assert any("hardly any in the upper left" in text and "of the left image" in text for text in verdict.why)
 
 
 def test_what_was_not_held_out_is_not_praised() -> None:

@@ -1,0 +1,84 @@
+"""Which parts of the images the marks of a calibration reached: where none lay, the lens is extrapolated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import Side
+from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.nextbestview import depths_mm
+from edged.vision.geometry.rigid import apply, invert
+
+BoolArray = npt.NDArray[np.bool_]
+
+COLUMNS, ROWS = 8, 6
+"""Fields of an image."""
+_PARTS = tuple(
+    ("middle" if row == column else f"{row} {column}", rows, columns)
+    for row, rows in (("upper", slice(0, 2)), ("middle", slice(2, 4)), ("lower", slice(4, 6)))
+    for column, columns in (("left", slice(0, 2)), ("middle", slice(2, 6)), ("right", slice(6, 8)))
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """Of one image, field by field (ROWS, COLUMNS).
+
+    reached : a mark lay there.  common : the other camera sees it too, at some depth of the views; elsewhere
+    nothing is measured.
+    """
+
+    side: Side
+    reached: BoolArray
+    common: BoolArray
+
+    @property
+    def share(self) -> float:
+        """Of the common fields, those that were reached."""
+        return float(np.mean(self.reached[self.common])) if self.common.any() else 0.0
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Parts of the image of whose common fields more than half were not reached."""
+        return tuple(
+            name
+            for name, rows, columns in _PARTS
+            if 2 * np.sum(self.common[rows, columns] & ~self.reached[rows, columns])
+            > np.sum(self.common[rows, columns])
+        )
+
+
+def coverage_of(calibration: Calibration, side: Side) -> Coverage:
+    """Where the marks of all used views lay in one image."""
+    rig = calibration.rig
+    camera, other, other_from_camera = rig.left, rig.right, rig.right_from_left
+    if side == "right":
+        camera, other, other_from_camera = rig.right, rig.left, invert(rig.right_from_left)
+    pixels = np.concatenate([fit.view.found(side).pixels for fit in calibration.views])
+    field = np.floor((pixels + 0.5) * (COLUMNS, ROWS) / (camera.width, camera.height)).astype(np.int64)
+    field = field.clip(0, (COLUMNS - 1, ROWS - 1))
+    reached = np.zeros((ROWS, COLUMNS), np.bool_)
+    reached[field[:, 1], field[:, 0]] = True
+    y, x = np.mgrid[0:ROWS, 0:COLUMNS]
+    middles = np.stack([(x + 0.5) / COLUMNS * camera.width, (y + 0.5) / ROWS * camera.height], axis=-1) - 0.5
+    rays = np.concatenate([camera.normalise(middles), np.ones((ROWS, COLUMNS, 1))], axis=-1)
+    common = np.zeros((ROWS, COLUMNS), np.bool_)
+    for depth_mm in depths_mm(calibration):
+        points = apply(other_from_camera, (depth_mm * rays).reshape(-1, 3))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            seen = other.project(points)
+            inside = (seen >= 0) & (seen <= (other.width - 1, other.height - 1))
+        common |= (inside.all(axis=1) & (points[:, 2] > 0)).reshape(ROWS, COLUMNS)
+    return Coverage(side, reached, common)
+
+
+def coverage_in_words(both: Sequence[Coverage]) -> str:
+    """One finding of the left and the right image: of the verdict, and of the report."""
+    left, right = (f"{100 * one.share:.0f} %" for one in both)
+    missed = [f"the {', '.join(one.missed)} of the {one.side} image" for one in both if one.missed]
+    text = f"marks in {left} of the left and {right} of the right image's common view"
+    return text + (f", hardly any in {' and '.join(missed)}" if missed else "")
