@@ -28,6 +28,7 @@ from pydantic import (
     model_validator,
 )
 
+from edged.domain import Bounds, Box
 from edged.errors import ConfigError
 
 MAX_CONFIG_BYTES = 1024 * 1024
@@ -437,6 +438,51 @@ class DriftSection(_Section):
         return self
 
 
+Corner = Annotated[list[Annotated[float, Field(ge=-100_000, le=100_000)]], Field(min_length=3, max_length=3)]
+
+
+class ZoneSection(_Section):
+    """A part must lie in a box, and in no keep-out zone; of the robot's frame, without one of the rig's."""
+
+    name: Name = Field(description="for people")
+    min_mm: Corner = Field(description="least x, y, z")
+    max_mm: Corner = Field(description="largest x, y, z, each more than the least")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ZoneSection:
+        if not all(low < high for low, high in zip(self.min_mm, self.max_mm, strict=True)):
+            raise ValueError(f"min_mm {self.min_mm} must be less than max_mm {self.max_mm} along each axis")
+        return self
+
+    def box(self) -> Box:
+        """The value that is measured by."""
+        (a, b, c), (d, e, f) = self.min_mm, self.max_mm
+        return Box(self.name, (a, b, c), (d, e, f))
+
+
+Zones = Annotated[list[ZoneSection], Field(max_length=64)]
+
+
+class LimitsSection(_Section):
+    """Where the robot may go, whatever the job; each job's `[limits]` may say more. Left out: everywhere."""
+
+    box: Zones = Field(default_factory=list, description="a part in none of them is not good")
+    keep_out: Zones = Field(default_factory=list, description="a part in one of them is not good")
+
+    def bounds(self) -> Bounds:
+        """The value that is measured by."""
+        return Bounds(tuple(one.box() for one in self.box), tuple(one.box() for one in self.keep_out))
+
+
+def limits_of(content: bytes) -> LimitsSection:
+    """`[limits]` of a configuration that was in use, whatever else is missing in it by now.
+
+    Raises `ValueError` for what is no configuration.
+    """
+    data = tomllib.loads(content.decode("utf-8-sig"))
+    return LimitsSection.model_validate(data.get("limits", {}))
+
+
 class RecorderSection(_Section):
     """What is kept on disk of the cycles, for `edged replay`. Left out: nothing."""
 
@@ -501,6 +547,7 @@ class Config(_Section):
     modbus: ModbusSection = ModbusSection()
     zenoh: ZenohSection = ZenohSection()
     drift: DriftSection = DriftSection()
+    limits: LimitsSection = LimitsSection()
     recorder: RecorderSection | None = None
     web: WebSection | None = None
 

@@ -45,7 +45,7 @@ from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, Captur
 from edged.logs import FaultLog, cycle_number, fields
 from edged.ports import Publisher
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import picked
+from edged.robot.picking import RobotFrame, picked
 
 log = logging.getLogger(__name__)
 
@@ -408,7 +408,8 @@ class Cycle:
                 robot_from_rig = robot_from_flange @ setup.flange_from_rig
                 registration = None if registration is None else moved_frame(registration, robot_from_flange)
         if outcome is not None:
-            outcome = picked(outcome, job.picking, robot_from_rig)
+            is_known = robot_from_rig is not None or setup.flange_from_rig is None
+            outcome = picked(outcome, job.picking, RobotFrame(robot_from_rig, is_known))
             status = outcome.status
         return Snapshot(
             cycle=self._number,

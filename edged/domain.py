@@ -62,6 +62,10 @@ class Reject(enum.IntFlag):
     """The calibration has drifted beyond its limits (`[drift]`): no result is given."""
     AMBIGUOUS_EDGE = 1 << 9
     """The reference may lie on another edge than the taught one: a chamfer, a step, a burr."""
+    OUT_OF_LIMITS = 1 << 10
+    """In none of the boxes of `[[limits.box]]`: the robot must not go there."""
+    KEEP_OUT = 1 << 11
+    """In a zone of `[[limits.keep_out]]`: the robot must not go there."""
 
 
 class Order(enum.StrEnum):
@@ -80,10 +84,28 @@ class Order(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Box:
+    """A cuboid along the axes of the frame that coordinates are told in: x, y, z of its corners in mm."""
+
+    name: str
+    min_mm: tuple[float, float, float]
+    max_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Where a robot may go: into one of the boxes (anywhere where there is none), into no keep-out zone."""
+
+    boxes: tuple[Box, ...] = ()
+    keep_out: tuple[Box, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Picking:
-    """What a job says of picking its parts."""
+    """What a robot may pick of a job's parts, and in which order. bounds : all of them must allow it."""
 
     order: Order = Order.SCORE
+    bounds: tuple[Bounds, ...] = ()
 
 
 class TimeBase(enum.StrEnum):

@@ -78,6 +78,23 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
         (("[cameras]", "[drift]\nwarn_rows_px = 2.0\n[cameras]"), "drift"),
         (("[cameras]", "[drift]\nwarn_length_percent = 2.0\n[cameras]"), "drift"),
         (("[cameras]", "[web]\nport = 1502\n[cameras]"), "(file)"),
+        *(
+            (("[cameras]", f"[[limits.{zone}]]\n{text}\n[cameras]"), f"limits.{zone}.0{place}")
+            for zone in ("box", "keep_out")
+            for text, place in (
+                ('name = "a"\nmin_mm = [0, 0, 0]\nmax_mm = [1, 0, 1]', ""),
+                ('name = "a"\nmin_mm = [0, 0, nan]\nmax_mm = [1, 1, 1]', ".min_mm.2"),
+                ('name = "a"\nmin_mm = [0, 0, 0]\nmax_mm = [1, 1, 1e9]', ".max_mm.2"),
+                ('name = "a"\nmin_mm = [0, 0]\nmax_mm = [1, 1, 1]', ".min_mm"),
+                ('name = "a"\nmin_mm = [0, 0, 0, 0]\nmax_mm = [1, 1, 1]', ".min_mm"),
+                ('name = "a"\nmin_mm = ["0", 0, 0]\nmax_mm = [1, 1, 1]', ".min_mm.0"),
+                ('name = "a"\nmin_mm = [0, 0, 0]', ".max_mm"),
+                ("min_mm = [0, 0, 0]\nmax_mm = [1, 1, 1]", ".name"),
+                ('name = "a"\nmin_mm = [0, 0, 0]\nmax_mm = [1, 1, 1]\nframe = "rig"', ".frame"),
+            )
+        ),
+        (("[cameras]", "[limits]\nbox = 7\n[cameras]"), "limits.box"),
+        (("[cameras]", "[limits]\nboxes = []\n[cameras]"), "limits.boxes"),
         (('"192.0.2.2"', '"192.0.2.2"\nleft.features.Gain = [1]'), "cameras.left.features.0.Gain"),
     ],
 )

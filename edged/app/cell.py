@@ -13,6 +13,7 @@ from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.pipeline import PreparedRig, locate
+from edged.robot.picking import within
 from edged.vision.part.job import Job
 
 
@@ -29,7 +30,12 @@ def load_cell(path: Path) -> LoadedCell:
     """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
     cell = read_cell(path)
     config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
-    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness, job.picking) for job in cell.jobs]
+    jobs = [
+        LoadedJob(
+            job.name, job.number, _bind(job, rig), job.witness, within(job.picking, config.limits.bounds())
+        )
+        for job in cell.jobs
+    ]
     setup = Setup(
         jobs={job.number: job for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),

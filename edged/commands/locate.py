@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,7 +26,7 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
 from edged.robot.orientations import Convention
-from edged.robot.picking import picked
+from edged.robot.picking import allowed, frame_of, picked
 from edged.robot.reading import frame_name, reading_of
 from edged.vision.geometry.camera import StereoRig
 
@@ -66,8 +67,10 @@ def locate(
         timing_ms[stage] = round((now_s - last_s) * 1e3, 3)
         last_s = now_s
 
-    inspection = inspect(pair, taught, prepared, lap)
-    outcome = picked(judge(inspection), taught.picking, prepared.rig.robot_from_rig)
+    inspection, frame = inspect(pair, taught, prepared, lap), frame_of(prepared.rig)
+    told = (replace(one, target=allowed(one.target, taught.picking, frame)) for one in inspection.measured)
+    inspection = replace(inspection, measured=tuple(told))
+    outcome = picked(judge(inspection), taught.picking, frame)
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     if overlay is not None:
         images = pair.left.image, pair.right.image

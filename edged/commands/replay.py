@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
 from edged.commissioning.regression import COMPARED, compare, remeasure
+from edged.config import limits_of
+from edged.domain import Bounds
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import write_atomically
@@ -20,6 +22,7 @@ from edged.files.rig import load_rig
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
 from edged.pipeline import PreparedRig, prepare
+from edged.robot.picking import within
 from edged.vision.part.job import Job
 
 SHOWN = 12
@@ -92,13 +95,25 @@ class _Setups:
         if not folder.is_dir():
             raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
         if folder not in self._loaded:
-            jobs = [load_job(one) for one in job_folders(folder / "jobs")]
+            bounds = _bounds(folder / "cell.toml")
+            found = [load_job(one) for one in job_folders(folder / "jobs")]
+            jobs = [replace(job, picking=within(job.picking, bounds)) for job in found]
             rig = prepare(load_rig(folder / "rig.json"))
             self._loaded[folder] = rig, {job.number: job for job in jobs}
         rig, known = self._loaded[folder]
         if number not in known:
             raise FileFormatError(f"{folder}: no job {number}")
         return rig, known[number]
+
+
+def _bounds(path: Path) -> Bounds:
+    """The cell's; none where it was recorded before there were any."""
+    if not path.is_file():
+        return Bounds()
+    try:
+        return limits_of(path.read_bytes()).bounds()
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path}: cannot be read: {error}") from error
 
 
 def _files(path: Path) -> list[Path]:

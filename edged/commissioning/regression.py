@@ -15,7 +15,7 @@ from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json
 from edged.pipeline import PreparedRig, locate
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import picked
+from edged.robot.picking import RobotFrame, picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
@@ -43,7 +43,8 @@ def _json_of(
     if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
         robot = robot_from_flange @ rig.rig.flange_from_rig
         registration = None if registration is None else moved_frame(registration, robot_from_flange)
-    outcome = picked(outcome, picking, robot)
+    is_known = robot is not None or rig.rig.flange_from_rig is None
+    outcome = picked(outcome, picking, RobotFrame(robot, is_known))
     document = snapshot_to_json(
         Snapshot(
             cycle=0,

@@ -23,6 +23,8 @@ REASONS = {
     Reject.LOW_SCORE: "score too low",
     Reject.CALIBRATION: "calibration does not hold",
     Reject.AMBIGUOUS_EDGE: "the reference may be another edge",
+    Reject.OUT_OF_LIMITS: "outside of the robot's limits",
+    Reject.KEEP_OUT: "in a keep-out zone",
 }
 
 REMEDIES = {

@@ -60,6 +60,8 @@ class LineStatus(enum.IntEnum):
     """No request, or a number that is none."""
     NO_FURTHER = 117
     """NEXT, and there is no further target."""
+    OUT_OF_LIMITS = 118
+    """Found and good, but where the robot must not go (`[limits]`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,30 +1,84 @@
-"""What a robot may pick of what was found, and in which order: pure functions of an outcome."""
+"""What a robot may pick of what was found, and in which order: pure functions of an outcome.
+
+Boxes and keep-out zones lie in the frame that coordinates are told in: the robot's, and the rig's as long as
+the rig is not registered. A rig on the flange is registered; without the pose of the flange nobody knows
+where the robot's frame is, and a job or a cell with bounds gives nothing then.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Order, Outcome, Picking, Reject, Target
+from edged.domain import Bounds, Box, FloatArray, Order, Outcome, Picking, Reject, Status, Target
+from edged.vision.geometry.camera import StereoRig
 
 
-def picked(outcome: Outcome, picking: Picking, robot_from_rig: FloatArray | None) -> Outcome:
-    """The outcome with its good parts first, in the order that the job asks for.
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotFrame:
+    """Where coordinates are told. robot_from_rig (4, 4) : None where that is the rig's own frame.
 
-    robot_from_rig (4, 4) : None where the rig is not registered. Parts that are equal stay as they were: by
-    their score.
+    is_known : not of a rig on the flange while nobody says where the flange is.
+    """
+
+    robot_from_rig: FloatArray | None = None
+    is_known: bool = True
+
+
+def frame_of(rig: StereoRig) -> RobotFrame:
+    """Without a pose of the flange."""
+    return RobotFrame(rig.robot_from_rig, rig.flange_from_rig is None)
+
+
+def within(picking: Picking, bounds: Bounds) -> Picking:
+    """With the cell's bounds besides those of the job."""
+    return replace(picking, bounds=(bounds, *picking.bounds)) if bounds != Bounds() else picking
+
+
+def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
+    """The outcome without what the robot may not go to, its good parts first in the order of the job.
+
+    Parts that are equal in it stay as they were: by their score.
     """
     key = _KEYS[picking.order]
 
     def place(target: Target) -> tuple[bool, float]:
-        value = key(target, robot_from_rig)
+        value = key(target, frame.robot_from_rig)
         return target.reject != Reject.NONE, value if math.isfinite(value) else math.inf
 
-    targets = sorted(outcome.targets, key=place)
-    return replace(outcome, targets=tuple(targets))
+    targets = sorted((allowed(one, picking, frame) for one in outcome.targets), key=place)
+    is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
+    return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
+
+
+def allowed(target: Target, picking: Picking, frame: RobotFrame) -> Target:
+    """The target, rejected where the robot must not go."""
+    reject = _refusal(target.position_mm, picking.bounds, frame)
+    return replace(target, reject=target.reject | reject) if reject & ~target.reject else target
+
+
+def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) -> Reject:
+    if not any(one.boxes or one.keep_out for one in bounds):
+        return Reject.NONE
+    if not frame.is_known or not np.isfinite(rig_mm).all():
+        return Reject.OUT_OF_LIMITS
+    robot = frame.robot_from_rig
+    point_mm = rig_mm if robot is None else robot[:3, :3] @ rig_mm + robot[:3, 3]
+    reject = Reject.NONE
+    for one in bounds:
+        if one.boxes and not any(_holds(box, point_mm) for box in one.boxes):
+            reject |= Reject.OUT_OF_LIMITS
+        if any(_holds(box, point_mm) for box in one.keep_out):
+            reject |= Reject.KEEP_OUT
+    return reject
+
+
+def _holds(box: Box, point_mm: FloatArray) -> bool:
+    """Its sides belong to it."""
+    return all(low <= x <= high for low, x, high in zip(box.min_mm, point_mm, box.max_mm, strict=True))
 
 
 def _agreement(target: Target, _robot: FloatArray | None) -> float:

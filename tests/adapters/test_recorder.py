@@ -452,6 +452,25 @@ def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.Ca
     assert 'status: "OK" -> "LOW_QUALITY"' in report["different"][0]["differences"]
 
 
+def test_the_limits_of_the_cell_are_those_of_the_recording(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They stand in the configuration beside rig and jobs; one that is no configuration any more is named."""
+    run_replay(recorded, capsys, export=tmp_path)
+    text = next((tmp_path / "setups").iterdir()) / "cell.toml"
+    box = '\n[[limits.box]]\nname = "far"\nmin_mm = [900, 900, 900]\nmax_mm = [901, 901, 901]\n'
+    text.write_text(text.read_text() + box)
+
+    code, report = run_replay(tmp_path, capsys)
+
+    assert code == 1
+    assert 'status: "OK" -> "LOW_QUALITY"' in report["different"][0]["differences"]
+    text.write_text("[limits")
+    code, report = run_replay(tmp_path, capsys)
+    assert (code, 0) == (1, report["same"])
+    assert "cell.toml" in report["skipped"][0]["reason"]
+
+
 def test_without_its_setup_a_recording_is_skipped_with_the_reason(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import Order
+from edged.domain import Bounds, Box, Order, Picking
 from edged.errors import FileFormatError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.vision.part.job import (
@@ -142,6 +142,23 @@ def test_which_part_comes_first_comes_back(folder: Path, tmp_path: Path, order: 
     edit(folder, r"^\[picking\].*$", "")
     edit(folder, r"^order = .*$", "")
     assert Order.SCORE is load_job(folder).picking.order
+
+
+def test_where_the_robot_may_go_comes_back(folder: Path, tmp_path: Path) -> None:
+    """Boxes and keep-out zones; a job without them has none."""
+    assert () == load_job(folder).picking.bounds
+    box = Box("bin-1", (-1 / 3, 0.0, -1e-7), (100.0, 50.5, 1e5))
+    bounds = (Bounds((box, replace(box, name="b2")), (replace(box, name="clamp"),)),)
+    save_job(tmp_path / "one", replace(load_job(folder), picking=Picking(Order.TOPMOST, bounds)))
+    assert Picking(Order.TOPMOST, bounds) == load_job(tmp_path / "one").picking
+
+
+def test_a_box_without_room_is_named(folder: Path) -> None:
+    """By its file and its place in it."""
+    zone = '[[limits.keep_out]]\nname = "a"\nmin_mm = [0, 0, 5]\nmax_mm = [9, 9, 5]\n\n[search]'
+    edit(folder, r"^\[search\]", zone)
+    with pytest.raises(FileFormatError, match=r"job\.toml: limits\.keep_out\.0: min_mm .* must be less than"):
+        load_job(folder)
 
 
 def test_an_order_that_does_not_exist_is_named(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Which of several parts comes first."""
+"""What a robot may pick of what was found, and which of several parts comes first."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from snapshots import make_target, make_transform
 
-from edged.domain import Match, Order, Outcome, Picking, Reject, Status, Target
-from edged.robot.picking import picked
+from edged.domain import Bounds, Box, Match, Order, Outcome, Picking, Reject, Status, Target
+from edged.robot.picking import RobotFrame, picked, within
 
 
 def part(
@@ -30,6 +30,7 @@ PARTS = (
     part("b", 0.8, (0.0, 0.0, 205.0), 600.0, 0.02),
     part("c", 0.7, (-90.0, 0.0, 190.0), 100.0, 0.01),
 )
+RIG = RobotFrame()
 TURNED = make_transform((np.pi / 2, 0.0, 0.0), (0.0, 0.0, 0.0))  # the robot's z is the rig's y
 
 
@@ -47,7 +48,7 @@ def test_good_parts_come_in_the_order_asked_for_and_bad_ones_behind(order: Order
     """Whatever order they were found in; a rejected part is never first."""
     bad = dataclasses.replace(PARTS[2], job="x", reject=Reject.RESIDUAL)
     for found in ((*PARTS, bad), (bad, *PARTS[::-1])):
-        outcome = picked(Outcome(Status.OK, found), Picking(order), None)
+        outcome = picked(Outcome(Status.OK, found), Picking(order), RIG)
         assert [*names, "x"] == [target.job for target in outcome.targets]
         assert Status.OK is outcome.status
 
@@ -55,7 +56,7 @@ def test_good_parts_come_in_the_order_asked_for_and_bad_ones_behind(order: Order
 def test_topmost_is_said_of_the_robots_frame() -> None:
     """Registered with its z along the rig's y, what is far along that is on top."""
     low, high = (part("p", 0.9, (0.0, y_mm, 200.0), 0.0, 0.01) for y_mm in (-5.0, 5.0))
-    outcome = picked(Outcome(Status.OK, (low, high)), Picking(Order.TOPMOST), TURNED)
+    outcome = picked(Outcome(Status.OK, (low, high)), Picking(Order.TOPMOST), RobotFrame(TURNED))
     assert (high, low) == outcome.targets
 
 
@@ -63,5 +64,95 @@ def test_parts_that_are_equal_stay_in_the_order_of_their_score_and_what_is_no_nu
     """Two of one place; one whose position is not known."""
     twin = dataclasses.replace(PARTS[1], job="t")
     lost = dataclasses.replace(PARTS[0], job="n", rig_from_part=np.full((4, 4), np.nan))
-    outcome = picked(Outcome(Status.OK, (lost, PARTS[1], twin)), Picking(Order.NEAREST), None)
+    outcome = picked(Outcome(Status.OK, (lost, PARTS[1], twin)), Picking(Order.NEAREST), RIG)
     assert ["b", "t", "n"] == [target.job for target in outcome.targets]
+
+
+# --- limits --------------------------------------------------------------------------------------
+
+BIN = Box("bin", (-100.0, -50.0, 100.0), (100.0, 50.0, 300.0))
+CLAMP = Box("clamp", (-20.0, -20.0, 100.0), (20.0, 20.0, 300.0))
+FAR = Box("far", (900.0, 900.0, 900.0), (999.0, 999.0, 999.0))
+
+
+def at(x_mm: float, y_mm: float = 0.0, z_mm: float = 200.0, reject: Reject = Reject.NONE) -> Target:
+    """A part at a place of the rig's frame."""
+    return dataclasses.replace(part("p", 0.9, (x_mm, y_mm, z_mm), 0.0, 0.01), reject=reject)
+
+
+def judged(target: Target, bounds: tuple[Bounds, ...], frame: RobotFrame = RIG) -> tuple[Status, Reject]:
+    """The status with this part alone, and what it is rejected for."""
+    outcome = picked(Outcome(Status.OK, (target,)), Picking(bounds=bounds), frame)
+    return outcome.status, outcome.targets[0].reject
+
+
+@pytest.mark.parametrize(
+    ("x_mm", "reject"),
+    [
+        (50.0, Reject.NONE),
+        (100.0, Reject.NONE),
+        (100.001, Reject.OUT_OF_LIMITS),
+        (-20.0, Reject.KEEP_OUT),
+        (-20.001, Reject.NONE),
+        (0.0, Reject.KEEP_OUT),
+    ],
+)
+def test_a_part_is_good_within_a_box_and_outside_of_every_keep_out_zone(x_mm: float, reject: Reject) -> None:
+    """To the micrometre; a side belongs to its box. One of several boxes will do."""
+    expected = (Status.LOW_QUALITY if reject else Status.OK, reject)
+    assert expected == judged(at(x_mm), (Bounds((BIN,), (CLAMP,)),))
+    assert expected == judged(at(x_mm), (Bounds((FAR, BIN), (FAR, CLAMP)),))
+
+
+def test_cell_and_job_must_both_allow_it() -> None:
+    """The job narrows what the cell allows, and never widens it."""
+    job = Picking(bounds=(Bounds((BIN,)),))
+    for cell, status in (
+        (Bounds(), Status.OK),
+        (Bounds((BIN,)), Status.OK),
+        (Bounds((FAR,)), Status.LOW_QUALITY),
+    ):
+        assert status is picked(Outcome(Status.OK, (at(50.0),)), within(job, cell), RIG).status
+    cell = within(Picking(bounds=(Bounds((FAR,)),)), Bounds((BIN,)))
+    assert Status.LOW_QUALITY is picked(Outcome(Status.OK, (at(50.0),)), cell, RIG).status
+
+
+def test_boxes_lie_in_the_robots_frame() -> None:
+    """The part of the rig's y is the robot's z."""
+    tower = (Bounds((Box("tower", (-1.0, -999.0, 40.0), (1.0, 999.0, 60.0)),)),)
+    assert (Status.OK, Reject.NONE) == judged(at(0.0, 50.0), tower, RobotFrame(TURNED))
+    assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(at(0.0, -50.0), tower, RobotFrame(TURNED))
+    assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(at(0.0, 50.0), tower)
+
+
+def test_where_the_robots_frame_is_not_known_nothing_is_allowed() -> None:
+    """A rig on the flange without the flange's pose; without limits that says nothing."""
+    unknown = RobotFrame(None, is_known=False)
+    for bounds in (Bounds((BIN,)), Bounds((), (FAR,))):
+        assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(at(50.0), (bounds,), unknown)
+    assert (Status.OK, Reject.NONE) == judged(at(50.0), (), unknown)
+
+
+def test_what_is_forbidden_gives_way_to_what_is_allowed_and_keeps_its_other_reasons() -> None:
+    """The best one lies outside: the other is first, the cycle is good. A bad part gets one reason more."""
+    outside, inside = at(150.0), dataclasses.replace(at(50.0), match=Match(0, 0, 0, 1, 1, 0.5))
+    outcome = picked(Outcome(Status.OK, (outside, inside)), Picking(bounds=(Bounds((BIN,)),)), RIG)
+    assert (Status.OK, [Reject.NONE, Reject.OUT_OF_LIMITS]) == (
+        outcome.status,
+        [target.reject for target in outcome.targets],
+    )
+    bad = Outcome(Status.LOW_QUALITY, (at(150.0, reject=Reject.RESIDUAL),))
+    outcome = picked(bad, Picking(bounds=(Bounds((BIN,)),)), RIG)
+    assert (Status.LOW_QUALITY, Reject.RESIDUAL | Reject.OUT_OF_LIMITS) == (
+        outcome.status,
+        outcome.targets[0].reject,
+    )
+    nothing = picked(Outcome(Status.NO_TARGET), Picking(bounds=(Bounds((BIN,)),)), RIG)
+    assert (Status.NO_TARGET, ()) == (nothing.status, nothing.targets)
+
+
+def test_a_place_that_is_no_number_is_in_no_box() -> None:
+    """NaN compares with nothing: it must not slip past a keep-out zone."""
+    lost = dataclasses.replace(at(0.0), rig_from_part=np.full((4, 4), np.nan))
+    for bounds in (Bounds((BIN,)), Bounds((), (CLAMP,))):
+        assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(lost, (bounds,))

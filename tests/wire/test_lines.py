@@ -21,6 +21,8 @@ from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.adapters.modbus.lines import parse
+from edged.domain import Bounds, Box, Picking, Reject
+from edged.plc import registers as reg
 from edged.plc.lines import LineStatus
 from edged.plc.registers import Option
 from edged.robot.orientations import Brand, transform_of
@@ -118,6 +120,30 @@ def test_each_part_is_held_until_it_is_acknowledged() -> None:
         assert 1 == cell.head.captures
         assert 0 == robot.ask("7,LOCATE,0")[1], "the cell's own number for NEXT is in nobody's way"
         assert 2 == cell.head.captures
+
+
+def test_a_part_where_the_robot_must_not_go_is_never_given() -> None:
+    """Status 118 when all that is good lies outside; else the others, and none of those by NEXT."""
+    cell = LiveCell(KUKA)
+    bounds = Bounds((Box("bin", (0.0, 0.0, 0.0), (100.0, 100.0, 300.0)),), ())
+    jobs = {
+        number: dataclasses.replace(job, picking=Picking(bounds=(bounds,)))
+        for number, job in cell.setup.jobs.items()
+    }
+    cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
+    with cell, connected(cell) as robot:
+        ready(cell)
+        cell.targets = (make_target(x_mm=150.0),)
+        assert (1, LineStatus.OUT_OF_LIMITS) == robot.ask("1,LOCATE,0")[:2]
+        assert (2, LineStatus.OUT_OF_LIMITS) == robot.ask("2,VERIFY,0")[:2]
+        values = cell.call(lambda: {one.name: value for one, value in cell.server.values()})
+        assert (reg.ResultCode.LOW_QUALITY, Reject.OUT_OF_LIMITS, reg.INT32_MIN) == tuple(
+            values[name] for name in ("RESULT", "REJECT", "X")
+        )
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (150.0, 20.0, 160.0, 30.0))
+        seen = [robot.ask(line) for line in ("3,LOCATE,0", "4,NEXT", "5,NEXT")]
+        assert [(3, 0, 1), (4, 0, 0), (5, LineStatus.NO_FURTHER, 0)] == [one[:3] for one in seen]
+        assert [20.0, 30.0] == [one[3][0] for one in seen[:2]]
 
 
 def test_commands_end_with_their_reasons() -> None:

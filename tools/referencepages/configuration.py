@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import typing
 from collections.abc import Iterator
 
 from pydantic import BaseModel, SecretStr
@@ -13,18 +14,30 @@ from edged.config import MODE_KEYS, Config
 from referencepages.jsonschema import Schema, in_words
 from referencepages.markdown import code, first_line, table
 
-ALIKE = {"cameras.right": "cameras.left"}
+ALIKE = {"cameras.right": "cameras.left", "limits.keep_out": "limits.box"}
 """The same table twice."""
+HEAD = ("key", "value", "default", "meaning")
 
 
-def sections(model: type[BaseModel] = Config, path: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
-    """Dotted path and model of every table, in the order of the model."""
+def sections(model: type[BaseModel] = Config, path: str = "") -> Iterator[tuple[str, type[BaseModel], bool]]:
+    """Dotted path and model of every table, in the order of the model, and whether it is a list of tables."""
     for name, field in model.model_fields.items():
         inner = model_of(field)
         if inner is not None:
             here = f"{path}.{name}" if path else name
-            yield here, inner
+            yield here, inner, typing.get_origin(field.annotation) is list
             yield from sections(inner, here)
+
+
+def heading(path: str, is_list: bool) -> str:
+    """As the table begins in the file."""
+    return code(f"[[{path}]]" if is_list else f"[{path}]")
+
+
+def body(model: type[BaseModel], schema: Schema) -> list[str]:
+    """What it is for, and its keys, where it has any that are no tables."""
+    keys = list(rows(model, schema))
+    return [first_line(model) + ".", *([table(HEAD, keys)] if keys else [])]
 
 
 def model_of(field: FieldInfo) -> type[BaseModel] | None:
@@ -55,16 +68,15 @@ def all_keys() -> str:
     """A section for each table."""
     definitions = Config.model_json_schema()["$defs"]
     parts = []
-    for path, model in sections():
+    for path, model, is_list in sections():
         if any(path == twin or path.startswith(twin + ".") for twin in ALIKE):
             continue
         paths = [
             path,
             *(path.replace(first, twin) for twin, first in ALIKE.items() if path.startswith(first)),
         ]
-        parts.append("## " + ", ".join(code(f"[{one}]") for one in paths))
-        parts.append(first_line(model) + ".")
-        parts.append(table(("key", "value", "default", "meaning"), rows(model, definitions[model.__name__])))
+        parts.append("## " + ", ".join(heading(one, is_list) for one in paths))
+        parts += body(model, definitions[model.__name__])
     return "\n\n".join(parts)
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from edged.files.jobs.schema import JobFile
 from edged.vision.geometry.camera import DISTORTION_NAMES
 from edged.vision.part.job import MEASURES
-from referencepages.configuration import model_of, rows
-from referencepages.markdown import code, first_line, table
+from referencepages.configuration import HEAD, body, heading, rows, sections
+from referencepages.markdown import code, table
 
 
 def distortions() -> str:
@@ -23,16 +23,12 @@ def job_keys() -> str:
     """A section for the file itself and for each table of it."""
     schema = JobFile.model_json_schema()
     definitions = schema["$defs"]
-    head = ("key", "value", "default", "meaning")
-    parts = [table(head, rows(JobFile, schema))]
-    for name, field in JobFile.model_fields.items():
-        model = model_of(field)
-        if model is None:
-            continue
-        is_list = field.annotation is not model
-        heading = f"[[{name}]]" if is_list else f"[{name}]"
-        text = first_line(model) + "."
-        parts += [f"#### {code(heading)}", text, table(head, rows(model, definitions[model.__name__]))]
+    parts = [table(HEAD, rows(JobFile, schema))]
+    for path, model, is_list in sections(JobFile):
+        if path != "limits.keep_out":
+            parts += [f"#### {heading(path, is_list)}", *body(model, definitions[model.__name__])]
+        else:
+            parts[-3] += f", {heading(path, is_list)}"  # the same table twice
     return "\n\n".join(parts)
 
 

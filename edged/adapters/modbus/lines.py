@@ -25,7 +25,7 @@ from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
-from edged.domain import CommandKind, FloatArray
+from edged.domain import CommandKind, FloatArray, Reject
 from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
@@ -39,6 +39,7 @@ MAX_CLIENTS = 8
 TIMEOUT_S = 10.0
 """Of a command; then the cell answers NACK, TIMEOUT."""
 POLL_S = 0.005
+FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT
 SEND_S = 5.0
 """A robot that does not read its answer for so long is hung up on."""
 
@@ -119,6 +120,8 @@ class Robot:
         await self._locate(request)
         result = self._read(reg.RESULT)
         code = int(result["RESULT"])
+        if code == reg.ResultCode.LOW_QUALITY and not int(result["REJECT"]) & ~FORBIDDEN:
+            raise _Refused(LineStatus.OUT_OF_LIMITS)
         if request.command == "LOCATE":
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from edged.domain import Order, Picking
+from edged.config import Zones
+from edged.domain import Bounds, Order, Picking
 from edged.vision.part.job import (
     MAX_TILT_DEG,
     MEASURES,
@@ -40,6 +41,11 @@ class _Section(BaseModel):
 class _Limits(_Section):
     """Beyond them a result is published as not good, with the reason."""
 
+    box: Zones = Field(
+        default_factory=list,
+        description="where the robot may go for this part, besides what the cell's `[limits]` say",
+    )
+    keep_out: Zones = Field(default_factory=list, description="and where not")
     depth_mm: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
         description="nearest and farthest, rig z"
     )
@@ -64,7 +70,12 @@ class _Limits(_Section):
 
     def values(self) -> Limits:
         nearest, farthest = self.depth_mm
-        return Limits(**{**self.model_dump(), "depth_mm": (nearest, farthest)})
+        numbers = self.model_dump(exclude={"box", "keep_out"})
+        return Limits(**{**numbers, "depth_mm": (nearest, farthest)})
+
+    def bounds(self) -> tuple[Bounds, ...]:
+        boxes, keep_out = (tuple(one.box() for one in zones) for zones in (self.box, self.keep_out))
+        return (Bounds(boxes, keep_out),) if boxes or keep_out else ()
 
 
 class _Search(_Section):
@@ -253,8 +264,8 @@ class _Picking(_Section):
         'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best',
     )
 
-    def values(self) -> Picking:
-        return Picking(Order(self.order))
+    def values(self, bounds: tuple[Bounds, ...]) -> Picking:
+        return Picking(Order(self.order), bounds)
 
 
 class JobFile(_Section):
@@ -361,5 +372,5 @@ class JobFile(_Section):
             witness=self.witness,
             calibration_id=self.calibration,
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
-            picking=self.picking.values(),
+            picking=self.picking.values(self.limits.bounds()),
         )

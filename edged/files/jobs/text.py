@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from edged.domain import Bounds
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec, nominal_size
 
 
@@ -60,6 +61,7 @@ def to_toml(job: Job) -> str:
         "# the exposures). Taught: half of ISO 2768-1 class f, or half a pixel. Your drawing knows better.",
         radius_line + "   # of the reference circle",
         form_line + "   # of a part without circles: of each straight edge and slot",
+        *_bounds_to_toml(job.picking.bounds),
         "",
         "[search]",
         f"angle_start_deg = {math.degrees(search.angle_start_rad):.6g}",
@@ -81,6 +83,21 @@ def to_toml(job: Job) -> str:
         f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',
     ]
     return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
+
+
+def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:
+    """Where the robot may go for this part; for a job without, how to say it."""
+    if not bounds:
+        return [
+            "# Where the robot may go for this part, and where not, in its frame (the rig's without one):",
+            '# [[limits.box]] or [[limits.keep_out]], name = "bin", min_mm = [x, y, z], max_mm = [x, y, z]',
+        ]
+    lines: list[str] = []
+    for key, boxes in (("box", bounds[0].boxes), ("keep_out", bounds[0].keep_out)):
+        for box in boxes:
+            corners = f"min_mm = {_numbers(box.min_mm)}", f"max_mm = {_numbers(box.max_mm)}"
+            lines += ["", f"[[limits.{key}]]", f'name = "{box.name}"', *corners]
+    return lines
 
 
 def _features_to_toml(job: Job) -> list[str]:

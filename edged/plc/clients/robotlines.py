@@ -41,6 +41,7 @@ STATUSES = {
     LineStatus.MAY_NOT_WRITE: "not among the cell's writers",
     LineStatus.NOT_UNDERSTOOD: "no request",
     LineStatus.NO_FURTHER: "no further target",
+    LineStatus.OUT_OF_LIMITS: "where the robot must not go",
 }
 
 
