@@ -29,7 +29,7 @@ search in noise takes seconds."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRig:
-    """A rig with its rectification maps, built once, and the buffers that its searches share."""
+    """A rig with its rectification, and the buffers that its searches share."""
 
     rig: StereoRig
     rectification: Rectification
@@ -37,7 +37,7 @@ class PreparedRig:
 
 
 def prepare(rig: StereoRig) -> PreparedRig:
-    """Build the maps. Raises `CalibrationError` for a rig that cannot be rectified."""
+    """Raises `CalibrationError` for a rig that cannot be rectified."""
     return PreparedRig(rig, make_rectification(rig))
 
 

@@ -58,8 +58,9 @@ def timed(self, signature):
 
 Dispatcher.compile = timed
 import edged.vision
+from edged.vision.kernels.jit import load_all
 for module in pkgutil.walk_packages(edged.vision.__path__, "edged.vision."):
-    importlib.import_module(module.name)
+    load_all(importlib.import_module(module.name))
 print(spent_s, many)
 """
 

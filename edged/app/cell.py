@@ -14,7 +14,11 @@ from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.pipeline import PreparedRig, locate
 from edged.robot.picking import within
+from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
+
+ROOMS = tuple(f"edged.vision.{room}" for room in ("shape", "edges", "curves", "part"))
+"""Whose kernels a cycle calls; points in space (`stereo`) are for people."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +64,8 @@ def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], No
 
 
 def warm_up(loaded: LoadedCell) -> None:
-    """Run every job once on an empty pair: buffers are allocated and kernels are loaded."""
+    """Load the kernels that a cycle calls; run every job once on an empty pair: buffers are allocated."""
+    load_called(*ROOMS)
     camera = loaded.cell.rig.left, loaded.cell.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
     pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))

@@ -1,14 +1,18 @@
-"""What a configuration publishes by: Modbus, Zenoh, the recorder and the web page, started and exchanged."""
+"""What a configuration publishes by: Modbus, Zenoh, the recorder and the web page, started and exchanged.
+
+A cell without page or Zenoh loads neither: each is a tenth of a start.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
+import importlib
 import logging
 from collections.abc import Callable, Mapping
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from edged.adapters.modbus import (
     LineSettings,
@@ -19,13 +23,14 @@ from edged.adapters.modbus import (
     server_context,
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
-from edged.adapters.zenoh import ZenohPublisher, ZenohSettings, configured, named_files
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
 from edged.config import Config, ModbusSection, RecorderSection, WebSection, ZenohSection
 from edged.errors import EdgedError
 from edged.ports import Commander, Publisher
 from edged.robot.orientations import Brand, Convention
+
+if TYPE_CHECKING:
+    from edged.adapters.zenoh import ZenohSettings
 
 log = logging.getLogger(__name__)
 
@@ -61,12 +66,21 @@ def wanted_servers(config: Config) -> dict[str, Wanted]:
     if config.web is not None:
         wanted["web"] = Wanted(config.web, config.cell.name, _digests(files, "web."))
     if config.zenoh.enabled:
+        from edged.adapters.zenoh import named_files
+
         own = config.zenoh.config_file
         named = {} if own is None else {str(file): file for file in (own, *named_files(own))}
         wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, _digests(named))
     if config.modbus.enabled:
         wanted["modbus"] = Wanted(config.modbus, files=_digests(files, "modbus."))
     return wanted
+
+
+def import_servers(config: Config) -> None:
+    """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
+    wanted = {"web": config.web is not None, "zenoh": config.zenoh.enabled}
+    for name in (name for name, asked in wanted.items() if asked):
+        importlib.import_module(f"edged.adapters.{name}")
 
 
 def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path, bytes], ...]:
@@ -181,6 +195,8 @@ class Servers:
                 context = None if modbus.tls is None else server_context(modbus.tls)
                 return lambda: ModbusPublisher(modbus, self._commander, context=context)
             case ZenohSection():
+                from edged.adapters.zenoh import ZenohPublisher, configured
+
                 zenoh = _zenoh_settings(section, wanted.cell)
                 session = configured(zenoh)
                 return lambda: ZenohPublisher(
@@ -196,6 +212,8 @@ class Servers:
                     lambda: (running().loaded.setup.fingerprint, running().loaded.cell.contents),
                 )
             case WebSection():
+                from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
+
                 sources = Sources(
                     rectification=lambda: running().loaded.rig.rectification,
                     jobs=lambda: job_list(running().loaded),
@@ -248,6 +266,8 @@ def _modbus_settings(section: ModbusSection) -> ModbusSettings:
 
 
 def _zenoh_settings(section: ZenohSection, cell: str) -> ZenohSettings:
+    from edged.adapters.zenoh import ZenohSettings
+
     return ZenohSettings(
         cell=cell,
         listen=tuple(section.listen),

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import faulthandler
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import log_as, serve, set_up_process
+from edged.app.servers import import_servers
 
 log = logging.getLogger(__name__)
 
@@ -20,7 +22,10 @@ def run(path: Path) -> int:
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
     loaded = load_cell(path)
     log_as(loaded.cell.config.cell.name)
-    warm_up(loaded)
+    with ThreadPoolExecutor(1) as other:
+        importing = other.submit(import_servers, loaded.cell.config)
+        warm_up(loaded)
+        importing.result()
     log.info(
         "cell %s, fingerprint %s, %d job(s)",
         loaded.cell.config.cell.name,

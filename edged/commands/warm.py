@@ -16,7 +16,7 @@ from edged.files.atomic import write_atomically
 
 
 def warm(*, only_if_needed: bool) -> int:
-    """Import every module of the numerical core and the virtual cell: kernels compile at import.
+    """Compile the kernels of every module of the numerical core and the virtual cell.
 
     With `only_if_needed` a stamp in NUMBA_CACHE_DIR tells that nothing changed since the last time.
     """
@@ -28,10 +28,11 @@ def warm(*, only_if_needed: bool) -> int:
     sys.stderr.write("edged: compiling numerical kernels (once, up to a minute)\n")
     import edged.sim
     import edged.vision
+    from edged.vision.kernels.jit import load_all
 
     for package in (edged.vision, edged.sim):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            importlib.import_module(module.name)
+            load_all(importlib.import_module(module.name))
     if stamp is not None:
         write_atomically(stamp, key.encode())
     return 0

@@ -8,21 +8,11 @@ from __future__ import annotations
 
 import ssl
 
-from cryptography import x509
-from cryptography.x509 import ObjectIdentifier
-
 from edged.adapters.modbus.settings import TlsSettings
 from edged.errors import ListenError
 
-ROLE_OID = ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
+ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 UTF8_STRING = 0x0C
-NO_ROLE = (
-    x509.ExtensionNotFound,
-    x509.DuplicateExtension,
-    x509.InvalidVersion,
-    x509.UnsupportedGeneralNameType,
-)
-"""What cryptography raises, besides `ValueError`, for a certificate that it cannot or will not read."""
 
 
 def server_context(settings: TlsSettings) -> ssl.SSLContext:
@@ -46,9 +36,18 @@ def certificate_role(der: bytes) -> str | None:
 
     Only the extension counts: whoever asks for a certificate chooses its public key and name, byte by byte.
     """
+    from cryptography import x509  # a cell without TLS starts quicker
+
+    unreadable = (
+        x509.ExtensionNotFound,
+        x509.DuplicateExtension,
+        x509.InvalidVersion,
+        x509.UnsupportedGeneralNameType,
+    )
+    oid = x509.ObjectIdentifier(ROLE_OID)
     try:
-        extension = x509.load_der_x509_certificate(der).extensions.get_extension_for_oid(ROLE_OID)
-    except (ValueError, *NO_ROLE):
+        extension = x509.load_der_x509_certificate(der).extensions.get_extension_for_oid(oid)
+    except (ValueError, *unreadable):
         return None
     value = extension.value
     return _utf8_string(value.value) if isinstance(value, x509.UnrecognizedExtension) else None

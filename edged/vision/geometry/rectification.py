@@ -9,6 +9,7 @@ common principal column would push that place out of both images.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -18,6 +19,8 @@ from edged.domain import FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
+Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+
 _BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
 _BAND_ROWS = 16  # maps are computed in bands that stay in the cache: 2.4 times as fast as in one piece
 _SIZE_MULTIPLE = 16  # four pyramid levels halve the image without a remainder
@@ -25,7 +28,7 @@ _MAX_GROWTH = 4.0  # pixels, times the raw image's: beyond it wide-angle corners
 _MIN_SHRINK = 0.5  # of the focal length, to keep within that growth; below, the views hardly overlap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
 class Rectification:
     """Two ideal cameras side by side, and the way from the raw images to theirs.
 
@@ -33,7 +36,8 @@ class Rectification:
     centre_left_px, centre_right_px (cx, cy): principal points; cy is the same.
     baseline_mm : the right camera lies at (baseline_mm, 0, 0) of the rectified frame.
     rectified_from_left, rectified_from_right (3, 3): rotations.
-    maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel.
+    maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel; computed when first asked for:
+    they are as large as eight images, and a cell needs those of its left camera only.
     valid_left, valid_right (h, w) uint8 : 255 where the raw image has a value, else 0.
 
     A point with rectified columns x_l, x_r on one row has the parallax
@@ -48,10 +52,36 @@ class Rectification:
     baseline_mm: float
     rectified_from_left: FloatArray
     rectified_from_right: FloatArray
-    maps_left: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-    maps_right: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-    valid_left: Image
-    valid_right: Image
+
+    @property
+    def maps_left(self) -> Maps:
+        """Of the left image, read-only."""
+        return self._left[0]
+
+    @property
+    def maps_right(self) -> Maps:
+        """Of the right image, read-only."""
+        return self._right[0]
+
+    @property
+    def valid_left(self) -> Image:
+        """Of the left image, read-only."""
+        return self._left[1]
+
+    @property
+    def valid_right(self) -> Image:
+        """Of the right image, read-only."""
+        return self._right[1]
+
+    @cached_property
+    def _left(self) -> tuple[Maps, Image]:
+        return _maps(self.rig.left, self.rectified_from_left, self.focal_px, self.centre_left_px, self.size)
+
+    @cached_property
+    def _right(self) -> tuple[Maps, Image]:
+        return _maps(
+            self.rig.right, self.rectified_from_right, self.focal_px, self.centre_right_px, self.size
+        )
 
     def left_image(self, image: Image) -> Image:
         """The rectified left image (h, w); pixels outside the raw image are 0."""
@@ -88,7 +118,7 @@ class Rectification:
     @staticmethod
     def _remap(
         camera: CameraModel,
-        maps: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
+        maps: Maps,
         image: Image,
         side: Side,
     ) -> Image:
@@ -109,7 +139,7 @@ def check_size(camera: CameraModel, image: Image, side: Side) -> None:
 
 
 def make_rectification(rig: StereoRig) -> Rectification:
-    """Choose the rectified cameras of a rig and compute the maps.
+    """Choose the rectified cameras of a rig.
 
     The z axis halves the angle between both optical axes, the focal length keeps the mean
     pixel area of the raw images at their centres, the rows are those that both views have,
@@ -127,8 +157,6 @@ def make_rectification(rig: StereoRig) -> Rectification:
     centre_y = float(middle[1] - 0.5 * (top + bottom))
     centre_left = (float(middle[0] - bounds_left[:, 0].mean()), centre_y)
     centre_right = (float(middle[0] - bounds_right[:, 0].mean()), centre_y)
-    maps_left, valid_left = _maps(rig.left, left_axes, focal, centre_left, (width, height))
-    maps_right, valid_right = _maps(rig.right, right_axes, focal, centre_right, (width, height))
     return Rectification(
         rig=rig,
         size=(width, height),
@@ -138,10 +166,6 @@ def make_rectification(rig: StereoRig) -> Rectification:
         baseline_mm=rig.baseline_mm,
         rectified_from_left=left_axes,
         rectified_from_right=right_axes,
-        maps_left=maps_left,
-        maps_right=maps_right,
-        valid_left=valid_left,
-        valid_right=valid_right,
     )
 
 
@@ -255,7 +279,7 @@ def _fold_radius2(camera: CameraModel) -> float:
 
 def _maps(
     camera: CameraModel, axes: FloatArray, focal: float, centre: tuple[float, float], size: tuple[int, int]
-) -> tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], Image]:
+) -> tuple[Maps, Image]:
     width, height = size
     # Far outside instead of NaN, whose conversion to an integer is undefined in cv2.remap; and never
     # beyond what its 16-bit coordinates hold.

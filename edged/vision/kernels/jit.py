@@ -1,20 +1,27 @@
-"""The one way kernels are compiled: ahead of use, without the GIL, cached on disk."""
+"""The one way kernels are compiled: for declared types, without the GIL, cached on disk, loaded when used."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import numba
 import numpy as np
 import numpy.typing as npt
 from numba import types
+from numba.core.dispatcher import Dispatcher
 
 from edged.vision.kernels.jitcache import QuickCache, load_quickly
 
 F = TypeVar("F", bound=Callable[..., Any])
+WRAPPED = ("__wrapped__", "__func__", "fget", "func")
+"""Where a cache, a static method and two kinds of property keep their function."""
+Tuples = tuple[type[tuple[Any, ...]], ...]
 
 load_quickly()
 
@@ -31,15 +38,15 @@ INT = Annotated[int, "i8"]
 
 def kernel(
     *signatures: str,
-    tuples: tuple[type[tuple[Any, ...]], ...] = (),
+    tuples: Tuples = (),
     inline: bool = False,
     any_order: bool = False,
 ) -> Callable[[F], F]:
     """Compile a plain-loop function to machine code.
 
-    signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)"; compiled at import, so a
-    warm start never waits for the first image. Without a signature it is compiled on first use
-    (helpers called by other kernels).
+    signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)", and no other is ever compiled; loaded, or
+    compiled where it is not stored, when it is first called. `load_called` does so ahead, so that no image
+    waits. Without a signature it is compiled for what it is called with (helpers called by other kernels).
     tuples : `NamedTuple` classes that the signatures name, their fields annotated as `F1`, `I2`, ...
     any_order : sums may be added side by side, in an order that is fixed when it is compiled; four times
     faster. Otherwise no fastmath: NaN marks missing values in edged.
@@ -57,15 +64,92 @@ def kernel(
         dispatcher = numba.njit(**options)(function)
         if _cache_is_usable():
             dispatcher._cache = QuickCache(function)
-        for signature in signatures:
-            dispatcher.compile(_parsed(signature, tuples))
-        dispatcher.disable_compile(bool(signatures))
+        if signatures:
+            _Deferred(dispatcher, signatures, tuples)
         return cast(F, dispatcher)
 
     return compile_it
 
 
-def _parsed(signature: str, tuples: tuple[type[tuple[Any, ...]], ...]) -> Any:
+class _Deferred:
+    """A kernel that nobody has needed yet: its machine code is loaded, or compiled, with its first call."""
+
+    def __init__(self, dispatcher: Any, signatures: tuple[str, ...], tuples: Tuples) -> None:
+        self._dispatcher, self._signatures, self._tuples = dispatcher, signatures, tuples
+        self._lock = threading.Lock()
+        # both stay: a thread may be on its way to them while another one loads
+        dispatcher._compile_for_args = self._called
+        dispatcher.get_call_template = self._named
+        dispatcher.deferred = self
+
+    def load(self) -> None:
+        """Get the machine code, once."""
+        with self._lock:
+            if not self._dispatcher.signatures:
+                for signature in self._signatures:
+                    self._dispatcher.compile(_parsed(signature, self._tuples))
+                self._dispatcher.disable_compile(True)
+
+    def _called(self, *_arguments: Any) -> Any:
+        """What numba asks for where it has no code yet: it calls what it gets with the same arguments."""
+        self.load()
+        return self._dispatcher
+
+    def _named(self, arguments: Any, named: Any) -> Any:
+        """The same where another kernel that calls this one is compiled."""
+        self.load()
+        return type(self._dispatcher).get_call_template(self._dispatcher, arguments, named)
+
+
+def load_all(module: ModuleType) -> None:
+    """Load, or compile, every kernel of a module."""
+    for value in vars(module).values():
+        if isinstance(value, Dispatcher) and hasattr(value, "deferred"):
+            value.deferred.load()
+
+
+def load_called(*packages: str) -> None:
+    """Load what the Python code of packages calls, as far as they are imported.
+
+    A kernel that only other kernels call is compiled into those: four of five are never called by themselves.
+    """
+    modules = [
+        module
+        for name, module in tuple(sys.modules.items())
+        if name.startswith(tuple(f"{package}." for package in packages))
+    ]
+    named = {name for module in modules for code in _python_of(module) for name in _names(code)}
+    for module in modules:
+        for name, value in tuple(vars(module).items()):
+            if name in named and isinstance(value, Dispatcher) and hasattr(value, "deferred"):
+                value.deferred.load()
+
+
+def _python_of(module: ModuleType) -> Iterator[CodeType]:
+    """The code of the functions and methods of a module; a kernel's is not Python any more."""
+    for value in vars(module).values():
+        for one in vars(value).values() if isinstance(value, type) else (value,):
+            for function in _unwrapped(one):
+                if function.__module__ == module.__name__:
+                    yield function.__code__
+
+
+def _unwrapped(value: object, deep: int = 2) -> Iterator[FunctionType]:
+    """A function, also inside of what decorators made of it."""
+    if isinstance(value, FunctionType):
+        yield value
+    elif deep and not isinstance(value, Dispatcher | ModuleType):
+        for name in WRAPPED:
+            yield from _unwrapped(getattr(value, name, None), deep - 1)
+
+
+def _names(code: CodeType) -> set[str]:
+    """What a function names, and what is defined in it."""
+    inner = (const for const in code.co_consts if isinstance(const, CodeType))
+    return set(code.co_names).union(*(_names(one) for one in inner))
+
+
+def _parsed(signature: str, tuples: Tuples) -> Any:
     """A signature in numba's own terms."""
     if not tuples:
         return signature

@@ -360,7 +360,13 @@ def meet(
         x, y, nx, ny = points[n, 0], points[n, 1], points[n, 2], points[n, 3]
         edges[n, 0], edges[n, 1] = np.nan, 0.0
         nearest = np.inf
-        m = np.searchsorted(outline[:, 0], x - reach)
+        m, end = 0, outline.shape[0]
+        while m < end:  # the first that is not left of all within reach
+            middle = (m + end) // 2
+            if outline[middle, 0] < x - reach:
+                m = middle + 1
+            else:
+                end = middle
         while m < outline.shape[0] and outline[m, 0] <= x + reach:
             dx, dy = outline[m, 0] - x, outline[m, 1] - y
             off, beside = dx * nx + dy * ny, dx * ny - dy * nx

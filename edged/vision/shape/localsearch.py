@@ -112,10 +112,16 @@ def scan_nearby(
     for p in range(poses.shape[0]):
         refine.place(points, normals, poses[p], placed[p])
     # the window that the poses see; zeros around the image agree with nothing
-    left = int(max(np.floor(placed[:, :, 0].min()), -REACH_PX)) - REACH_PX
-    top = int(max(np.floor(placed[:, :, 1].min()), -REACH_PX)) - REACH_PX
-    right = int(min(np.ceil(placed[:, :, 0].max()), width + REACH_PX)) + REACH_PX
-    bottom = int(min(np.ceil(placed[:, :, 1].max()), height + REACH_PX)) + REACH_PX
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for p in range(poses.shape[0]):
+        for n in range(count):
+            low_x, high_x = min(low_x, placed[p, n, 0]), max(high_x, placed[p, n, 0])
+            low_y, high_y = min(low_y, placed[p, n, 1]), max(high_y, placed[p, n, 1])
+    left = int(max(np.floor(low_x), -REACH_PX)) - REACH_PX
+    top = int(max(np.floor(low_y), -REACH_PX)) - REACH_PX
+    right = int(min(np.ceil(high_x), width + REACH_PX)) + REACH_PX
+    bottom = int(min(np.ceil(high_y), height + REACH_PX)) + REACH_PX
     scores[:] = 0
     if right < left or bottom < top:
         return

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from edged.domain import FloatArray
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
 
 Array = npt.NDArray[Any]
@@ -247,7 +248,7 @@ def median_magnitude(
             count += 1
     if count == 0:
         return np.nan
-    return float(np.median(buffer[:count]))
+    return median(buffer[:count])
 
 
 @kernel("f8(f8[:, ::1], f8[::1], f8[::1])")

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import kernel, load_all, load_called
 
 STORED = """
 import numpy as np
@@ -88,3 +91,88 @@ def test_a_kernel_takes_only_what_it_was_declared_for() -> None:
 
     with pytest.raises(TypeError, match="No matching definition"):
         first(np.ones(2, np.float32))
+
+
+def test_a_kernel_is_loaded_with_its_first_call() -> None:
+    """Or before, when a module's kernels are asked for; one that nobody calls is never loaded."""
+
+    @kernel("f8(f8)")
+    def doubled(value: Any) -> Any:
+        return 2 * value
+
+    assert () == tuple(doubled.signatures)
+    assert 6.0 == doubled(3.0)
+    assert 1 == len(doubled.signatures)
+
+
+def test_a_kernel_that_another_calls_keeps_its_declared_types() -> None:
+    """It is compiled as declared, and not once more for what the caller happens to hand over."""
+
+    @kernel("f8(f8[:])")
+    def first(values: Any) -> Any:
+        return values[0]
+
+    @kernel("f8(f8[::1])")
+    def twice(values: Any) -> Any:
+        return first(values) + first(values)
+
+    assert 6.0 == twice(np.array([3.0]))
+    assert 1 == len(first.signatures)
+
+
+def test_threads_may_call_a_kernel_first() -> None:
+    """Whoever is second waits for the code that the first one loads; nobody finds the door shut."""
+
+    @kernel("f8(f8[::1])")
+    def total(values: Any) -> Any:
+        result = 0.0
+        for value in values:
+            result += value
+        return result
+
+    together = threading.Barrier(4)
+
+    def call(_turn: int) -> float:
+        together.wait()
+        return float(total(np.ones(5)))
+
+    with ThreadPoolExecutor(4) as threads:
+        assert [5.0] * 4 == list(threads.map(call, range(4)))
+    assert 1 == len(total.signatures)
+
+
+def test_only_what_python_calls_is_loaded_ahead() -> None:
+    """Kernels that only kernels call are compiled into those, and stay where they are."""
+    module = ModuleType("rooms.one")
+    program = """
+from functools import cache
+from edged.vision.kernels.jit import kernel
+
+@kernel("f8(f8)")
+def inner(value):
+    return value + 1.0
+
+@kernel("f8(f8)")
+def unused(value):
+    return inner(value)
+
+@kernel("f8(f8)")
+def outer(value):
+    return value - 1.0
+
+class Caller:
+    @staticmethod
+    @cache
+    def call(value):
+        return [outer(one) for one in (value,)]
+"""
+    exec(compile(program, __file__, "exec"), vars(module))
+    sys.modules[module.__name__] = module
+    try:
+        load_called("rooms")
+        kernels = (module.inner, module.unused, module.outer)
+        assert [0, 0, 1] == [len(one.signatures) for one in kernels]
+        load_all(module)
+        assert [1, 1, 1] == [len(one.signatures) for one in kernels]
+    finally:
+        del sys.modules[module.__name__]
