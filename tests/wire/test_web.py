@@ -25,7 +25,7 @@ from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
 from edged.adapters.web.access import Access, TooManyAttempts
-from edged.adapters.web.page import FAULTS, HISTORY, Page, outlines, picture
+from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
 from edged.domain import (
     Calibrated,
@@ -215,19 +215,22 @@ def test_closing_ends_every_viewer() -> None:
 
 
 def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
-    """A JPEG in the shape of the rectified image; an old cycle is 404, and so is a foreign side."""
+    """A JPEG in the shape of the rectified image; an old cycle is 404, and so is a foreign side or size."""
 
     async def test() -> None:
         async with served() as (web, session):
-            measure(web, 1)
-            measure(web, 2)
-            async with session.get("/picture/2/left") as answer:
-                image = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+            for cycle in range(1, RECENT + SPARE + 2):
+                measure(web, cycle)
             width, height = RECTIFICATION.size
-            assert image is not None
-            assert abs(image.shape[1] / image.shape[0] - width / height) < 0.01
-            assert abs(int(np.median(image)) - 100) <= 1
-            for path in ("/picture/1/left", "/picture/2/middle", "/picture/99999999999999999999/left"):
+            for size, width_px in (("", 960), ("/small", THUMBNAIL_PX), ("/full", width)):
+                async with session.get(f"/picture/2/left{size}") as answer:
+                    image = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+                assert image is not None
+                assert width_px == image.shape[1]
+                assert abs(image.shape[1] / image.shape[0] - width / height) < 0.01
+                assert abs(int(np.median(image)) - 100) <= 1
+            for path in ("1/left", "2/middle", "2/left/huge", "99999999999999999999/left"):
+                path = f"/picture/{path}"
                 async with session.get(path) as answer:
                     assert answer.status == 404
 
@@ -291,8 +294,66 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
         (1, "", True, 1),
     ]
     for cycle in range(51, 51 + 2 * FAULTS):
-        measure(page, cycle, Status.NO_TARGET)
+        page.take(replace(make_snapshot(cycle, Status.NO_TARGET), job=f"job {cycle}"))
     assert len(page.status()["faults"]) == FAULTS
+
+
+def test_a_miss_that_repeats_is_listed_once() -> None:
+    """An empty table all night is one line with its count; another reason, job or hour is another line."""
+    page, match = Page("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
+    for cycle in range(1, 40):
+        measure(page, cycle, Status.NO_TARGET if cycle % 3 else Status.OK)
+    empty, start_ns = make_snapshot(40, Status.NO_TARGET), make_snapshot().published_ns
+    page.take(replace(empty, cycle=41, dismissed=(NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)))
+    page.take(replace(empty, cycle=42, published_ns=start_ns + 59 * 10**9))
+    page.take(replace(empty, cycle=43, published_ns=start_ns + 118 * 10**9))
+    page.take(replace(empty, cycle=44, published_ns=start_ns + 179 * 10**9))
+
+    faults = [(fault["cycle"], fault["times"], fault["has_picture"]) for fault in page.status()["faults"]]
+    assert [(44, 1, False), (41, 1, False), (1, 28, True)] == faults
+    assert start_ns + 118 * 10**9 == page.status()["faults"][2]["last_ns"]
+
+
+def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Good or bad, newest first, with marks and reasons; with large cameras only the newest."""
+    page = Page("cell", sources())
+    newest = RECENT + SPARE + 2
+    for cycle in range(1, newest + 1):
+        measure(page, cycle, Status.OK if cycle % 2 else Status.LOW_QUALITY)
+    measure(page, 99, Status.CAPTURE_FAULT, "cable")
+
+    recent = page.status()["recent"]
+    assert [newest - n for n in range(RECENT)] == [one["cycle"] for one in recent]
+    assert ["LOW_QUALITY", "OK"] == [one["status"] for one in recent[:2]]
+    shown = page.cycle(newest - 1)
+    assert shown is not None
+    assert 1 == len(shown["picture"]["marks"])
+    assert page.cycle(newest - RECENT) is not None  # for a viewer who has just been told of it
+    assert page.cycle(1) is None
+    assert page.cycle(2) is not None  # no longer a recent one, but the first of its kind of fault
+    assert page.cycle(99) is None
+
+    monkeypatch.setattr("edged.adapters.web.page.RECENT_BYTES", 1)
+    measure(page, 100)
+    assert [100] == [one["cycle"] for one in page.status()["recent"]]
+
+
+def test_a_cycle_can_be_asked_for() -> None:
+    """What the enlarged pictures say of it; 404 once it is forgotten, as for its pictures."""
+
+    async def test() -> None:
+        async with served() as (web, session):
+            web.announce(ExposureDone(5, None, make_pair()))
+            web.announce(make_snapshot(5, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
+            async with session.get("/cycle/5.json") as answer:
+                shown = await answer.json()
+            assert (5, "LOW_QUALITY", "flange") == (shown["cycle"], shown["status"], shown["job"])
+            assert "sigma" in shown["text"]
+            assert [False] == [mark["good"] for mark in shown["picture"]["marks"]]
+            async with session.get("/cycle/6.json") as answer:
+                assert 404 == answer.status
+
+    run(test)
 
 
 def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
@@ -397,7 +458,7 @@ def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPat
     shown, asked = Page("cell", sources()), [Nearest(lambda: None), Nearest(lambda: None)]
     for cycle, nearest in enumerate(asked, 1):
         shown.take(ExposureDone(cycle, None, make_pair()))
-        shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), nearest=nearest))
+        shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), nearest=nearest, job=f"job {cycle}"))
     assert {asked[1]} == set(shown.questions())
     assert asked[0].ask() is None
     assert not asked[0].answered
@@ -410,7 +471,10 @@ def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(page, "FAULT_BYTES", 2 * (pair.left.image.nbytes + pair.right.image.nbytes))
     shown = Page("cell", sources())
     for cycle in (1, 2, 3, 4):
-        measure(shown, cycle, Status.NO_TARGET)
+        shown.take(ExposureDone(cycle, None, make_pair()))
+        shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), job=f"job {cycle}"))
+    for cycle in range(5, 5 + RECENT + SPARE):
+        measure(shown, cycle)
 
     faults = shown.status()["faults"]
     assert [(4, True), (3, True), (2, False), (1, False)] == [(f["cycle"], f["has_picture"]) for f in faults]

@@ -32,7 +32,7 @@ from edged.domain import (
     Status,
     Target,
 )
-from edged.logs import FaultMemory
+from edged.logs import RELAPSE_S
 from edged.payload import Json, snapshot_to_json, state_to_json
 from edged.pictures.captions import reasons, why_nothing
 from edged.plc.registers import Number, Register
@@ -47,8 +47,13 @@ FAULTS = 12
 """Last bad cycles, with their pictures: about 2.5 MB each."""
 FAULT_BYTES = 64 * 1024 * 1024
 """Of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
+RECENT, SPARE = 8, 2
+"""Last cycles of any kind, with their pictures; and how many more are kept for who asks a moment later."""
+RECENT_BYTES = 32 * 1024 * 1024
+"""Of those; the newest always has its pictures."""
 WIDTH_PX = 960
 """Of the pictures that are sent."""
+THUMBNAIL_PX = 200
 QUALITY = 82
 OUTLINE_POINTS = 72
 
@@ -72,7 +77,7 @@ class Sources:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """A cycle with its pictures. times : how often this fault has been seen; last_ns : the last time."""
+    """A cycle with its pictures. times : how often this has been seen; last_ns : the last time."""
 
     snapshot: Snapshot
     pair: FramePair | None
@@ -90,8 +95,8 @@ class Page:
         self._exposed: tuple[int, FramePair] | None = None
         self._last: Shown | None = None
         self._faults: deque[Shown] = deque(maxlen=FAULTS)
+        self._recent: deque[Shown] = deque(maxlen=RECENT + SPARE)
         self._history: deque[Json] = deque(maxlen=HISTORY)
-        self._known_faults = FaultMemory()
         self._pictured_ns = 0
         self._drawn: tuple[Shown, Json] | None = None
 
@@ -113,22 +118,26 @@ class Page:
             self._pictured_ns = event.exposed_ns or event.published_ns
         self._last = Shown(event, pair, last_ns=event.published_ns)
         self._history.append(_trend(event))
-        if event.status is not Status.OK:
-            if self._known_faults.is_news(event):
-                self._faults.append(self._last)
-                self._forget_pictures()
-            else:
-                self._count(event)
+        if pair is not None:
+            self._recent.append(self._last)
+            while len(self._recent) > 1 and sum(_size(shown) for shown in self._recent) > RECENT_BYTES:
+                self._recent.popleft()
+        if event.status is not Status.OK and not self._is_counted(event):
+            self._faults.append(self._last)
+            self._forget_pictures()
         return True
 
-    def _count(self, event: Snapshot) -> None:
-        """Once more a fault that is in the list."""
+    def _is_counted(self, event: Snapshot) -> bool:
+        """Whether this is in the list, and not for long: it counts once more; the first's pictures stay."""
+        key = _fault_key(event)
         for index in range(len(self._faults) - 1, -1, -1):
             shown = self._faults[index]
-            if _fault_key(shown.snapshot) == _fault_key(event):
-                again = replace(shown, times=shown.times + 1, last_ns=event.published_ns)
-                self._faults[index] = again
-                return
+            if _fault_key(shown.snapshot) == key:
+                if event.published_ns - shown.last_ns > RELAPSE_S * 1e9:
+                    return False
+                self._faults[index] = replace(shown, times=shown.times + 1, last_ns=event.published_ns)
+                return True
+        return False
 
     def _forget_pictures(self) -> None:
         """Of the oldest faults, where all of them together would take too much memory."""
@@ -136,7 +145,7 @@ class Page:
         for index in range(len(self._faults) - 1, -1, -1):
             shown = self._faults[index]
             if shown.pair is not None:
-                size += shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
+                size += _size(shown)
                 if size > FAULT_BYTES and index < len(self._faults) - 1:
                     self._faults[index] = replace(shown, pair=None)
                     if shown.snapshot.nearest is not None:
@@ -168,7 +177,15 @@ class Page:
             "facts": {group: dict(values) for group, values in self._sources.facts().items()},
             "jobs": [{"number": number, "name": name} for number, name in self._sources.jobs()],
             "faults": [_fault(shown) for shown in reversed(self._faults)],
+            "recent": [_recent(shown) for shown in reversed(self._recent)][:RECENT],
         }
+
+    def cycle(self, number: int) -> Json | None:
+        """What is shown of a cycle whose pictures are kept, with what to draw on them; None: of no other."""
+        shown = self._kept(number)
+        if shown is None:
+            return None
+        return {**_fault(shown), "job": shown.snapshot.job, "picture": self._draw(shown)}
 
     def _angles(self, snapshot: Snapshot) -> Json:
         """A, B, C and their sigmas in degrees as the PLC reads them: of the good targets, then the others."""
@@ -204,10 +221,15 @@ class Page:
         return self._sources.metrics()
 
     def pair(self, cycle: int) -> FramePair | None:
-        """The images of the newest cycle or of one of the last faults."""
-        for shown in (self._last, *self._faults):
-            if shown is not None and shown.snapshot.cycle == cycle:
-                return shown.pair
+        """The images of one of the newest cycles or of the last faults."""
+        shown = self._kept(cycle)
+        return None if shown is None else shown.pair
+
+    def _kept(self, cycle: int) -> Shown | None:
+        """A cycle whose pictures are there."""
+        for shown in (*self._recent, *self._faults):
+            if shown.snapshot.cycle == cycle and shown.pair is not None:
+                return shown
         return None
 
     def rectification(self) -> Rectification:
@@ -217,18 +239,20 @@ class Page:
     def _picture(self, shown: Shown) -> Json:
         """Which picture, its size, and what to draw on it; computed once for all viewers."""
         if self._drawn is None or self._drawn[0] is not shown:
-            rectification = self._sources.rectification()
-            width, height = rectification.size
-            marks = [
-                {
-                    "good": not target.reject,
-                    **{side: outlines(target, rectification, side) for side in SIDES},
-                }
-                for target in shown.snapshot.targets
-            ]
-            picture = {"cycle": shown.snapshot.cycle, "width": width, "height": height, "marks": marks}
-            self._drawn = shown, picture
+            self._drawn = shown, self._draw(shown)
         return self._drawn[1]
+
+    def _draw(self, shown: Shown) -> Json:
+        rectification = self._sources.rectification()
+        width, height = rectification.size
+        marks = [
+            {
+                "good": not target.reject,
+                **{side: outlines(target, rectification, side) for side in SIDES},
+            }
+            for target in shown.snapshot.targets
+        ]
+        return {"cycle": shown.snapshot.cycle, "width": width, "height": height, "marks": marks}
 
 
 def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
@@ -264,13 +288,21 @@ def _seen(points_mm: FloatArray, rectification: Rectification, side: Side) -> Fl
     return np.asarray(((pixels + 0.5) / rectification.size).round(4))
 
 
-def picture(pair: FramePair, rectification: Rectification, side: Side) -> bytes:
-    """A JPEG of one rectified image; the raw one where the rig does not fit (it was just exchanged)."""
+def picture(pair: FramePair, rectification: Rectification, side: Side, width_px: int | None = None) -> bytes:
+    """A JPEG of one rectified image; the raw one where the rig does not fit (it was just exchanged).
+
+    width_px : at most; None: WIDTH_PX.
+    """
+    width_px = WIDTH_PX if width_px is None else width_px
     frame = pair.left if side == "left" else pair.right
     camera = rectification.rig.left if side == "left" else rectification.rig.right
-    image, maps, shrink = frame.image, None, frame.image.shape[1] // WIDTH_PX
+    image, shrink = frame.image, frame.image.shape[1] // width_px
+    maps: tuple[MatLike, MatLike] | None = None
     if image.shape == (camera.height, camera.width):
-        shrink, maps = _display_maps(rectification, side)
+        if width_px >= rectification.size[0]:
+            shrink, maps = 1, rectification.maps_left if side == "left" else rectification.maps_right
+        else:
+            shrink, maps = _display_maps(rectification, side, width_px)
     if shrink > 1:
         size = (image.shape[1] // shrink, image.shape[0] // shrink)
         whole = image[: size[1] * shrink, : size[0] * shrink]
@@ -283,15 +315,17 @@ def picture(pair: FramePair, rectification: Rectification, side: Side) -> bytes:
     return data.tobytes()
 
 
-@lru_cache(maxsize=2)
-def _display_maps(rectification: Rectification, side: Side) -> tuple[int, tuple[MatLike, MatLike]]:
+@lru_cache(maxsize=4)
+def _display_maps(
+    rectification: Rectification, side: Side, width_px: int
+) -> tuple[int, tuple[MatLike, MatLike]]:
     """How much to shrink the raw image first, and the maps from that to the picture of the page.
 
     Straight to the size that is shown: a fifth of the work of rectifying at full size. Shrinking by a whole
     number first keeps the sampling below two pixels a step, where nothing shimmers.
     """
     width, height = rectification.size
-    scale = min(1.0, WIDTH_PX / width)
+    scale = min(1.0, width_px / width)
     size = (round(width * scale), round(height * scale))
     shrink = int(1 / scale)
     x, y = (
@@ -342,9 +376,22 @@ def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json 
     return {"deg": reading.angles_deg.tolist(), "sigma_deg": reading.sigma_deg.tolist()}
 
 
-def _fault_key(snapshot: Snapshot) -> tuple[int, str]:
-    """A fault by its number and the camera that it is about, as `FaultMemory` knows it."""
-    return snapshot.error_code, snapshot.error.partition(":")[0]
+def _size(shown: Shown) -> int:
+    """Bytes of the pictures."""
+    return 0 if shown.pair is None else shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
+
+
+def _fault_key(snapshot: Snapshot) -> tuple[object, ...]:
+    """The same for what is listed once: a fault's number and camera, or the kind and reasons of a miss."""
+    if snapshot.error:
+        return snapshot.error_code, snapshot.error.partition(":")[0]
+    refused = {target.reject for target in snapshot.targets} | {one.reject for one in snapshot.dismissed}
+    return snapshot.status, snapshot.job, frozenset(refused)
+
+
+def _recent(shown: Shown) -> Json:
+    snapshot = shown.snapshot
+    return {"cycle": snapshot.cycle, "time_ns": snapshot.published_ns, "status": str(snapshot.status)}
 
 
 def _fault(shown: Shown) -> Json:

@@ -27,7 +27,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
-from edged.adapters.web.page import Page, Sources, picture
+from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
 from edged.domain import Event, Nearest, Side
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
@@ -52,7 +52,9 @@ WRITE_S = 10.0
 HANDSHAKES_PER_S = 50.0
 MAX_FORM_BYTES = 4096
 COOKIE = "edged_session"
-CACHED_PICTURES = 4
+CACHED_BYTES = 4 * 1024 * 1024
+"""Of JPEGs that were drawn for one viewer, and may be asked for by the next."""
+WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
 STATIC = {
     "app.js": "text/javascript",
     "style.css": "text/css",
@@ -135,7 +137,7 @@ class WebPublisher:
         self._manual_folder = manual
         self._manual: Manual | None = None
         self._viewers: dict[_Viewer, None] = {}  # the first to come first
-        self._pictures: OrderedDict[tuple[int, str], bytes] = OrderedDict()
+        self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._html = {
             name: render(f"{name}.html", __package__, cell=cell) for name in ("index", "login", "nomanual")
@@ -165,7 +167,10 @@ class WebPublisher:
         app.router.add_get("/events", self._events)
         app.router.add_get("/status.json", self._status)
         app.router.add_get("/registers.json", self._registers)
-        app.router.add_get("/picture/{cycle:[0-9]{1,15}}/{side:left|right}", self._picture)
+        app.router.add_get(
+            "/picture/{cycle:[0-9]{1,15}}/{side:left|right}{size:(/small|/full)?}", self._picture
+        )
+        app.router.add_get("/cycle/{cycle:[0-9]{1,15}}.json", self._cycle)
         app.router.add_get("/static/{name}", self._static)
         app.router.add_get("/manual", self._manual_index)
         app.router.add_get("/manual/{path:.*}", self._manual_file)
@@ -377,18 +382,24 @@ class WebPublisher:
         reason = "" if state is None else state.error
         return web.json_response({"ready": ready, "error": reason}, status=200 if ready else 503)
 
+    async def _cycle(self, request: web.Request) -> web.Response:
+        shown = self._page.cycle(int(request.match_info["cycle"]))
+        if shown is None:
+            raise web.HTTPNotFound(text="this cycle is no longer in memory\n")
+        return web.json_response(shown)
+
     async def _picture(self, request: web.Request) -> web.Response:
-        cycle = int(request.match_info["cycle"])
+        cycle, size = int(request.match_info["cycle"]), request.match_info["size"]
         side: Side = "left" if request.match_info["side"] == "left" else "right"
         pair = self._page.pair(cycle)
         if pair is None:
             raise web.HTTPNotFound(text="this cycle is no longer in memory\n")
-        data = self._pictures.get((cycle, side))
+        data = self._pictures.get((cycle, side, size))
         if data is None:
-            draw = partial(picture, pair, self._page.rectification(), side)
+            draw = partial(picture, pair, self._page.rectification(), side, WIDTHS_PX[size])
             data = await asyncio.get_running_loop().run_in_executor(self._drawer, draw)
-            self._pictures[cycle, side] = data
-            while len(self._pictures) > CACHED_PICTURES:
+            self._pictures[cycle, side, size] = data
+            while len(self._pictures) > 1 and sum(map(len, self._pictures.values())) > CACHED_BYTES:
                 self._pictures.popitem(last=False)
         return web.Response(body=data, content_type="image/jpeg")
 

@@ -55,7 +55,7 @@ function showPictures({ picture, pictured_ns, state }) {
   $("nopicture").hidden = there;
   for (const side of ["left", "right"]) {
     const view = $(side);
-    view.parentElement.hidden = !there;
+    view.closest("figure").hidden = !there;
     if (!there) continue;
     view.setAttribute("viewBox", `0 0 ${picture.width} ${picture.height}`);
     let image = view.querySelector("image");
@@ -76,6 +76,133 @@ function showPictures({ picture, pictured_ns, state }) {
   }
   if (there) shownCycle = picture.cycle;
 }
+
+// --- last cycles, and any of them enlarged ---
+
+const thumbnails = new Map();
+let kept = [];
+function showRecent(recent, faults) {
+  kept = [...new Set([...recent, ...faults.filter((fault) => fault.has_picture)].map((one) => one.cycle))].sort((a, b) => a - b);
+  for (const cycle of [...thumbnails.keys()]) if (!recent.some((one) => one.cycle === cycle)) thumbnails.delete(cycle);
+  for (const one of recent) {
+    if (thumbnails.has(one.cycle)) continue;
+    const kind = one.status === "OK" ? "good" : one.status === "CAPTURE_FAULT" ? "bad" : "warn";
+    thumbnails.set(one.cycle, element("li", {}, thumbnail(one), element("span", { class: `status ${kind}` }, words(one.status)), element("span", { class: "muted" }, clock(one.time_ns))));
+  }
+  $("recent").replaceChildren(...recent.map((one) => thumbnails.get(one.cycle)));
+  showNeighbours();
+}
+
+function showNeighbours() {
+  $("older").disabled = !enlarged || !kept.some((one) => one < enlarged.cycle);
+  $("newer").disabled = !enlarged || !kept.some((one) => one > enlarged.cycle);
+}
+
+function thumbnail({ cycle }) {
+  const button = element("button", { type: "button", class: "open", "aria-label": `enlarge the pictures of cycle ${cycle}` },
+    element("img", { src: `/picture/${cycle}/left/small`, alt: "" }));
+  button.addEventListener("click", () => enlarge(cycle));
+  return button;
+}
+
+const MOST = 16;
+let enlarged = null;
+let view = { scale: 1, x: 0, y: 0 };
+
+async function enlarge(cycle) {
+  const answer = await fetch(`/cycle/${cycle}.json`);
+  const shown = answer.ok ? await answer.json() : null;
+  if (!shown && $("viewer").open) $("viewedwhy").textContent = `cycle ${cycle} is no longer in memory`;
+  if (!shown) return;
+  const { width, height } = shown.picture;
+  if (!enlarged || enlarged.width !== width || enlarged.height !== height) view = { scale: 1, x: 0, y: 0 };
+  enlarged = { cycle, width, height };
+  $("viewed").textContent = `cycle ${cycle} · ${clock(shown.time_ns)} · ${words(shown.status)}`;
+  $("viewedwhy").textContent = shown.text;
+  for (const side of ["left", "right"]) {
+    // in full from the beginning: when somebody zooms the cell may have forgotten the cycle
+    const image = drawing("image", { x: 0, y: 0, width, height, href: `/picture/${cycle}/${side}/full` });
+    $(`large${side}`).replaceChildren(image, ...shown.picture.marks.map((mark) => marks(mark, side, shown.picture)));
+  }
+  showNeighbours();
+  look();
+  if (!$("viewer").open) $("viewer").showModal();
+}
+
+function look() {
+  const { width, height } = enlarged;
+  view.scale = Math.min(MOST, Math.max(1, view.scale));
+  const part = 1 / view.scale;
+  view.x = Math.min(1 - part, Math.max(0, view.x));
+  view.y = Math.min(1 - part, Math.max(0, view.y));
+  for (const side of ["left", "right"]) $(`large${side}`).setAttribute("viewBox", `${view.x * width} ${view.y * height} ${part * width} ${part * height}`);
+  $("smaller").disabled = $("whole").disabled = view.scale === 1;
+  $("larger").disabled = view.scale === MOST;
+}
+
+// factor, and the place of the view that stays where it is, 0 to 1
+function zoom(factor, x = 0.5, y = 0.5) {
+  const before = 1 / view.scale;
+  view.scale = Math.min(MOST, Math.max(1, view.scale * factor));
+  view.x += (before - 1 / view.scale) * x;
+  view.y += (before - 1 / view.scale) * y;
+  look();
+}
+
+function move(x, y) {
+  view.x += x / view.scale;
+  view.y += y / view.scale;
+  look();
+}
+
+function step(direction) {
+  const next = direction < 0 ? kept.filter((one) => one < enlarged.cycle).pop() : kept.find((one) => one > enlarged.cycle);
+  if (next !== undefined) enlarge(next);
+}
+
+function place(svg, { clientX, clientY }) {
+  const box = svg.getBoundingClientRect();
+  return [(clientX - box.left) / box.width, (clientY - box.top) / box.height];
+}
+
+for (const svg of [$("largeleft"), $("largeright")]) {
+  const fingers = new Map();
+  svg.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoom(Math.exp((-event.deltaY * (event.deltaMode ? 16 : 1)) / 400), ...place(svg, event));
+  }, { passive: false });
+  svg.addEventListener("dblclick", (event) => zoom(2, ...place(svg, event)));
+  svg.addEventListener("pointerdown", (event) => {
+    svg.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, place(svg, event));
+  });
+  for (const name of ["pointerup", "pointercancel"]) svg.addEventListener(name, (event) => fingers.delete(event.pointerId));
+  svg.addEventListener("pointermove", (event) => {
+    const old = fingers.get(event.pointerId);
+    if (!old) return;
+    const now = place(svg, event);
+    fingers.set(event.pointerId, now);
+    const other = [...fingers].find(([id]) => id !== event.pointerId);
+    if (!other) return move(old[0] - now[0], old[1] - now[1]);
+    const apart = ([x, y]) => Math.hypot(x - other[1][0], y - other[1][1]);
+    if (apart(old) > 0) zoom(apart(now) / apart(old), (now[0] + other[1][0]) / 2, (now[1] + other[1][1]) / 2);
+  });
+}
+
+const KEYS = {
+  "+": () => zoom(1.5), "=": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => zoom(0),
+  ArrowLeft: () => (view.scale > 1 ? move(-0.15, 0) : step(-1)), ArrowRight: () => (view.scale > 1 ? move(0.15, 0) : step(1)),
+  ArrowUp: () => move(0, -0.15), ArrowDown: () => move(0, 0.15),
+};
+// of the document: a button that has just been disabled has lost the focus to nobody
+document.addEventListener("keydown", (event) => {
+  if (!$("viewer").open || event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
+  event.preventDefault();
+  KEYS[event.key]();
+});
+for (const [name, done] of [["older", () => step(-1)], ["newer", () => step(1)], ["smaller", () => zoom(1 / 1.5)], ["whole", () => zoom(0)], ["larger", () => zoom(1.5)], ["close", () => $("viewer").close()]])
+  $(name).addEventListener("click", done);
+for (const side of ["left", "right"]) $(side).parentElement.addEventListener("click", () => shownCycle >= 0 && enlarge(shownCycle));
 
 function marks(mark, side, { width, height }) {
   const group = drawing("g", { fill: "none", "stroke-width": width / 500, stroke: mark.good ? "#2fe37a" : "#ff8f3a" });
@@ -203,12 +330,12 @@ function showFacts(facts) {
 
 let shownFaults = "";
 function showFaults(faults) {
-  const key = faults.map((fault) => `${fault.cycle} ${fault.times}`).join();
+  const key = faults.map((fault) => `${fault.cycle} ${fault.times} ${fault.text} ${fault.has_picture}`).join();
   if (key === shownFaults && $("faults").childElementCount) return;
   shownFaults = key;
   if (!faults.length) return $("faults").replaceChildren(element("li", { class: "muted" }, "none since the start"));
   $("faults").replaceChildren(...faults.map((fault) => {
-    const picture = fault.has_picture ? element("img", { src: `/picture/${fault.cycle}/left`, alt: `left picture of cycle ${fault.cycle}`, loading: "lazy" }) : element("span", { class: "muted" }, "no picture");
+    const picture = fault.has_picture ? thumbnail(fault) : element("span", { class: "muted" }, "no picture");
     return element("li", {}, picture, element("div", {}, element("b", {}, words(fault.status)), element("div", {}, fault.text),
       element("div", { class: "muted" }, `cycle ${fault.cycle}, ${clock(fault.time_ns)}${fault.times > 1 ? `; ${fault.times} times until ${clock(fault.last_ns)}` : ""}`)));
   }));
@@ -253,6 +380,7 @@ function show(status) {
   showTrends();
   showFacts(status.facts);
   showFaults(status.faults);
+  showRecent(status.recent, status.faults);
   showJobs(status.jobs, status.state);
 }
 
