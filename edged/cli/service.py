@@ -69,13 +69,16 @@ def replay(
     export: Annotated[
         Path | None, typer.Option(help="folder to write the recordings, their setups and a report to")
     ] = None,
+    overlays: Annotated[
+        Path | None, typer.Option(help="folder for pictures: each pair with what was measured")
+    ] = None,
 ) -> None:
     """Measure recorded cycles again; says if any result differs in a single bit."""
     from rich.console import Console
 
     from edged.commands.replay import replay as command
 
-    raise typer.Exit(command(path, as_json, Console(), export))
+    raise typer.Exit(command(path, as_json, Console(), export, overlays))
 
 
 @app.command()

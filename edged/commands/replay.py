@@ -8,16 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 from rich.console import Console
 from rich.progress import track
 
-from edged.commissioning.regression import COMPARED, compare, remeasure
+from edged.commissioning.regression import COMPARED, compare, decided, drawn, inspected
 from edged.config import limits_of
 from edged.domain import Bounds
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_atomically, write_file
 from edged.files.jobs import job_folders, load_job
+from edged.files.outputs import check_folder
 from edged.files.rig import load_rig
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
@@ -47,12 +49,18 @@ class Report:
         }
 
 
-def replay(path: Path, as_json: bool, console: Console, export: Path | None = None) -> int:
+def replay(
+    path: Path, as_json: bool, console: Console, export: Path | None = None, overlays: Path | None = None
+) -> int:
     """Replay a recording, or all of a folder. 0: every result is the same to the last bit; 1: not so.
 
     export : folder to write the recordings with their setups and the report to, for a bug report.
+    overlays : folder for a picture (PNG) of each measured pair with the evidence.
     """
     files = _files(path)
+    if overlays is not None:
+        check_folder(overlays)
+        overlays.mkdir(parents=True, exist_ok=True)
     report, setups = Report(recording.versions()), _Setups()
     for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:
@@ -60,7 +68,12 @@ def replay(path: Path, as_json: bool, console: Console, export: Path | None = No
             if taken.pair is None:
                 report.skipped.append({"file": file.name, "reason": "no images: " + _text(taken.snapshot)})
                 continue
-            again = remeasure(taken, *setups.of(file, taken))
+            setup = setups.of(file, taken)
+            inspection = inspected(taken, *setup)
+            again = decided(taken, inspection, *setup)
+            if overlays is not None and inspection is not None:
+                _, png = cv2.imencode(".png", drawn(taken, inspection, *setup))
+                write_file(overlays / f"{file.stem}.png", png.tobytes())
         except UserError as error:
             report.skipped.append({"file": file.name, "reason": str(error)})
             continue

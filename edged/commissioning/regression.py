@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from edged.domain import Calibrated, FloatArray, Outcome, Picking, Snapshot
+from edged.domain import Calibrated, FloatArray, Outcome, Picking, Snapshot, Status
 from edged.drift import refused
 from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json
-from edged.pipeline import PreparedRig, locate
+from edged.pictures.lettering import Canvas
+from edged.pictures.overlay import draw_pair
+from edged.pipeline import Inspection, PreparedRig, inspect, judge
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import RobotFrame, picked
+from edged.robot.picking import RobotFrame, allowed, picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
@@ -24,27 +27,62 @@ COMPARED = ("status", "targets", "rejected")
 
 def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
     """What of a published snapshot the same exposure decides, measured now by any rig and job."""
+    return decided(taken, inspected(taken, rig, job), rig, job)
+
+
+def inspected(taken: Recording, rig: PreparedRig, job: Job) -> Inspection | None:
+    """What the same exposure shows; None where nothing was measured then."""
     command = taken.snapshot.get("command")
     if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
-        return {key: taken.snapshot.get(key) for key in COMPARED}  # nothing was measured then
-    outcome = locate(taken.pair, job, rig)
+        return None
+    return inspect(taken.pair, job, rig)
+
+
+def decided(taken: Recording, inspection: Inspection | None, rig: PreparedRig, job: Job) -> Json:
+    """What of a published snapshot an inspection decides."""
+    if inspection is None:
+        return {key: taken.snapshot.get(key) for key in COMPARED}
+    outcome = judge(inspection)
     drift = taken.snapshot.get("drift")
     if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
+    return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
+
+
+def drawn(taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job) -> Canvas:
+    """The pair with what was measured, as `edged locate --overlay` draws it."""
+    if taken.pair is None:
+        raise ValueError("a recording without images")
+    frame = _frame(rig, _robot_from_flange(taken))[0]
+    told = [replace(one, target=allowed(one.target, job.picking, frame)) for one in inspection.measured]
+    status = Status[decided(taken, inspection, rig, job)["status"]]
+    nearest = None if inspection.nearest is None else inspection.nearest.ask()
+    images = taken.pair.left.image, taken.pair.right.image
+    return draw_pair(*images, rig.rig, job, told, inspection.dismissed, status, nearest=nearest)
+
+
+def _robot_from_flange(taken: Recording) -> FloatArray | None:
+    """Where the robot that carries the rig said its flange was."""
+    command = taken.snapshot.get("command")
     flange = command.get("robot_from_flange") if isinstance(command, dict) else None
-    return _json_of(outcome, rig, job.picking, None if flange is None else np.array(flange, np.float64))
+    return None if flange is None else np.array(flange, np.float64)
+
+
+def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[RobotFrame, FloatArray | None]:
+    """The robot's frame then, and the covariance of the registration in it."""
+    robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
+    if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
+        robot = robot_from_flange @ rig.rig.flange_from_rig
+        registration = None if registration is None else moved_frame(registration, robot_from_flange)
+    return RobotFrame(robot, robot is not None or rig.rig.flange_from_rig is None), registration
 
 
 def _json_of(
     outcome: Outcome, rig: PreparedRig, picking: Picking, robot_from_flange: FloatArray | None = None
 ) -> Json:
     """The part of a published snapshot that the outcome, and where the flange was, decide."""
-    robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
-    if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
-        robot = robot_from_flange @ rig.rig.flange_from_rig
-        registration = None if registration is None else moved_frame(registration, robot_from_flange)
-    is_known = robot is not None or rig.rig.flange_from_rig is None
-    outcome = picked(outcome, picking, RobotFrame(robot, is_known))
+    frame, registration = _frame(rig, robot_from_flange)
+    outcome = picked(outcome, picking, frame)
     document = snapshot_to_json(
         Snapshot(
             cycle=0,
@@ -58,7 +96,7 @@ def _json_of(
             exposed_ns=0,
             published_ns=0,
             targets=outcome.targets,
-            robot_from_rig=robot,
+            robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
         )
     )

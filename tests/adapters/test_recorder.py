@@ -13,6 +13,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,6 +25,7 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.locate import locate as locate_command
 from edged.commands.replay import replay
 from edged.commissioning.regression import compare
 from edged.domain import (
@@ -423,6 +425,34 @@ def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture
 
     assert (code, report["different"], report["skipped"]) == (0, [], [])
     assert report["same"] >= 2
+
+
+@pytest.mark.slow
+def test_a_replay_draws_what_it_measured(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A picture for each recording, to the last bit what `edged locate --overlay` draws of the pair."""
+    entry = recording.entries(recorded)[0].path
+    overlays = tmp_path / "drawn" / "here"
+    assert 0 == replay(entry, True, Console(), overlays=overlays)
+    assert [f"{entry.stem}.png"] == [path.name for path in overlays.iterdir()]
+
+    taken = recording.load(entry)
+    assert taken.pair is not None
+    for side in ("left", "right"):
+        cv2.imwrite(str(tmp_path / f"{side}.png"), getattr(taken.pair, side).image)
+    setup = recording.setup_folder(recorded, str(taken.snapshot["fingerprint"]))
+    job = next(path for path in (setup / "jobs").iterdir())
+    pair = tmp_path / "left.png", tmp_path / "right.png"
+    located = locate_command(
+        setup / "rig.json", job, *pair, True, Console(), overlay=tmp_path / "located.png"
+    )
+    assert 0 == located
+    assert (tmp_path / "located.png").read_bytes() == (overlays / f"{entry.stem}.png").read_bytes()
+
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(FileFormatError, match="taken: is a file, expected a folder"):
+        replay(entry, True, Console(), overlays=tmp_path / "taken")
 
 
 def test_an_export_replays_elsewhere(
