@@ -66,6 +66,8 @@ class Reject(enum.IntFlag):
     """In none of the boxes of `[[limits.box]]`: the robot must not go there."""
     KEEP_OUT = 1 << 11
     """In a zone of `[[limits.keep_out]]`: the robot must not go there."""
+    NO_GRASP = 1 << 12
+    """No `[[grasp]]` of the job lies where the robot may go."""
 
 
 class Order(enum.StrEnum):
@@ -100,12 +102,33 @@ class Bounds:
     keep_out: tuple[Box, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """How a tool takes the part: its z axis is the direction in which it comes.
+
+    part_from_tcp (4, 4). rig_from_tcp (4, 4) : the same as the part lay at teaching. approach_mm and
+    retreat_mm : along the tool's z, before and after. symmetry : in how many ways the part may be turned
+    about its z and be taken alike: 1: in no other, 0: in any.
+    """
+
+    name: str
+    part_from_tcp: FloatArray
+    rig_from_tcp: FloatArray
+    approach_mm: float
+    retreat_mm: float
+    symmetry: int = 1
+
+
 @dataclass(frozen=True, slots=True)
 class Picking:
-    """What a robot may pick of a job's parts, and in which order. bounds : all of them must allow it."""
+    """What a robot may pick of a job's parts, how, and in which order.
+
+    bounds : all of them must allow it. grasps : the first that they allow is given.
+    """
 
     order: Order = Order.SCORE
     bounds: tuple[Bounds, ...] = ()
+    grasps: tuple[Grasp, ...] = ()
 
 
 class TimeBase(enum.StrEnum):
@@ -272,6 +295,38 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GraspPose:
+    """Where the tool takes one part.
+
+    number : of the grasp in its job, from 1. turn_rad : by how much it is turned about the part's z against
+    the taught one. rig_from_tcp (4, 4), covariance (6, 6) : as those of a target, of the tool's tip.
+    """
+
+    name: str
+    number: int
+    turn_rad: float
+    rig_from_tcp: FloatArray
+    covariance: FloatArray
+    approach_mm: float
+    retreat_mm: float
+
+    @property
+    def rig_from_approach(self) -> FloatArray:
+        """(4, 4) from where the tool comes: against its z axis."""
+        return self._shifted(-self.approach_mm)
+
+    @property
+    def rig_from_retreat(self) -> FloatArray:
+        """(4, 4) where it goes."""
+        return self._shifted(-self.retreat_mm)
+
+    def _shifted(self, along_mm: float) -> FloatArray:
+        pose = self.rig_from_tcp.copy()
+        pose[:3, 3] += along_mm * pose[:3, 2]
+        return pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """One located part.
 
@@ -283,6 +338,7 @@ class Target:
     epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
     free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
     rotation about it is not known; None where the part has no such axis.
+    grasp : how a tool takes it; None where the job has none, or none that is allowed.
     doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
     rows that do not meet, sizes that are all wrong alike.
     """
@@ -300,6 +356,7 @@ class Target:
     measurements: tuple[Measurement, ...] = ()
     free_axis: FloatArray | None = None
     doubt_mm: float = 0.0
+    grasp: GraspPose | None = None
 
     @property
     def position_mm(self) -> FloatArray:

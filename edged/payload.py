@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from edged.domain import (
     Corner3D,
     Edge3D,
     FloatArray,
+    GraspPose,
     Match,
     Measurement,
     Nearest,
@@ -62,6 +64,7 @@ def target_to_json(
         "free_axis": None if target.free_axis is None else _numbers(target.free_axis),
         "epipolar_rms_px": _number(target.epipolar_rms_px),
         "doubt_mm": _number(target.doubt_mm),
+        "grasp": None if target.grasp is None else _grasp(target, target.grasp, robot_from_rig, registration),
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
     }
@@ -188,6 +191,27 @@ def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
         "rotation": _numbers(pose[:3, :3]),
         "covariance_6x6": _numbers(covariance),
     }
+
+
+def _grasp(
+    target: Target, grasp: GraspPose, robot_from_rig: FloatArray | None, registration: FloatArray | None
+) -> Json:
+    """Where the tool takes it; poses as those of the target."""
+    document: Json = {
+        "name": grasp.name,
+        "number": grasp.number,
+        "turn_deg": _number(math.degrees(grasp.turn_rad)),
+        **_pose(grasp.rig_from_tcp, grasp.covariance),
+        "approach_position_mm": _numbers(grasp.rig_from_approach[:3, 3]),
+        "retreat_mm": _number(grasp.retreat_mm),
+    }
+    if robot_from_rig is not None:
+        held = replace(target, rig_from_part=grasp.rig_from_tcp, covariance=grasp.covariance)
+        covariance = robot_covariance(held, robot_from_rig, registration)
+        document["pose_robot"] = _pose(robot_from_rig @ grasp.rig_from_tcp, covariance)
+        approach = robot_from_rig @ grasp.rig_from_approach
+        document["approach_position_robot_mm"] = _numbers(approach[:3, 3])
+    return document
 
 
 def _match(match: Match) -> Json:

@@ -6,18 +6,22 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-from snapshots import make_target
+from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.cycle import Cycle, LoadedJob, Setup
-from edged.domain import Frame, FramePair, Outcome, Status, Target
+from edged.domain import Frame, FramePair, Grasp, Outcome, Picking, Status, Target
 from edged.errors import FrameTimeout
 
 T = TypeVar("T")
+PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
+GRASPS = Picking(grasps=(Grasp("rim", PART_FROM_TCP, PART_FROM_TCP, 50.0, 80.0),))
+"""One way to take the part of `make_target`."""
 
 
 class Head:
@@ -60,6 +64,12 @@ class LiveCell:
         self.setup = Setup(jobs, 1, period_s, "cal", "f00d", simulated=False, robot_from_rig=np.eye(4))
         self._started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+
+    def pick(self, picking: Picking) -> LiveCell:
+        """Before it starts: what its jobs say of picking."""
+        jobs = {number: replace(job, picking=picking) for number, job in self.setup.jobs.items()}
+        self.setup = replace(self.setup, jobs=jobs)
+        return self
 
     def __enter__(self) -> LiveCell:
         self._thread.start()

@@ -46,7 +46,9 @@ from edged.domain import (
     Event,
     Frame,
     FramePair,
+    Grasp,
     Outcome,
+    Picking,
     Reject,
     Snapshot,
     Status,
@@ -61,6 +63,8 @@ VALIDITY_S = 2.0
 CYCLE_S = 0.02
 IMAGE = np.zeros((2, 2), np.uint8)
 GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
+PICKING = Picking(grasps=(Grasp("face", np.eye(4), np.eye(4), 50.0, 50.0),))
+"""The tool's tip stands in the part's origin."""
 NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE, hs.Reason.NO_LIST)
 WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
@@ -301,7 +305,9 @@ class World:
         """Jobs as they are now, with the calibration of the cameras that are wanted now."""
         head = self.head.number
         jobs = {
-            number: LoadedJob(f"job{number}", number, functools.partial(self._locate, number, head))
+            number: LoadedJob(
+                f"job{number}", number, functools.partial(self._locate, number, head), picking=PICKING
+            )
             for number in self.numbers
         }
         return Setup(
@@ -781,21 +787,23 @@ class Soak:
         raw = line.ask(struct.pack(">BHH", 3, reg.RESULT.address, reg.RESULT.words))[2:]
         result = reg.decode(reg.RESULT, struct.unpack(f">{reg.RESULT.words}H", raw))
         status, ur, mirror = (line.read(b) for b in (reg.STATUS, reg.UR, reg.FLOAT))
+        grasp, tool = line.read(reg.GRASP), line.read(reg.UR_GRASP)
         index = int(result["INDEX"])
         rows = [line.read(reg.TABLE[i]) for i in range(index + 1)]
         row = {name.removeprefix(f"T{index}_"): value for name, value in rows[index].items()}
         bits = reg.StatusBit(int(status["STATUS_BITS"]))
         sequence = int(result["SEQ_HEAD"])
         heads = {sequence, result["SEQ_TAIL"], ur["UR_SEQ_HEAD"], ur["UR_SEQ_TAIL"]}
+        heads |= {grasp["G_SEQ_HEAD"], grasp["G_SEQ_TAIL"], tool["UG_SEQ_HEAD"], tool["UG_SEQ_TAIL"]}
         heads |= {mirror["F_SEQ_HEAD"], mirror["F_SEQ_TAIL"], row["SEQ"] or sequence}
         expect(len(heads) == 1, f"sequences {heads} in one picture")
         expect(reg.crc16(raw[:92]) == result["CRC16"], "CRC")
         expect(not (reg.StatusBit.ACK in bits and reg.StatusBit.NACK in bits), "ACK and NACK")
         expect(int(status["OPEN_COMMANDS"]) <= 8, "more than 8 open commands")
         valid = reg.StatusBit.RESULT_VALID in bits
-        flags = (result["FLAGS"], ur["UR_FLAGS"], mirror["F_FLAGS"])
+        flags = (result["FLAGS"], ur["UR_FLAGS"], mirror["F_FLAGS"], grasp["G_FLAGS"], tool["UG_FLAGS"])
         expect({bool(int(word) & reg.Flag.VALID) for word in flags} == {valid}, f"VALID: {flags}, {bits!r}")
-        places = (result["X"], ur["UR_X"], row["X"])
+        places = (result["X"], ur["UR_X"], row["X"], grasp["G_X"], tool["UG_X"])
         given = [rows[i][f"T{i}_X"] for i in range(index)]
         expect({reg.INT32_MIN} >= set(given), f"rows before {index} with coordinates: {given}")
         expect(result["REMAINING"] == ur["UR_REMAINING"] <= 3 - index, f"{result['REMAINING']} remain")

@@ -18,6 +18,7 @@ from edged.domain import (
     CellState,
     Command,
     CommandKind,
+    GraspPose,
     Match,
     Nearest,
     NearMiss,
@@ -63,6 +64,25 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
     snapshot.nearest.ask()
     assert 0.6 == snapshot_to_json(snapshot)["nearest"]["needed_score"]
     assert [] == violations(publish(snapshot_to_json(snapshot), "target"), SCHEMA, SCHEMA)
+
+
+@pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
+def test_a_grasp_fits_the_published_schema(robot_from_rig):
+    """Tool and approach in the rig's frame, and in the robot's where there is one."""
+    target, pose = make_target(), make_transform((0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
+    grasp = GraspPose("rim", 2, 0.5, pose, target.covariance, 50.0, 80.0)
+    snapshot = make_snapshot(targets=(replace(target, grasp=grasp),), robot_from_rig=robot_from_rig)
+    document = publish(snapshot_to_json(snapshot), "target")
+    assert [] == violations(document, SCHEMA, SCHEMA)
+    told = document["targets"][0]["grasp"]
+    assert ("rim", 2, 80.0) == (told["name"], told["number"], told["retreat_mm"])
+    assert (pose[:3, 3] - 50.0 * pose[:3, 2]).tolist() == pytest.approx(told["approach_position_mm"])
+    if robot_from_rig is not None:
+        moved = robot_from_rig @ pose
+        assert moved[:3, 3].tolist() == pytest.approx(told["pose_robot"]["position_mm"])
+        assert (moved[:3, 3] - 50.0 * moved[:3, 2]).tolist() == pytest.approx(
+            told["approach_position_robot_mm"]
+        )
 
 
 def test_state_fits_the_published_schema():

@@ -25,6 +25,7 @@ REASONS = {
     Reject.AMBIGUOUS_EDGE: "the reference may be another edge",
     Reject.OUT_OF_LIMITS: "outside of the robot's limits",
     Reject.KEEP_OUT: "in a keep-out zone",
+    Reject.NO_GRASP: "no grasp where the robot may go",
 }
 
 REMEDIES = {

@@ -62,6 +62,8 @@ class LineStatus(enum.IntEnum):
     """NEXT, and there is no further target."""
     OUT_OF_LIMITS = 118
     """Found and good, but where the robot must not go (`[limits]`)."""
+    NO_GRASP = 119
+    """GRASP or APPROACH, and the part that was given last has no grasp."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What a robot may pick of what was found, and in which order: pure functions of an outcome.
+"""What a robot may pick of what was found, how, and in which order: pure functions of an outcome.
 
 Boxes and keep-out zones lie in the frame that coordinates are told in: the robot's, and the rig's as long as
 the rig is not registered. A rig on the flange is registered; without the pose of the flange nobody knows
@@ -13,7 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import Bounds, Box, FloatArray, Order, Outcome, Picking, Reject, Status, Target
+from edged.domain import (
+    Bounds,
+    Box,
+    FloatArray,
+    GraspPose,
+    Order,
+    Outcome,
+    Picking,
+    Reject,
+    Status,
+    Target,
+)
+from edged.robot.grasping import best_grasp
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -55,9 +67,41 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
 
 
 def allowed(target: Target, picking: Picking, frame: RobotFrame) -> Target:
-    """The target, rejected where the robot must not go."""
-    reject = _refusal(target.position_mm, picking.bounds, frame)
-    return replace(target, reject=target.reject | reject) if reject & ~target.reject else target
+    """The target with its grasp, rejected where the robot must not go."""
+    reject = target.reject | _refusal(target.position_mm, picking.bounds, frame)
+    grasp = None
+    if picking.grasps and not reject:
+        grasp = best_grasp(target, picking.grasps, lambda pose: _is_free(pose, picking.bounds, frame))
+        reject = Reject.NONE if grasp is not None else Reject.NO_GRASP
+    if reject == target.reject and grasp is target.grasp:
+        return target
+    return replace(target, reject=reject, grasp=grasp)
+
+
+def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
+    """Whether the tool may stand there, and meets no keep-out zone on the straight way to it and back."""
+    if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame):
+        return False
+    tip_mm = _told(grasp.rig_from_tcp[:3, 3], frame)
+    ends_mm = [_told(end[:3, 3], frame) for end in (grasp.rig_from_approach, grasp.rig_from_retreat)]
+    zones = [box for one in bounds for box in one.keep_out]
+    return not any(_meets(box, tip_mm, end_mm) for box in zones for end_mm in ends_mm)
+
+
+def _meets(box: Box, start_mm: FloatArray, end_mm: FloatArray) -> bool:
+    """Whether a straight line has a point in a box: the part of it that lies between all six planes.
+
+    Source: T. L. Kay, J. T. Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH 1986 (slabs).
+    """
+    first, last = 0.0, 1.0
+    for low, high, start, end in zip(box.min_mm, box.max_mm, start_mm, end_mm, strict=True):
+        if start == end:
+            if not low <= start <= high:
+                return False
+            continue
+        near, far = sorted(((low - start) / (end - start), (high - start) / (end - start)))
+        first, last = max(first, near), min(last, far)
+    return first <= last
 
 
 def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) -> Reject:
@@ -65,8 +109,7 @@ def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) ->
         return Reject.NONE
     if not frame.is_known or not np.isfinite(rig_mm).all():
         return Reject.OUT_OF_LIMITS
-    robot = frame.robot_from_rig
-    point_mm = rig_mm if robot is None else robot[:3, :3] @ rig_mm + robot[:3, 3]
+    point_mm = _told(rig_mm, frame)
     reject = Reject.NONE
     for one in bounds:
         if one.boxes and not any(_holds(box, point_mm) for box in one.boxes):
@@ -74,6 +117,12 @@ def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) ->
         if any(_holds(box, point_mm) for box in one.keep_out):
             reject |= Reject.KEEP_OUT
     return reject
+
+
+def _told(rig_mm: FloatArray, frame: RobotFrame) -> FloatArray:
+    """A point (3,) of the rig's frame as coordinates are told."""
+    robot = frame.robot_from_rig
+    return rig_mm if robot is None else np.asarray(robot[:3, :3] @ rig_mm + robot[:3, 3])
 
 
 def _holds(box: Box, point_mm: FloatArray) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from edged.domain import Bounds, Box, Order, Picking
 from edged.errors import FileFormatError
@@ -158,6 +159,70 @@ def test_a_box_without_room_is_named(folder: Path) -> None:
     zone = '[[limits.keep_out]]\nname = "a"\nmin_mm = [0, 0, 5]\nmax_mm = [9, 9, 5]\n\n[search]'
     edit(folder, r"^\[search\]", zone)
     with pytest.raises(FileFormatError, match=r"job\.toml: limits\.keep_out\.0: min_mm .* must be less than"):
+        load_job(folder)
+
+
+GRASP = """[[grasp]]
+name = "inner"
+position_mm = [1.0, -2.5, 3]
+rotation_deg = [10.0, -20.0, 30.0]
+approach_mm = 40
+symmetry = 3
+
+[[grasp]]
+name = "outer"
+position_mm = [0, 0, 0]
+retreat_mm = 7.5
+"""
+
+
+def test_how_a_tool_takes_the_part_comes_back(folder: Path, tmp_path: Path) -> None:
+    """What is left out has its default; saved and loaded again it is the same."""
+    assert () == load_job(folder).picking.grasps
+    edit(folder, r"^\[\[circle\]\]", GRASP + "\n[[circle]]")
+    job = load_job(folder)
+    inner, outer = job.picking.grasps
+    expected = Rotation.from_euler("xyz", (10.0, -20.0, 30.0), degrees=True).as_matrix()
+    np.testing.assert_allclose(inner.part_from_tcp[:3, :3], expected, atol=1e-12)
+    np.testing.assert_allclose(inner.rig_from_tcp, job.rig_from_part @ inner.part_from_tcp, atol=1e-9)
+    assert ([1.0, -2.5, 3.0], 40.0, 40.0, 3) == (
+        inner.part_from_tcp[:3, 3].tolist(),
+        inner.approach_mm,
+        inner.retreat_mm,
+        inner.symmetry,
+    )
+    assert ("outer", 50.0, 7.5, 1) == (outer.name, outer.approach_mm, outer.retreat_mm, outer.symmetry)
+    assert np.array_equal(np.eye(4), outer.part_from_tcp)
+    save_job(tmp_path / "again", job)
+    for one, two in zip(load_job(tmp_path / "again").picking.grasps, job.picking.grasps, strict=True):
+        assert (one.name, one.approach_mm, one.retreat_mm, one.symmetry) == (
+            two.name,
+            two.approach_mm,
+            two.retreat_mm,
+            two.symmetry,
+        )
+        np.testing.assert_allclose(one.part_from_tcp, two.part_from_tcp, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "expected"),
+    [
+        (r'^name = "outer"', 'name = "inner"', "two grasps have one name"),
+        (r"^symmetry = 3", "symmetry = -1", r"grasp\.0\.symmetry: expected at least 0"),
+        (r"^symmetry = 3", "symmetry = 2.5", r"grasp\.0\.symmetry"),
+        (r"^approach_mm = 40", "approach_mm = -1", r"grasp\.0\.approach_mm: expected at least 0"),
+        (r"^retreat_mm = 7.5", "retreat_mm = inf", r"grasp\.1\.retreat_mm"),
+        (r"^rotation_deg = .*", "rotation_deg = [0, 0]", r"grasp\.0\.rotation_deg"),
+        (r"^position_mm = \[0.*", "position_mm = [0, 0, 1e9]", r"grasp\.1\.position_mm\.2"),
+        (r"^position_mm = \[0.*", "", r"grasp\.1\.position_mm: missing"),
+        (r"^approach_mm = 40", "aproach_mm = 40", r"grasp\.0\.aproach_mm: unknown key"),
+    ],
+)
+def test_a_mistake_in_a_grasp_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
+    """By the file, its number in it, the key and what was expected."""
+    edit(folder, r"^\[\[circle\]\]", GRASP + "\n[[circle]]")
+    edit(folder, pattern, replacement)
+    with pytest.raises(FileFormatError, match=rf"job\.toml: .*{expected}"):
         load_job(folder)
 
 

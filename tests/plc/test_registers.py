@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import Reject, Snapshot, Status
+from edged.domain import GraspPose, Reject, Snapshot, Status
 from edged.errors import UserError
 from edged.plc import registers as reg
 from edged.plc.texts import render
@@ -142,6 +142,74 @@ def test_robot_frame_moves_position_and_sigma() -> None:
     assert (plain["SIGMA_X"], plain["SIGMA_Y"]) == (moved["SIGMA_Y"], moved["SIGMA_X"])
     assert (False, True) == tuple(bool(int(d["FLAGS"]) & reg.Flag.ROBOT_FRAME) for d in (plain, moved))
     assert 200_000 == moved["DEPTH"]
+
+
+def held_snapshot(robot_from_rig: np.ndarray | None = None) -> Snapshot:
+    """A good part with its grasp: second of the job, turned by 90°, 40 mm beside the part's origin."""
+    target, tool = make_target(), make_transform((0.3, -0.2, 0.1), (40.0, 0.0, 5.0))
+    pose = GraspPose("g", 2, np.pi / 2, target.rig_from_part @ tool, 4 * target.covariance, 50.0, 80.0)
+    return make_snapshot(targets=(dataclasses.replace(target, grasp=pose),), robot_from_rig=robot_from_rig)
+
+
+def test_a_grasp_reads_back_in_the_robots_frame() -> None:
+    """Tool, approach, turn, retreat and sigma in both blocks, each with head, tail and CRC."""
+    robot_from_rig = make_transform((0.2, 0.1, -2.0), (500.0, -100.0, 800.0))
+    snapshot = held_snapshot(robot_from_rig)
+    grasp = snapshot.targets[0].grasp
+    assert grasp is not None
+    measured = reg.measured(snapshot, Convention.FIXED_XYZ)
+    values = reg.result_values(measured, 7, valid=True, free_running=False)
+    decoded: dict[str, reg.Number] = {}
+    for block in (reg.GRASP, reg.UR_GRASP):
+        data = reg.encode(block, values)
+        crc_at = next(2 * (r.address - block.address) for r in block.registers if r.name.endswith("CRC16"))
+        assert reg.crc16(data[:crc_at]) == int.from_bytes(data[crc_at : crc_at + 2], "big")
+        decoded |= reg.decode(block, words_of(data))
+    tool, approach = robot_from_rig @ grasp.rig_from_tcp, robot_from_rig @ grasp.rig_from_approach
+    for prefix in ("G_", "UG_"):
+        assert (7, 7) == (decoded[prefix + "SEQ_HEAD"], decoded[prefix + "SEQ_TAIL"])
+        assert int(decoded[prefix + "FLAGS"]) & reg.Flag.VALID
+        assert [round(x * 1000) for x in tool[:3, 3]] == [decoded[prefix + axis] for axis in "XYZ"]
+        assert [round(x * 1000) for x in approach[:3, 3]] == [
+            decoded[f"{prefix}APPROACH_{axis}"] for axis in "XYZ"
+        ]
+        assert 80_000 == decoded[prefix + "RETREAT"]
+    expected = Rotation.from_matrix(tool[:3, :3]).as_euler("xyz", degrees=True)
+    assert [round(angle * 1000) for angle in expected] == [decoded[f"G_{axis}"] for axis in "ABC"]
+    vector = Rotation.from_matrix(tool[:3, :3]).as_rotvec()
+    np.testing.assert_allclose([decoded[f"UG_R{axis}"] for axis in "XYZ"], vector * 1e6, atol=0.6)
+    assert (2, 2, 90_000) == tuple(decoded[name] for name in ("GRASP", "UG_GRASP", "G_TURN"))
+    sigma = np.sqrt(
+        np.diag(4 * robot_from_rig[:3, :3] @ make_target().covariance[:3, :3] @ robot_from_rig[:3, :3].T)
+    )
+    assert [round(value * 1e4) for value in sigma] == [decoded[f"G_SIGMA_{axis}"] for axis in "XYZ"]
+
+
+@pytest.mark.parametrize("valid", [True, False])
+def test_without_a_grasp_there_are_no_coordinates_of_a_tool(valid: bool) -> None:
+    """A part without one, and one whose result is not valid: not VALID, INT32_MIN, number 0."""
+    snapshot = make_snapshot() if valid else held_snapshot()
+    values = reg.result_values(
+        reg.measured(snapshot, Convention.FIXED_XYZ), 7, valid=valid, free_running=False
+    )
+    for block in (reg.GRASP, reg.UR_GRASP):
+        decoded = reg.decode(block, words_of(reg.encode(block, values)))
+        assert {reg.INT32_MIN} == {decoded[r.name] for r in block.registers if r.kind is reg.Kind.I32}
+        prefix = "G_" if block is reg.GRASP else "UG_"
+        assert not int(decoded[prefix + "FLAGS"]) & reg.Flag.VALID
+        assert 0 == decoded["GRASP" if block is reg.GRASP else "UG_GRASP"]
+
+
+def test_a_tool_that_fits_no_register_is_none() -> None:
+    """The part is good, its grasp 3 km away: nothing is wrapped."""
+    snapshot = held_snapshot()
+    grasp = snapshot.targets[0].grasp
+    assert grasp is not None
+    far = dataclasses.replace(grasp, rig_from_tcp=make_transform((0, 0, 0), (3e6, 0, 0)))
+    target = dataclasses.replace(snapshot.targets[0], grasp=far)
+    measured = reg.measured(make_snapshot(targets=(target,)), Convention.FIXED_XYZ)
+    values = reg.result_values(measured, 7, valid=True, free_running=False)
+    assert "G_X" not in values and not int(values["G_FLAGS"]) & reg.Flag.VALID
 
 
 @pytest.mark.parametrize("x_mm", [2.2e6, -2.2e6, math.nan, math.inf])

@@ -20,14 +20,14 @@ import numpy as np
 import pytest
 import structured_text
 import urscript
-from livecell import LiveCell
+from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.domain import Reject
-from edged.plc.registers import ADDRESS, STATUS, UR, Option, crc16
+from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.plc.texts import render
 from edged.vision.geometry.rigid import rotation_vector
 
@@ -135,6 +135,21 @@ def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> N
         client.verify()
         with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
             client.next_part()
+
+
+def test_the_python_client_says_where_the_tool_takes_the_part(client_module: ModuleType) -> None:
+    """In um and 0.001 degrees; None for a job without grasps, and for a part that is not ok."""
+    with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert client.locate().grasp is None
+    with LiveCell().pick(GRASPS) as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        result = client.locate()
+        tool = cell.targets[0].rig_from_part @ PART_FROM_TCP
+        assert [round(x * 1000) for x in tool[:3, 3]] == [result.grasp[axis] for axis in "XYZ"]
+        assert (1, 80_000) == (result.grasp["GRASP"], result.grasp["RETREAT"])
+        client.acknowledge(result)
+        assert client.latest().grasp is None
 
 
 def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
@@ -334,6 +349,7 @@ class Plc:
         if self.linked:
             self.values["awStatus"] = self.client.read_holding_registers(200, count=STATUS.words).registers
             self.values["awResult"] = self.client.read_holding_registers(300, count=48).registers
+            self.values["awGrasp"] = self.client.read_holding_registers(540, count=GRASP.words).registers
         self.values["xLinkOk"] = self.linked
         self.block.scan()
         if self.linked:
@@ -457,6 +473,31 @@ def test_structured_text_gives_part_after_part() -> None:
             plc.values["stResult"]["xValid"],
         )
         assert 1 == cell.head.captures
+
+
+@pytest.mark.parametrize("order", ["high", "low"])
+def test_structured_text_says_where_the_tool_takes_the_part(order: Any) -> None:
+    """stGrasp is of the same command, or not valid; part after part, and gone with the acknowledgement."""
+    settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
+    with LiveCell(settings).pick(GRASPS) as cell, Plc(cell.port, low_word_first=order == "low") as plc:
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        plc.until("xReady")
+        for command, target in zip((1, 5), cell.targets, strict=True):
+            plc.run(uiCommand=command)
+            grasp, tool = plc.values["stGrasp"], target.rig_from_part @ PART_FROM_TCP
+            assert (True, 1) == (grasp["xValid"], grasp["uiGRASP"])
+            assert [round(x * 1000) for x in tool[:3, 3]] == [grasp[f"di{axis}"] for axis in "XYZ"]
+            away = tool[:3, 3] - 50.0 * tool[:3, 2]
+            assert [round(x * 1000) for x in away] == [grasp[f"diAPPROACH_{axis}"] for axis in "XYZ"]
+            words = plc.values["awGrasp"]
+            old = [*words]
+            old[0] = old[-1] = words[0] + 1
+            plc.values["awGrasp"] = old
+            plc.block.scan()
+            assert (True, False) == (plc.values["stResult"]["xValid"], plc.values["stGrasp"]["xValid"])
+            plc.release()
+            assert not plc.values["stGrasp"]["xValid"]
+            plc.until("xReady")
 
 
 @pytest.mark.slow
@@ -765,6 +806,28 @@ def test_urscript_gives_part_after_part() -> None:
         assert [(0.010, 2), (0.020, 1), (0.030, 0)] == seen
         robot["edged_next"](5.0)
         assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
+
+
+def test_urscript_says_where_the_tool_takes_the_part() -> None:
+    """Tool and approach in m and rad; 108 for a job without grasps, 106 for damaged words."""
+    with LiveCell().pick(GRASPS) as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["edged_locate"](0, 5.0)
+        pose, tool = robot["edged_grasp"](), cell.targets[0].rig_from_part @ PART_FROM_TCP
+        assert robot["edged_ok"]
+        np.testing.assert_allclose(pose[:3], tool[:3, 3] * 1e-3, atol=1e-6)
+        away = tool[:3, 3] - 50.0 * tool[:3, 2]
+        np.testing.assert_allclose(robot["edged_approach"][:3], away * 1e-3, atol=1e-6)
+        for turn in (pose[3:], robot["edged_approach"][3:]):
+            np.testing.assert_allclose(turn, rotation_vector(tool[:3, :3]), atol=0.51e-6)
+        robot["edged_in"][UR.words + 4] ^= 1
+        robot["edged_grasp"]()
+        assert (False, 106) == (robot["edged_ok"], robot["edged_error"])
+    with LiveCell() as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["edged_locate"](0, 5.0)
+        robot["edged_grasp"]()
+        assert (False, 108) == (robot["edged_ok"], robot["edged_error"])
 
 
 def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:

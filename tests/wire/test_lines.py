@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from livecell import LiveCell
+from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from pymodbus.client import ModbusTcpClient
 from snapshots import make_target
 
@@ -124,14 +124,8 @@ def test_each_part_is_held_until_it_is_acknowledged() -> None:
 
 def test_a_part_where_the_robot_must_not_go_is_never_given() -> None:
     """Status 118 when all that is good lies outside; else the others, and none of those by NEXT."""
-    cell = LiveCell(KUKA)
     bounds = Bounds((Box("bin", (0.0, 0.0, 0.0), (100.0, 100.0, 300.0)),), ())
-    jobs = {
-        number: dataclasses.replace(job, picking=Picking(bounds=(bounds,)))
-        for number, job in cell.setup.jobs.items()
-    }
-    cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
-    with cell, connected(cell) as robot:
+    with LiveCell(KUKA).pick(Picking(bounds=(bounds,))) as cell, connected(cell) as robot:
         ready(cell)
         cell.targets = (make_target(x_mm=150.0),)
         assert (1, LineStatus.OUT_OF_LIMITS) == robot.ask("1,LOCATE,0")[:2]
@@ -144,6 +138,38 @@ def test_a_part_where_the_robot_must_not_go_is_never_given() -> None:
         seen = [robot.ask(line) for line in ("3,LOCATE,0", "4,NEXT", "5,NEXT")]
         assert [(3, 0, 1), (4, 0, 0), (5, LineStatus.NO_FURTHER, 0)] == [one[:3] for one in seen]
         assert [20.0, 30.0] == [one[3][0] for one in seen[:2]]
+
+
+@pytest.mark.parametrize("brand", Brand)
+def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
+    """Of the part that was given last: the tool, and from where it comes; each as the pose of a part."""
+    changed = dataclasses.replace(KUKA, line=LineSettings(0, brand))
+    with LiveCell(changed).pick(GRASPS) as cell, connected(cell) as robot:
+        ready(cell)
+        assert LineStatus.NOT_VALID == robot.ask("6,GRASP")[1]
+        cell.targets = (make_target(x_mm=10.0), make_target(x_mm=20.0))
+        size = 7 if brand is Brand.ABB else 6
+        for command, target in zip(("7,LOCATE,0", "8,NEXT"), cell.targets, strict=True):
+            assert 0 == robot.ask(command)[1]
+            tool = target.rig_from_part @ PART_FROM_TCP
+            for line, away_mm in (("9,GRASP", 0.0), ("9,APPROACH", 50.0)):
+                sequence, status, _, numbers = robot.ask(line)
+                assert (9, 0, size + 4) == (sequence, status, len(numbers))
+                pose = transform_of(brand, tuple(numbers[:size]))
+                np.testing.assert_allclose(pose[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.1e-3)
+                np.testing.assert_allclose(pose[:3, :3], tool[:3, :3], atol=5e-5)
+                assert numbers[size] > target.sigma_mm[0] * (1e-3 if brand is Brand.UR else 1)
+        assert 0 == robot.ask("8,ACK")[1]
+        assert LineStatus.NOT_VALID == robot.ask("9,GRASP")[1]
+        assert 1 == cell.head.captures
+
+
+def test_a_part_without_a_grasp_says_so() -> None:
+    """Status 119, and the part itself may be used."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        seen = [robot.ask(line)[1] for line in ("1,LOCATE,0", "2,GRASP", "3,APPROACH", "1,LOCATE,0")]
+        assert [0, LineStatus.NO_GRASP, LineStatus.NO_GRASP, 0] == seen
 
 
 def test_commands_end_with_their_reasons() -> None:

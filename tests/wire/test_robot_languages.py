@@ -16,7 +16,7 @@ import krl
 import numpy as np
 import pytest
 import rapid
-from livecell import LiveCell
+from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
@@ -66,6 +66,13 @@ class Abb:
 
     def next(self) -> tuple[float, ...] | None:
         return self._pose(self.program.call("EdgedNext", 5, self.part))
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        grasp, approach = (rapid.TYPES.variable("pose") for _ in range(2))
+        if not self.program.call("EdgedGrasp", 5, grasp, approach):
+            return None
+        plain = [one.value.plain() for one in (grasp, approach)]
+        return [(*one["trans"].values(), *one["rot"].values()) for one in plain]
 
     def acknowledge(self) -> None:
         self.program.call("EdgedAcknowledge")
@@ -197,6 +204,10 @@ class Doosan:
     def next(self) -> tuple[float, ...] | None:
         pose = self.names["edged_next"](5.0)
         return None if pose is None else tuple(pose)
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        poses = [self.names[name](5.0) for name in ("edged_grasp", "edged_approach")]
+        return None if None in poses else [tuple(pose) for pose in poses]
 
     def acknowledge(self) -> None:
         self.names["edged_acknowledge"]()
@@ -348,6 +359,24 @@ def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
         assert 0 == side.error()
         assert (None, Failure.NO_LINK) == (side.next(), side.error())
         assert not bits(cell) & StatusBit.RESULT_VALID
+
+
+@talkers
+def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
+    """Of the part that was given last; without a grasp None and 119, and the part goes on being valid."""
+    with running(make) as (cell, side):
+        assert side.locate(1) is not None
+        assert (None, LineStatus.NO_GRASP) == (side.grasp(), side.error())
+        cell.call(lambda: cell.cycle.exchange(cell.pick(GRASPS).setup))
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        assert side.locate(1) is not None
+        assert side.next() is not None
+        tool = cell.targets[1].rig_from_part @ PART_FROM_TCP
+        for pose, away_mm in zip(side.grasp(), (0.0, 50.0), strict=True):
+            given = transform_of(side.brand, pose)
+            np.testing.assert_allclose(given[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.2e-3)
+            np.testing.assert_allclose(given[:3, :3], tool[:3, :3], atol=5e-5)
+        side.acknowledge()
 
 
 @pytest.mark.parametrize("make", [Fanuc, FanucWithEnds])

@@ -151,7 +151,7 @@ class S7(structured_text.Driven):
 
 @pytest.mark.slow
 def test_scl_locates_a_part() -> None:
-    """Three requests in turn, each within MB_CLIENT's limits; two parts, a job change, an unknown job."""
+    """Four requests in turn, each within MB_CLIENT's limits; two parts, a job change, an unknown job."""
     with LiveCell(ModbusSettings(port=0, validity_s=30.0)) as cell, S7(cell.port) as plc:
         plc.until("xReady")
         for x_mm in (10.0, -12.5):
@@ -169,7 +169,7 @@ def test_scl_locates_a_part() -> None:
         plc.until("xReady")
         plc.run(uiCommand=1, uiJob=99)
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
-        assert [(103, 200, 18), (103, 300, 48), (116, 100, 19)] == plc.client.requests[:3]
+        assert [(103, 200, 18), (103, 300, 48), (103, 540, 35), (116, 100, 19)] == plc.client.requests[:4]
         assert 2 == cell.head.captures
 
 

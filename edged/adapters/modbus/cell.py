@@ -65,6 +65,7 @@ UR_STATUS = tuple(
     and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name there, byte of the map."""
+EPOCHS = ("START_EPOCH", "UR_START_EPOCH", "G_START_EPOCH", "UG_START_EPOCH")
 UR_START = 2 * reg.UR.address
 UR_CRC = next(2 * register.address for register in reg.UR.registers if register.name == "UR_CRC16")
 
@@ -142,8 +143,8 @@ class CellRegisters:
                 free_running=free,
                 remaining=hs.remaining(self._state),
             )
-        values["START_EPOCH"] = values["UR_START_EPOCH"] = self._epoch
-        for block in (reg.RESULT, reg.UR, reg.FLOAT):
+        values |= dict.fromkeys(EPOCHS, self._epoch)
+        for block in (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP):
             self._place(block, values)
         rows = len(result.payload.poses) if result is not None else 0
         for index, block in enumerate(reg.TABLE):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,9 @@ MAX_CLIENTS = 8
 TIMEOUT_S = 10.0
 """Of a command; then the cell answers NACK, TIMEOUT."""
 POLL_S = 0.005
-FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT
+READ = ("GRASP", "APPROACH")
+"""What is asked of the part that was given last: no commands."""
+FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
 SEND_S = 5.0
 """A robot that does not read its answer for so long is hung up on."""
 
@@ -72,7 +74,7 @@ def parse(line: bytes, brand: Brand) -> Request:
     if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
         raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
     command = "NEXT_PART" if command == "NEXT" else command
-    if command not in (*CommandKind.__members__, "ACK"):
+    if command not in (*CommandKind.__members__, *READ, "ACK"):
         raise ValueError(f"no such command: {command}")
     flange = transform_of(brand, tuple(float(field) for field in fields[3:])) if len(fields) > 3 else None
     return Request(sequence, command, job, flange)
@@ -115,6 +117,8 @@ class Robot:
             used = self._sequence if request.sequence in self._given else request.sequence
             self._write("ACK_SEQ", [used])
             return Answer(request.sequence, LineStatus.OK)
+        if request.command in READ:
+            return self._tool(request)
         if request.command == "NEXT_PART":
             return await self._next(request)
         await self._locate(request)
@@ -200,24 +204,45 @@ class Robot:
 
     def _part(self, sequence: int, otherwise: LineStatus) -> Answer:
         """The part on display. otherwise : the status where it may not be used any more."""
+        result = self._usable(otherwise)
+        return self._answer(sequence, result, [result[axis] for axis in "XYZABC"], "SIGMA")
+
+    def _tool(self, request: Request) -> Answer:
+        """Where the tool takes the part on display, or from where it comes."""
+        result, grasp = self._usable(LineStatus.NOT_VALID), self._read(reg.GRASP)
+        if not int(grasp["G_FLAGS"]) & reg.Flag.VALID:
+            raise _Refused(LineStatus.NO_GRASP)
+        place = "G" if request.command == "GRASP" else "G_APPROACH"
+        pose = [*(grasp[f"{place}_{axis}"] for axis in "XYZ"), *(grasp[f"G_{axis}"] for axis in "ABC")]
+        return self._answer(request.sequence, {**result, **grasp}, pose, "G_SIGMA")
+
+    def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
+        """The result that a robot may move by."""
         result = self._read(reg.RESULT)
         flags = int(result["FLAGS"])
-        if result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
+        if self._sequence == 0 or result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
             raise _Refused(otherwise)
         if not flags & reg.Flag.ROBOT_FRAME:
             raise _Refused(LineStatus.RIG_FRAME)
         if flags & reg.Flag.SIMULATED and not self._line.allow_simulated:
             raise _Refused(LineStatus.SIMULATED)
-        x, y, z, a, b, c = (float(result[axis]) / 1000 for axis in "XYZABC")
-        robot_from_part = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
-        pose = pose_of(self._line.brand, robot_from_part)
-        age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
-        return Answer(sequence, LineStatus.OK, int(result["REMAINING"]), pose, self._sigma(result), age_s)
+        return result
 
-    def _sigma(self, result: Mapping[str, reg.Number]) -> tuple[float, ...]:
+    def _answer(
+        self, sequence: int, result: Mapping[str, reg.Number], numbers: Sequence[reg.Number], sigma: str
+    ) -> Answer:
+        """numbers : X Y Z A B C as in the registers. sigma : how the names of theirs begin."""
+        x, y, z, a, b, c = (float(number) / 1000 for number in numbers)
+        robot_from_pose = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
+        pose = pose_of(self._line.brand, robot_from_pose)
+        age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
+        remaining, sigmas = int(result["REMAINING"]), self._sigma(result, sigma)
+        return Answer(sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
+
+    def _sigma(self, result: Mapping[str, reg.Number], name: str) -> tuple[float, ...]:
         """Of X, Y, Z in the brand's unit."""
         to_unit = 1e-7 if self._line.brand is Brand.UR else 1e-4  # from 0.1 µm
-        known = (float(result[f"SIGMA_{axis}"]) for axis in "XYZ")
+        known = (float(result[f"{name}_{axis}"]) for axis in "XYZ")
         return tuple(sigma * to_unit if sigma != reg.UINT16_MAX else UNKNOWN for sigma in known)
 
     def _read(self, block: reg.Block) -> dict[str, reg.Number]:

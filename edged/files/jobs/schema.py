@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edged.config import Zones
-from edged.domain import Bounds, Order, Picking
+from edged.domain import Bounds, FloatArray, Grasp, Order, Picking
+from edged.robot.orientations import matrix_fixed_xyz
+from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (
     MAX_TILT_DEG,
     MEASURES,
@@ -264,8 +266,44 @@ class _Picking(_Section):
         'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best',
     )
 
-    def values(self, bounds: tuple[Bounds, ...]) -> Picking:
-        return Picking(Order(self.order), bounds)
+    def values(self, bounds: tuple[Bounds, ...], grasps: tuple[Grasp, ...]) -> Picking:
+        return Picking(Order(self.order), bounds, grasps)
+
+
+Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
+
+
+class _Grasp(_Section):
+    """How a tool takes the part. Its z axis is the direction in which it comes."""
+
+    name: Name = Field(description="for people")
+    position_mm: Annotated[list[Millimetres], Field(min_length=3, max_length=3)] = Field(
+        description="the tool's tip, part frame"
+    )
+    rotation_deg: Annotated[
+        list[Annotated[float, Field(ge=-360, le=360)]], Field(min_length=3, max_length=3)
+    ] = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="of the tool in the part frame, about its fixed x, y, z; all 0: straight into the face",
+    )
+    approach_mm: float = Field(50.0, ge=0, le=2000, description="from where it comes, along its z")
+    retreat_mm: float | None = Field(
+        None, ge=0, le=2000, description="how far it goes back along its z; left out: as approach_mm"
+    )
+    symmetry: int = Field(
+        1,
+        ge=0,
+        le=360,
+        description="the part may be taken alike when it is turned about its z by a whole turn over this; 0: "
+        "in any rotation",
+    )
+
+    def grasp(self, rig_from_part: FloatArray) -> Grasp:
+        w, p, r = (math.radians(angle) for angle in self.rotation_deg)
+        part_from_tcp = transform(matrix_fixed_xyz(w, p, r), np.array(self.position_mm))
+        retreat_mm = self.approach_mm if self.retreat_mm is None else self.retreat_mm
+        taught = rig_from_part @ part_from_tcp
+        return Grasp(self.name, part_from_tcp, taught, self.approach_mm, retreat_mm, self.symmetry)
 
 
 class JobFile(_Section):
@@ -293,6 +331,7 @@ class JobFile(_Section):
     slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     corner: Annotated[list[_Corner], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     measurement: Annotated[list[_Measurement], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    grasp: Annotated[list[_Grasp], Field(max_length=32)] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _consistent(self) -> JobFile:
@@ -316,6 +355,9 @@ class JobFile(_Section):
                 f"reference {self.reference!r} is none of the circles, slots and corners {places}"
             )
         self._check_measurements(dict(kinds))
+        grasps = [one.name for one in self.grasp]
+        if len(set(grasps)) != len(grasps):
+            raise ValueError(f"two grasps have one name: {grasps}")
         pose = np.array(self.rig_from_part)
         rigid = (
             np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
@@ -356,6 +398,7 @@ class JobFile(_Section):
 
     def job(self, shape: ShapeModel) -> Job:
         """The job that the file describes, with its shape model."""
+        grasps = tuple(one.grasp(np.array(self.rig_from_part)) for one in self.grasp)
         return Job(
             name=self.name,
             number=self.number,
@@ -372,5 +415,5 @@ class JobFile(_Section):
             witness=self.witness,
             calibration_id=self.calibration,
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
-            picking=self.picking.values(self.limits.bounds()),
+            picking=self.picking.values(self.limits.bounds(), grasps),
         )

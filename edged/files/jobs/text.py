@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from edged.domain import Bounds
+from edged.domain import Bounds, Grasp
+from edged.robot.orientations import fixed_xyz
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec, nominal_size
 
 
@@ -82,7 +83,8 @@ def to_toml(job: Job) -> str:
         "[picking]   # several parts in one picture: which the robot gets first",
         f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',
     ]
-    return "\n".join([*lines, *_features_to_toml(job), *_measurements_to_toml(job)]) + "\n"
+    lines += [*_grasps_to_toml(job.picking.grasps), *_features_to_toml(job), *_measurements_to_toml(job)]
+    return "\n".join(lines) + "\n"
 
 
 def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:
@@ -98,6 +100,33 @@ def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:
             corners = f"min_mm = {_numbers(box.min_mm)}", f"max_mm = {_numbers(box.max_mm)}"
             lines += ["", f"[[limits.{key}]]", f'name = "{box.name}"', *corners]
     return lines
+
+
+def grasp_to_toml(grasp: Grasp) -> list[str]:
+    """One grasp as a table of a job's file."""
+    rotation_deg = fixed_xyz(grasp.part_from_tcp[:3, :3])
+    return [
+        "[[grasp]]",
+        f"name = {json.dumps(grasp.name)}",
+        f"position_mm = {_numbers(grasp.part_from_tcp[:3, 3])}   # the tool's tip, part frame",
+        f"rotation_deg = {_numbers(rotation_deg)}   # of the tool, about the part's fixed x, y, z",
+        f"approach_mm = {grasp.approach_mm!r}",
+        f"retreat_mm = {grasp.retreat_mm!r}",
+        f"symmetry = {grasp.symmetry}   # ways to take it alike, turned about the part's z; 0: any",
+    ]
+
+
+def _grasps_to_toml(grasps: tuple[Grasp, ...]) -> list[str]:
+    if not grasps:
+        return [
+            "",
+            "# How a tool takes the part; its z axis is the direction in which it comes. Take out the #:",
+            "# [[grasp]]",
+            '# name = "inner"',
+            "# position_mm = [0.0, 0.0, 0.0]   # the tool's tip, part frame",
+            "# approach_mm = 50.0",
+        ]
+    return [line for grasp in grasps for line in ["", *grasp_to_toml(grasp)]]
 
 
 def _features_to_toml(job: Job) -> list[str]:

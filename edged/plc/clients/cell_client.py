@@ -81,6 +81,8 @@ class Result:
     robot's frame and of real cameras, unless `EdgedCell` was told that others will do.
     values : every register of the block `result`; lengths in um, angles in 0.001 degrees.
     targets : the rows of the target table, without the prefix of their names.
+    grasp : where a tool takes the part that is shown: the block `grasp`, without the prefix of its names;
+    None where the part has none, or is not `ok`.
     """
 
     sequence: int
@@ -89,6 +91,7 @@ class Result:
     simulated: bool
     values: dict[str, float]
     targets: tuple[dict[str, float], ...]
+    grasp: dict[str, float] | None = None
 
 
 class EdgedCell:
@@ -218,13 +221,15 @@ class EdgedCell:
         values = self.read("result")
         flags = _names(FLAGS, int(values["FLAGS"]))
         codes = {number: name for name, number in RESULTS.items()}
+        is_ok = self._needed <= flags and not self._unwanted & flags
         return Result(
             sequence=int(values["SEQ_HEAD"]),
             code=codes.get(int(values["RESULT"]), "?"),
-            ok=self._needed <= flags and not self._unwanted & flags,
+            ok=is_ok,
             simulated="SIMULATED" in flags,
             values=values,
             targets=self._targets(values),
+            grasp=self._grasp(values) if is_ok else None,
         )
 
     def read(self, block: str, shift: int = 0) -> dict[str, float]:
@@ -284,6 +289,14 @@ class EdgedCell:
                 break  # the next result has come in between
             rows.append({name.removeprefix("T0_"): value for name, value in row.items()})
         return tuple(rows)
+
+    def _grasp(self, values: dict[str, float]) -> dict[str, float] | None:
+        grasp = self.read("grasp")
+        ours = tuple(values[name] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH"))
+        is_ours = ours == tuple(grasp[f"G_{name}"] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH"))
+        if not is_ours or "VALID" not in _names(FLAGS, int(grasp["G_FLAGS"])):
+            return None
+        return {name.removeprefix("G_"): value for name, value in grasp.items()}
 
     def _write(self, address: int, words: list[int]) -> None:
         unit: dict[str, Any] = {UNIT: self._unit_id}

@@ -51,6 +51,15 @@ def edged_next(timeout):
     return edged_pose(edged_ask("NEXT", edged_number(), timeout))
 
 
+# Where the tool takes the part that was given last, and from where it comes; edged_error 119: nowhere.
+def edged_grasp(timeout):
+    return edged_pose(edged_ask("GRASP", edged_number(), timeout))
+
+
+def edged_approach(timeout):
+    return edged_pose(edged_ask("APPROACH", edged_number(), timeout))
+
+
 # The result was used: it is withdrawn, and the link is closed.
 def edged_acknowledge():
     edged_ask("ACK", edged_command, 2.0)

@@ -67,6 +67,20 @@ MODULE = r"""MODULE EDGED
     RETURN FALSE;
   ENDFUNC
 
+  ! Where the tool takes the part that was given last, and from where it comes; edged_error 119: nowhere.
+  FUNC bool EdgedGrasp(num timeout_s,INOUT pose grasp,INOUT pose approach)
+    edged_sequence:=edged_sequence MOD 65535+1;
+    IF EdgedAsk("GRASP",edged_sequence,timeout_s,FALSE) THEN
+      EdgedTake grasp;
+      edged_sequence:=edged_sequence MOD 65535+1;
+      IF EdgedAsk("APPROACH",edged_sequence,timeout_s,FALSE) THEN
+        EdgedTake approach;
+        RETURN TRUE;
+      ENDIF
+    ENDIF
+    RETURN FALSE;
+  ENDFUNC
+
   ! The result was used: it is withdrawn, and the link is closed.
   PROC EdgedAcknowledge()
     VAR bool is_done;

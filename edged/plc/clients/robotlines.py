@@ -42,6 +42,7 @@ STATUSES = {
     LineStatus.NOT_UNDERSTOOD: "no request",
     LineStatus.NO_FURTHER: "no further target",
     LineStatus.OUT_OF_LIMITS: "where the robot must not go",
+    LineStatus.NO_GRASP: "the part has no grasp",
 }
 
 

@@ -16,7 +16,7 @@ import re
 
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
 from edged.plc.clients.units import COMMENT, Code, Structure, Variable, codes, filled, structures
-from edged.plc.registers import COMMAND, MAP_VERSION, RESULT, STATUS
+from edged.plc.registers import COMMAND, GRASP, MAP_VERSION, RESULT, STATUS
 
 ADDRESS_BYTES = ("16#C0", "16#A8", "16#0A", "16#14")  # 192.168.10.20
 SHIFT = re.compile(r"\b(SHL|SHR)\(((?:[^(),]|\([^()]*\))+), (\d+)\)")
@@ -30,6 +30,7 @@ NON_RETAIN
    STRUCT
       awStatus : Array[0..@STATUS_LAST@] of Word;
       awResult : Array[0..@RESULT_LAST@] of Word;
+      awGrasp : Array[0..@GRASP_LAST@] of Word;
       awCommand : Array[0..@CONTROL_LAST@] of Word;
    END_STRUCT;
 BEGIN
@@ -68,12 +69,13 @@ VERSION : 0.1
       xLinkOk : Bool;
       wStatus : Word;
       stResult : "ST_EDGED_RESULT";
+      stGrasp : "ST_EDGED_GRASP";
    END_VAR
    VAR
       fbEdged : "FB_EDGED";
       mbClient : MB_CLIENT;
       stConnection : TCON_IP_V4;
-      iStep : Int; (* 0 reads the status, 1 the result, 2 writes the command *)
+      iStep : Int; (* 0 reads the status, 1 the result, 2 the grasp, 3 writes the command *)
       xRequest : Bool;
       xRequestDone : Bool;
       xRequestBusy : Bool;
@@ -104,6 +106,11 @@ BEGIN
             MB_DATA_PTR := "DB_EDGED".awResult, CONNECT := #stConnection, DONE => #xRequestDone,
             BUSY => #xRequestBusy, ERROR => #xRequestError, STATUS => #wRequestStatus);
       2:
+         #mbClient(REQ := #xRequest, DISCONNECT := FALSE, MB_MODE := 103,
+            MB_DATA_ADDR := UINT_TO_UDINT(#uiBase) + @GRASP@, MB_DATA_LEN := @GRASP_WORDS@,
+            MB_DATA_PTR := "DB_EDGED".awGrasp, CONNECT := #stConnection, DONE => #xRequestDone,
+            BUSY => #xRequestBusy, ERROR => #xRequestError, STATUS => #wRequestStatus);
+      3:
          #mbClient(REQ := #xRequest, DISCONNECT := FALSE, MB_MODE := 116,
             MB_DATA_ADDR := UINT_TO_UDINT(#uiBase) + @COMMAND@, MB_DATA_LEN := @CONTROL_WORDS@,
             MB_DATA_PTR := "DB_EDGED".awCommand, CONNECT := #stConnection, DONE => #xRequestDone,
@@ -118,8 +125,8 @@ BEGIN
       #iStep := 0;
    ELSIF #xRequestDone THEN
       #xRequest := FALSE;
-      IF #iStep = 2 THEN
-         #xLinkOk := TRUE; (* all three have succeeded *)
+      IF #iStep = 3 THEN
+         #xLinkOk := TRUE; (* all of them have succeeded *)
          #iStep := 0;
       ELSE
          #iStep := #iStep + 1;
@@ -131,10 +138,12 @@ BEGIN
    #fbEdged(xLinkOk := #xLinkOk, xExecute := #xExecute, uiCommand := #uiCommand, uiJob := #uiJob,
       tTimeout := #tTimeout, xLowWordFirst := #xLowWordFirst, xAllowRigFrame := #xAllowRigFrame,
       xAllowSimulated := #xAllowSimulated, adiFlange := #adiFlange, awStatus := "DB_EDGED".awStatus,
-      awResult := "DB_EDGED".awResult, xReady => #xReady, xBusy => #xBusy, xExposureDone => #xExposureDone,
-      xDone => #xDone, xError => #xError, uiError => #uiError, stResult => #stResult);
+      awResult := "DB_EDGED".awResult, awGrasp := "DB_EDGED".awGrasp,
+      xReady => #xReady, xBusy => #xBusy, xExposureDone => #xExposureDone,
+      xDone => #xDone, xError => #xError, uiError => #uiError, stResult => #stResult,
+      stGrasp => #stGrasp);
    (* what is being sent must not change; it is taken anew before each write *)
-   IF #iStep <> 2 OR NOT #xRequest THEN
+   IF #iStep <> 3 OR NOT #xRequest THEN
       "DB_EDGED".awCommand := #fbEdged.awCommand;
    END_IF;
 END_FUNCTION_BLOCK
@@ -223,12 +232,15 @@ def _s7() -> str:
     values = {
         "STATUS_LAST": STATUS.words - 1,
         "RESULT_LAST": RESULT.words - 1,
+        "GRASP_LAST": GRASP.words - 1,
         "CONTROL_LAST": CONTROL_WORDS - 1,
         "STATUS_WORDS": STATUS.words,
         "RESULT_WORDS": RESULT.words,
+        "GRASP_WORDS": GRASP.words,
         "CONTROL_WORDS": CONTROL_WORDS,
         "STATUS": STATUS.address,
         "RESULT": RESULT.address,
+        "GRASP": GRASP.address,
         "COMMAND": COMMAND.address,
         **{f"IP{i}": byte for i, byte in enumerate(ADDRESS_BYTES, start=1)},
     }

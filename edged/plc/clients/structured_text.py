@@ -9,16 +9,30 @@ from __future__ import annotations
 from edged.domain import CommandKind
 from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, RESULT, STATUS, Flag, Kind, Register, StatusBit
+from edged.plc.registers import (
+    ADDRESS,
+    COMMAND,
+    GRASP,
+    MAP_VERSION,
+    RESULT,
+    STATUS,
+    Block,
+    Flag,
+    Kind,
+    Register,
+    StatusBit,
+)
 
 TYPES = {Kind.U16: ("ui", "UINT"), Kind.I32: ("di", "DINT"), Kind.U32: ("ud", "UDINT")}
+ARRAYS = {RESULT: "awResult", GRASP: "awGrasp"}
 CONTROL_WORDS = ADDRESS["TIMEOUT"] - COMMAND.address + 1
 """COMMAND to TIMEOUT, in one write."""
 
 
 def structured_text_source() -> str:
     """Types, functions and the function block `FB_EDGED`, as text."""
-    text = "\n".join((_header(), _result_type(), FUNCTIONS, _block()))
+    types = (_type("ST_EDGED_RESULT", RESULT), _type("ST_EDGED_GRASP", GRASP))
+    text = "\n".join((_header(), *types, FUNCTIONS, _block()))
     return text.replace("µ", "u").replace("°", " degrees")  # compilers differ in what a source is encoded in
 
 
@@ -28,40 +42,42 @@ def _header() -> str:
 Configure the Modbus client of the PLC (addresses are 0-based PDU addresses; add base_address of the cell):
     read  {STATUS.words:3} words from {STATUS.address} into awStatus,  cyclically, 20 to 50 ms
     read  {RESULT.words:3} words from {RESULT.address} into awResult,  cyclically, 20 to 50 ms, in ONE request
+    read  {GRASP.words:3} words from {GRASP.address} into awGrasp,   the same, where jobs have grasps
     write {CONTROL_WORDS:3} words to   {COMMAND.address} from awCommand, cyclically, in ONE request (FC 16)
-and xLinkOk: TRUE while all three succeed. Call FB_EDGED in every scan. *)
+and xLinkOk: TRUE while all succeed. Call FB_EDGED in every scan. *)
 """
 
 
-def _fields(register: Register) -> list[tuple[str, str, str]]:
-    """Name, type and conversion of a register in the result type; 64 bits become two UDINT."""
-    offset = register.address - RESULT.address
+def _fields(block: Block, register: Register) -> list[tuple[str, str, str]]:
+    """Name, type and conversion of a register in the type of its block; 64 bits become two UDINT."""
+    offset = register.address - block.address
+    array = ARRAYS[block]
     if register.kind is Kind.U64:
         halves = ("HIGH", "LOW")
         first, second = (
-            f"F_EDGED_UDINT_OF_64(awWords := awResult, iAt := {offset}, iHalf := {i}, "
+            f"F_EDGED_UDINT_OF_64(awWords := {array}, iAt := {offset}, iHalf := {i}, "
             "xLowWordFirst := xLowWordFirst)"
             for i in (0, 1)
         )
         names = [f"ud{register.name}_{half}" for half in halves]
         return [(names[0], "UDINT", first), (names[1], "UDINT", second)]
     prefix, kind = TYPES[register.kind]
-    name = prefix + register.name
+    name = prefix + register.name.removeprefix("G_")
     if register.kind is Kind.U16:
-        return [(name, kind, f"WORD_TO_UINT(awResult[{offset}])")]
-    words = f"wFirst := awResult[{offset}], wSecond := awResult[{offset + 1}]"
+        return [(name, kind, f"WORD_TO_UINT({array}[{offset}])")]
+    words = f"wFirst := {array}[{offset}], wSecond := {array}[{offset + 1}]"
     joined = f"F_EDGED_DWORD({words}, xLowWordFirst := xLowWordFirst)"
     return [(name, kind, f"DWORD_TO_{kind}({joined})")]
 
 
-def _used() -> list[Register]:
-    return [register for register in RESULT.registers if not register.name.startswith(("RESERVED", "CRC"))]
+def _used(block: Block) -> list[Register]:
+    return [one for one in block.registers if "RESERVED" not in one.name and not one.name.endswith("CRC16")]
 
 
-def _result_type() -> str:
-    lines = ["TYPE ST_EDGED_RESULT :", "STRUCT", "    xValid : BOOL; (* a robot may use the coordinates *)"]
-    for register in _used():
-        for name, kind, _ in _fields(register):
+def _type(title: str, block: Block) -> str:
+    lines = [f"TYPE {title} :", "STRUCT", "    xValid : BOOL; (* a robot may use the coordinates *)"]
+    for register in _used(block):
+        for name, kind, _ in _fields(block, register):
             unit = f"{register.unit}: " if register.unit else ""
             lines.append(f"    {name} : {kind}; (* {unit}{register.help} *)")
     return "\n".join([*lines, "END_STRUCT;", "END_TYPE", ""])
@@ -138,6 +154,7 @@ VAR_INPUT
     adiFlange : ARRAY[0..5] OF DINT; (* pose of the flange, um and 0.001 degrees; optional *)
     awStatus : ARRAY[0..@STATUS_LAST@] OF WORD;
     awResult : ARRAY[0..@RESULT_LAST@] OF WORD;
+    awGrasp : ARRAY[0..@GRASP_LAST@] OF WORD; (* optional *)
 END_VAR
 VAR_OUTPUT
     xReady : BOOL;
@@ -147,6 +164,7 @@ VAR_OUTPUT
     xError : BOOL;
     uiError : UINT;
     stResult : ST_EDGED_RESULT;
+    stGrasp : ST_EDGED_GRASP; (* of the same part; xValid a cycle later, perhaps *)
     awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
 END_VAR
 VAR
@@ -294,6 +312,15 @@ IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ THEN
     iState := 30;
 END_IF;
 
+(* The grasp comes by another request: of another command it is not valid. *)
+stGrasp.xValid := FALSE;
+IF stResult.xValid AND awGrasp[0] = UINT_TO_WORD(uiSequence)
+    AND awGrasp[@GRASP_LAST@] = UINT_TO_WORD(uiSequence)
+    AND awGrasp[@GRASP_EPOCH@] = wEpochFirst AND awGrasp[@GRASP_EPOCH@ + 1] = wEpochSecond THEN
+@DECODE_GRASP@
+    stGrasp.xValid := (awGrasp[@GRASP_FLAGS@] AND @VALID@) <> 16#0;
+END_IF;
+
 (* A command that failed must not run later: 0 is no command, whenever it arrives. *)
 IF NOT xAlive OR (iState = 40 AND uiError >= 100) THEN
     awCommand[@O_CMD_SEQ@] := 16#0;
@@ -304,6 +331,7 @@ compliant libraries": Done, Error and Execute). *)
 IF (xDone OR xError) AND NOT xExecute THEN
     awCommand[@O_ACK_SEQ@] := UINT_TO_WORD(uiSequence);
     stResult.xValid := FALSE;
+    stGrasp.xValid := FALSE;
     iState := 0;
 END_IF;
 xBusy := iState = 5 OR iState = 10 OR iState = 20;
@@ -332,16 +360,16 @@ def _block() -> str:
         "REASON": _at("NACK_REASON"),
         "FLANGE": ADDRESS["FLANGE_X"] - COMMAND.address,
         "EPOCH": _at("START_EPOCH"),
-        "RESULT_EPOCH": _in_result("START_EPOCH"),
-        "FLAGS": _in_result("FLAGS"),
+        "RESULT_EPOCH": _in(RESULT, "START_EPOCH"),
+        "FLAGS": _in(RESULT, "FLAGS"),
+        "GRASP_LAST": GRASP.words - 1,
+        "GRASP_EPOCH": _in(GRASP, "G_START_EPOCH"),
+        "GRASP_FLAGS": _in(GRASP, "G_FLAGS"),
         "VALID": f"16#{Flag.VALID.value:04X}",
         "ROBOT_FRAME": f"16#{Flag.ROBOT_FRAME.value:04X}",
         "F_SIMULATED": f"16#{Flag.SIMULATED.value:04X}",
-        "DECODE": "\n".join(
-            f"    stResult.{name} := {conversion};"
-            for register in _used()
-            for name, _, conversion in _fields(register)
-        ),
+        "DECODE": _decoded("stResult", RESULT),
+        "DECODE_GRASP": _decoded("stGrasp", GRASP),
     }
     words |= {bit.name or "": f"16#{bit.value:04X}" for bit in StatusBit}
     words |= {
@@ -351,9 +379,17 @@ def _block() -> str:
     return filled(BLOCK, words)
 
 
+def _decoded(variable: str, block: Block) -> str:
+    return "\n".join(
+        f"    {variable}.{name} := {conversion};"
+        for register in _used(block)
+        for name, _, conversion in _fields(block, register)
+    )
+
+
 def _at(name: str) -> int:
     return ADDRESS[name] - STATUS.address
 
 
-def _in_result(name: str) -> int:
-    return next(one.address for one in RESULT.registers if one.name == name) - RESULT.address
+def _in(block: Block, name: str) -> int:
+    return next(one.address for one in block.registers if one.name == name) - block.address

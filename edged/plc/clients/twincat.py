@@ -16,7 +16,7 @@ import uuid
 
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
 from edged.plc.clients.units import Code, Structure, codes, filled, structures
-from edged.plc.registers import COMMAND, RESULT, STATUS
+from edged.plc.registers import COMMAND, GRASP, RESULT, STATUS
 
 NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
 """Of the ids of the objects: the same name has the same id in every print, so a file can be replaced."""
@@ -49,6 +49,7 @@ VAR_OUTPUT
     xLinkOk : BOOL;
     udErrorId : UDINT;
     stResult : ST_EDGED_RESULT;
+    stGrasp : ST_EDGED_GRASP;
 END_VAR
 VAR
     fbEdged : FB_EDGED;
@@ -56,8 +57,9 @@ VAR
     fbWrite : FB_MBWriteRegs;
     awStatus : ARRAY[0..@STATUS_LAST@] OF WORD;
     awResult : ARRAY[0..@RESULT_LAST@] OF WORD;
+    awGrasp : ARRAY[0..@GRASP_LAST@] OF WORD;
     awCommand : ARRAY[0..@CONTROL_LAST@] OF WORD;
-    iStep : INT; (* 0 reads the status, 1 the result, 2 writes the command *)
+    iStep : INT; (* 0 reads the status, 1 the result, 2 the grasp, 3 writes the command *)
     xRequest : BOOL;
     xRequestError : BOOL;
     xEnded : BOOL;
@@ -73,11 +75,15 @@ CASE iStep OF
             nMBAddr := UINT_TO_WORD(uiBase + @RESULT@), cbLength := SIZEOF(awResult),
             pDestAddr := ADR(awResult), bExecute := xRequest, tTimeout := T#2S);
     2:
+        fbRead(sIPAddr := sAddress, nTCPPort := uiPort, nUnitID := 16#FF, nQuantity := @GRASP_WORDS@,
+            nMBAddr := UINT_TO_WORD(uiBase + @GRASP@), cbLength := SIZEOF(awGrasp),
+            pDestAddr := ADR(awGrasp), bExecute := xRequest, tTimeout := T#2S);
+    3:
         fbWrite(sIPAddr := sAddress, nTCPPort := uiPort, nUnitID := 16#FF, nQuantity := @CONTROL_WORDS@,
             nMBAddr := UINT_TO_WORD(uiBase + @COMMAND@), cbLength := SIZEOF(awCommand),
             pSrcAddr := ADR(awCommand), bExecute := xRequest, tTimeout := T#2S);
 END_CASE;
-IF iStep = 2 THEN
+IF iStep = 3 THEN
     xEnded := xRequest AND NOT fbWrite.bBusy;
     xRequestError := fbWrite.bError;
 ELSE
@@ -89,7 +95,7 @@ END_IF;
 IF NOT xRequest THEN
     xRequest := TRUE;
 ELSIF xEnded AND xRequestError THEN
-    IF iStep = 2 THEN
+    IF iStep = 3 THEN
         udErrorId := fbWrite.nErrId;
     ELSE
         udErrorId := fbRead.nErrId;
@@ -98,8 +104,8 @@ ELSIF xEnded AND xRequestError THEN
     xRequest := FALSE;
     iStep := 0;
 ELSIF xEnded THEN
-    IF iStep = 2 THEN
-        xLinkOk := TRUE; (* all three have succeeded *)
+    IF iStep = 3 THEN
+        xLinkOk := TRUE; (* all of them have succeeded *)
         iStep := 0;
     ELSE
         iStep := iStep + 1;
@@ -110,10 +116,11 @@ END_IF;
 fbEdged(xLinkOk := xLinkOk, xExecute := xExecute, uiCommand := uiCommand, uiJob := uiJob,
     tTimeout := tTimeout, xLowWordFirst := xLowWordFirst, xAllowRigFrame := xAllowRigFrame,
     xAllowSimulated := xAllowSimulated, adiFlange := adiFlange, awStatus := awStatus, awResult := awResult,
+    awGrasp := awGrasp,
     xReady => xReady, xBusy => xBusy, xExposureDone => xExposureDone, xDone => xDone, xError => xError,
-    uiError => uiError, stResult => stResult);
+    uiError => uiError, stResult => stResult, stGrasp => stGrasp);
 (* what is being sent must not change; it is taken anew before each write *)
-IF iStep <> 2 OR NOT xRequest THEN
+IF iStep <> 3 OR NOT xRequest THEN
     awCommand := fbEdged.awCommand;
 END_IF;
 END_FUNCTION_BLOCK
@@ -166,12 +173,15 @@ def _modbus() -> str:
     numbers = {
         "STATUS_LAST": STATUS.words - 1,
         "RESULT_LAST": RESULT.words - 1,
+        "GRASP_LAST": GRASP.words - 1,
         "CONTROL_LAST": CONTROL_WORDS - 1,
         "STATUS_WORDS": f"16#{STATUS.words:X}",
         "RESULT_WORDS": f"16#{RESULT.words:X}",
+        "GRASP_WORDS": f"16#{GRASP.words:X}",
         "CONTROL_WORDS": f"16#{CONTROL_WORDS:X}",
         "STATUS": STATUS.address,
         "RESULT": RESULT.address,
+        "GRASP": GRASP.address,
         "COMMAND": COMMAND.address,
     }
     return filled(MODBUS, numbers)

@@ -1,11 +1,12 @@
 """The robot's side in URScript, for Universal Robots e-Series (PolyScope 5) and PolyScope X.
 
-Two signals: the block ur, read in one request, so that its words always belong together, and the command
-block, written in one. What the controller's Modbus client does is in the "Script Manual" of PolyScope 5:
-`modbus_add_signal` (names of at most 20 characters, `register_count` to 123, type 16 writes by function 16),
-`modbus_set_signal_update_frequency`, `modbus_set_output_register`, `modbus_set_signal_watchdog`; CB3
-controllers know no `register_count`. It goes on writing the output for ever, also when no program runs: the
-command block is one of those that the first CMD_SEQ of a connection is for.
+Two signals: the blocks ur and ur grasp, read in one request, so that its words always belong together, and
+the command block, written in one. What the controller's Modbus client does is in the "Script Manual" of
+PolyScope 5: `modbus_add_signal` (names of at most 20 characters, `register_count` to 123, type 16 writes by
+function 16), `modbus_set_signal_update_frequency`, `modbus_set_output_register`,
+`modbus_set_signal_watchdog`; CB3 controllers know no `register_count`. It goes on writing the output for
+ever, also when no program runs: the command block is one of those that the first CMD_SEQ of a connection is
+for.
 
 There is no exclusive or for integers in URScript, hence the table; and no division that is certainly one of
 integers, hence `floor`.
@@ -16,7 +17,7 @@ from __future__ import annotations
 from edged.domain import CommandKind
 from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, Flag, StatusBit
+from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, StatusBit
 
 REFRESH_HZ = 50
 STALE_S = 1.0
@@ -39,16 +40,19 @@ SCRIPT = """\
 #         target = edged_next(5.0)        # the next part of the same picture, in the order of the job
 #         ...
 #     end
+# Where the job has grasps, edged_grasp() after edged_locate or edged_next is where the tool takes the part,
+# and edged_approach from where it comes.
 # The cell listens on port 502 (a robot's Modbus client knows no other). Positions are in m and rad in the
 # robot's base. edged_error: 0 none, a NACK_REASON (@REASONS@),
 # 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot, 103 a virtual cell
 # (set edged_allow_simulated to True to move by what it says), 104 the cell's heartbeat stands still,
 # 105 the cell was started anew, or another client's command took the place of this one, 106 the CRC is
-# wrong, 107 another job was measured.
+# wrong, 107 another job was measured, 108 the part has no grasp.
 
 global edged_ok = False
 global edged_error = 0
 global edged_remaining = 0
+global edged_approach = p[0, 0, 0, 0, 0, 0]
 global edged_sequence = 0
 global edged_allow_simulated = False
 global edged_in = [@ZEROS_IN@]
@@ -113,9 +117,13 @@ end
 
 # CRC-16/MODBUS of the words before the CRC, each high byte first, each byte low half first.
 def edged_crc(words):
+    return edged_crc_of(words, 0, @CRC@)
+end
+
+def edged_crc_of(words, first, end_of_words):
     local crc = 65535
-    local i = 0
-    while i < @CRC@:
+    local i = first
+    while i < end_of_words:
         crc = edged_crc_step(crc, edged_mod(floor(words[i] / 256), 16))
         crc = edged_crc_step(crc, floor(words[i] / 4096))
         crc = edged_crc_step(crc, edged_mod(words[i], 16))
@@ -239,6 +247,26 @@ def edged_next(timeout):
     return p[0, 0, 0, 0, 0, 0]
 end
 
+# Where the tool takes the part that was found; sets edged_approach. Without a grasp edged_ok becomes False.
+def edged_grasp():
+    if not edged_ok:
+        return p[0, 0, 0, 0, 0, 0]
+    end
+    edged_ok = False
+    if edged_in[@G_HEAD@] != edged_sequence or edged_in[@G_TAIL@] != edged_sequence:
+        edged_error = 105
+    elif not edged_bit(edged_in[@G_FLAGS@], @VALID@):
+        edged_error = 108
+    elif edged_in[@G_CRC@] != edged_crc_of(edged_in, @G_HEAD@, @G_CRC@):
+        edged_error = 106
+    else:
+        edged_ok = True
+        edged_approach = p[@APPROACH@]
+        return p[@TOOL@]
+    end
+    return p[0, 0, 0, 0, 0, 0]
+end
+
 # The pose in a block of words; sets edged_ok and edged_remaining.
 def edged_pose(words, job):
     if words[@HEAD@] != edged_sequence or words[@TAIL@] != edged_sequence:
@@ -270,7 +298,11 @@ def _values() -> dict[str, str]:
     numbers = {
         "VERSION": MAP_VERSION,
         "UR": UR.address,
-        "UR_WORDS": UR.words,
+        "UR_WORDS": UR.words + UR_GRASP.words,
+        "G_HEAD": _at("SEQ_HEAD", UR_GRASP),
+        "G_TAIL": _at("SEQ_TAIL", UR_GRASP),
+        "G_FLAGS": _at("FLAGS", UR_GRASP),
+        "G_CRC": _at("CRC16", UR_GRASP),
         "COMMAND": COMMAND.address,
         "CONTROL_WORDS": CONTROL_WORDS,
         "HZ": REFRESH_HZ,
@@ -307,16 +339,23 @@ def _values() -> dict[str, str]:
         "SETTLE": f"{5 / REFRESH_HZ:g}",
         "STEP": f"{1 / REFRESH_HZ:g}",
         "STALE": f"{STALE_S:g}",
-        "ZEROS_IN": ", ".join(["0"] * UR.words),
+        "ZEROS_IN": ", ".join(["0"] * (UR.words + UR_GRASP.words)),
         "ZEROS_OUT": ", ".join(["0"] * CONTROL_WORDS),
         "XOR": ", ".join(str(one ^ other) for one in range(16) for other in range(16)),
         "CRC_TABLE": ", ".join(str(_crc_of_four(four)) for four in range(16)),
-        "POSE": ", ".join(_pose_term(axis) for axis in AXES),
+        "POSE": ", ".join(_pose_term("words", axis, UR) for axis in AXES),
+        "TOOL": ", ".join(_pose_term("edged_in", axis, UR_GRASP) for axis in AXES),
+        "APPROACH": ", ".join(
+            _pose_term("edged_in", axis if axis.startswith("R") else f"APPROACH_{axis}", UR_GRASP)
+            for axis in AXES
+        ),
     }
 
 
-def _at(name: str) -> int:
-    return next(one.address for one in UR.registers if one.name == f"UR_{name}") - UR.address
+def _at(name: str, block: Block = UR) -> int:
+    """Place in what is read, which begins with the block ur."""
+    prefix = block.registers[0].name.partition("_")[0]
+    return next(one.address for one in block.registers if one.name == f"{prefix}_{name}") - UR.address
 
 
 def _crc_of_four(bits: int) -> int:
@@ -326,6 +365,6 @@ def _crc_of_four(bits: int) -> int:
     return bits
 
 
-def _pose_term(axis: str) -> str:
-    high = _at(axis)
-    return f"edged_signed(words[{high}], words[{high + 1}]) / 1000000.0"  # µm to m, µrad to rad
+def _pose_term(words: str, axis: str, block: Block) -> str:
+    high = _at(axis, block)
+    return f"edged_signed({words}[{high}], {words}[{high + 1}]) / 1000000.0"  # µm to m, µrad to rad

@@ -15,10 +15,12 @@ from edged.plc.registers.layout import (
     COMMAND,
     CONSTANTS,
     FLOAT,
+    GRASP,
     RESULT,
     STATUS,
     TABLE,
     UR,
+    UR_GRASP,
 )
 from edged.plc.registers.schema import (
     INT32_MAX,
@@ -58,6 +60,7 @@ __all__ = [
     "CONSTANTS",
     "CRC_START",
     "FLOAT",
+    "GRASP",
     "INT32_MAX",
     "INT32_MIN",
     "MAGIC",
@@ -71,6 +74,7 @@ __all__ = [
     "UINT16_MAX",
     "UINT32_MAX",
     "UR",
+    "UR_GRASP",
     "Block",
     "Flag",
     "Kind",

@@ -211,6 +211,24 @@ UR = make_block(
     high_first=True,
 )
 
+UR_GRASP = make_block(
+    "ur grasp",
+    427,
+    [
+        ("UG_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
+        ("UG_FLAGS", _U16, "bits", "as FLAGS; VALID when the part has a grasp"),
+        ("UG_GRASP", _U16, "", "as GRASP"),
+        *((f"UG_{axis}", _I32, "µm", "of the grasp; 32768, 0 when not VALID") for axis in "XYZ"),
+        *((f"UG_R{axis}", _I32, "µrad", "rotation vector; 32768, 0 when not VALID") for axis in "XYZ"),
+        *((f"UG_APPROACH_{axis}", _I32, "µm", "from where the tool comes, turned alike") for axis in "XYZ"),
+        ("UG_RETREAT", _I32, "µm", "as G_RETREAT"),
+        ("UG_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("UG_CRC16", _U16, "", "CRC-16/MODBUS of the words of this block before, each high byte first"),
+        ("UG_SEQ_TAIL", _U16, "", "equals UG_SEQ_HEAD"),
+    ],
+    high_first=True,
+)
+
 FLOAT = make_block(
     "float",
     500,
@@ -223,6 +241,31 @@ FLOAT = make_block(
         *((f"F_SIGMA_{axis}", _F32, "mm" if axis in "XYZ" else "°", "one sigma") for axis in AXES),
         ("F_RESULT", _U16, "", "as RESULT"),
         ("F_SEQ_TAIL", _U16, "", "equals F_SEQ_HEAD"),
+    ],
+)
+
+
+GRASP = make_block(
+    "grasp",
+    540,
+    [
+        ("G_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
+        ("G_FLAGS", _U16, "bits", "as FLAGS; VALID when the part that is shown has a grasp"),
+        ("GRASP", _U16, "", "number of the grasp in the job, from 1; 0: the job has none"),
+        ("G_TURN", _I32, "0.001°", "by how much it is turned about the part's z against the taught one"),
+        *(
+            (f"G_{axis}", _I32, "µm" if axis in "XYZ" else "0.001°", "of the tool; INT32_MIN when not VALID")
+            for axis in AXES
+        ),
+        *((f"G_APPROACH_{axis}", _I32, "µm", "from where the tool comes, turned alike") for axis in "XYZ"),
+        ("G_RETREAT", _I32, "µm", "how far it goes back along its z"),
+        *(
+            (f"G_SIGMA_{axis}", _U16, "0.1 µm" if axis in "XYZ" else "0.001°", "one sigma, as SIGMA_X")
+            for axis in AXES
+        ),
+        ("G_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("G_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
+        ("G_SEQ_TAIL", _U16, "", "equals G_SEQ_HEAD"),
     ],
 )
 
@@ -247,7 +290,7 @@ def _row(index: int) -> Block:
 
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
-BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, FLOAT, *TABLE)
+BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, UR_GRASP, FLOAT, GRASP, *TABLE)
 
 ADDRESS = {
     register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers

@@ -32,6 +32,23 @@ from edged.robot.reading import reading_of
 
 
 @dataclass(frozen=True, slots=True)
+class Tool:
+    """The grasp of one target in the units of the registers.
+
+    number : in the job, from 1. pose : µm and 0.001°, X Y Z A B C; approach : X Y Z; turn and retreat : in
+    the same units. rotation_vector : µrad. sigma : mm and degrees.
+    """
+
+    number: int
+    pose: tuple[int, ...]
+    approach: tuple[int, ...]
+    rotation_vector: tuple[int, ...]
+    turn: int
+    retreat: int
+    sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Pose:
     """One target in the units of the registers.
 
@@ -50,6 +67,7 @@ class Pose:
     score: float
     reject: int
     epipolar_rms_px: float
+    tool: Tool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +177,33 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         score=target.match.score,
         reject=int(target.reject) & UINT16_MAX,
         epipolar_rms_px=target.epipolar_rms_px,
+        tool=_tool(target, snapshot, convention),
+    )
+
+
+def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | None:
+    """None where the target has no grasp, or one that no register holds."""
+    grasp, robot = target.grasp, snapshot.robot_from_rig
+    if grasp is None:
+        return None
+    held = replace(target, rig_from_part=grasp.rig_from_tcp, covariance=grasp.covariance)
+    reading = reading_of(held, robot, snapshot.registration_covariance, convention)
+    frame_from_rig = np.eye(4) if robot is None else robot
+    approach_mm = (frame_from_rig @ grasp.rig_from_approach)[:3, 3]
+    pose = (*reading.position_mm.tolist(), *reading.angles_deg.tolist())
+    numbers = [round(value * 1000) for value in (*pose, *approach_mm.tolist())]
+    if any(not -INT32_MAX <= number <= INT32_MAX for number in numbers):
+        return None
+    return Tool(
+        number=grasp.number,
+        pose=tuple(numbers[:6]),
+        approach=tuple(numbers[6:]),
+        rotation_vector=tuple(
+            round(value * 1e6) for value in rotation_vector_rad((frame_from_rig @ grasp.rig_from_tcp)[:3, :3])
+        ),
+        turn=round(math.degrees(grasp.turn_rad) * 1000),
+        retreat=round(grasp.retreat_mm * 1000),
+        sigma=(*reading.sigma_mm.tolist(), *reading.sigma_deg.tolist()),
     )
 
 
@@ -187,7 +232,7 @@ def _score(score: float) -> int:
 def result_values(
     shown: Measured, sequence: int, *, valid: bool, free_running: bool, remaining: int = 0
 ) -> dict[str, Number]:
-    """Values of the blocks result, ur and float by name; coordinates only when valid."""
+    """Values of the blocks result, ur, float and of both grasps by name; coordinates only when valid."""
     flags = (
         shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
     )
@@ -214,6 +259,9 @@ def result_values(
         "UR_REMAINING": remaining,
         "F_SEQ_HEAD": sequence,
         "F_SEQ_TAIL": sequence,
+        **{f"{block}_SEQ_{end}": sequence for block in ("G", "UG") for end in ("HEAD", "TAIL")},
+        "G_FLAGS": flags & ~Flag.VALID,
+        "UG_FLAGS": flags & ~Flag.VALID,
         "F_FLAGS": flags,
         "F_RESULT": shown.code,
     }
@@ -223,11 +271,27 @@ def result_values(
         values["EPIPOLAR_ERROR"] = _saturated(pose.epipolar_rms_px, 1e-3)
         if valid:
             values |= _coordinates(pose)
+        if valid and pose.tool is not None:
+            values |= {"G_FLAGS": flags, "UG_FLAGS": flags, **_grasp_values(pose.tool)}
+    return values
+
+
+def _grasp_values(tool: Tool) -> dict[str, Number]:
+    values: dict[str, Number] = {"GRASP": tool.number, "UG_GRASP": tool.number, "G_TURN": tool.turn}
+    values |= {"G_RETREAT": tool.retreat, "UG_RETREAT": tool.retreat}
+    values |= {f"G_{axis}": number for axis, number in zip(AXES, tool.pose, strict=True)}
+    for axis, sigma in zip(AXES, tool.sigma, strict=True):
+        values[f"G_SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+    for axis, place, turn in zip("XYZ", tool.pose, tool.rotation_vector, strict=False):
+        values |= {f"UG_{axis}": place, f"UG_R{axis}": turn}
+    for axis, place in zip("XYZ", tool.approach, strict=True):
+        values |= {f"G_APPROACH_{axis}": place, f"UG_APPROACH_{axis}": place}
     return values
 
 
 NOTHING: dict[str, Number] = {
     **{f"SIGMA_{name}": UINT16_MAX for name in (*AXES, "RADIUS", "DEPTH")},
+    **{f"G_SIGMA_{name}": UINT16_MAX for name in AXES},
     "EPIPOLAR_ERROR": UINT16_MAX,
 }
 """Values of the block result when there is none; INT32_MIN and NaN come by themselves."""

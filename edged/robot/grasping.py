@@ -1,0 +1,89 @@
+"""Where a tool takes a part that was found: pure functions of its pose and of the grasps that were taught.
+
+A part that looks the same in several ways may be taken in as many; of those that are allowed the tool is
+given the one that turns it least against how it took the part at teaching.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from edged.domain import FloatArray, Grasp, GraspPose, Target
+from edged.robot.orientations import about
+from edged.vision.geometry.rigid import rotation_vector, skew, transform
+
+ALONG_Z = 0.999
+"""Cosine between the axis about which a part looks the same and its z: below, the one is not the other."""
+
+
+def best_grasp(
+    target: Target, grasps: Sequence[Grasp], is_allowed: Callable[[GraspPose], bool]
+) -> GraspPose | None:
+    """The first grasp that is allowed in one of its alternatives, in the order of the job."""
+    if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
+        return None
+    poses = (pose for number, grasp in enumerate(grasps, 1) for pose in alternatives(target, grasp, number))
+    return next(filter(is_allowed, poses), None)
+
+
+def alternatives(target: Target, grasp: Grasp, number: int) -> Iterator[GraspPose]:
+    """Every way to take the part by this grasp, the one that turns the tool least first."""
+    is_any = grasp.symmetry == 0 or _looks_the_same(target)
+    if is_any:
+        turns_rad = [_least_turn_rad(target.rig_from_part, grasp)]
+    else:
+        turns_rad = [2 * math.pi * k / grasp.symmetry for k in range(grasp.symmetry)]
+    poses = [(turn_rad, _rig_from_tcp(target.rig_from_part, grasp, turn_rad)) for turn_rad in turns_rad]
+    poses.sort(key=lambda one: round(_turned_rad(one[1], grasp.rig_from_tcp), 9))
+    for turn_rad, pose in poses:
+        yield GraspPose(
+            grasp.name,
+            number,
+            math.remainder(turn_rad, 2 * math.pi),
+            pose,
+            lever_covariance(target, pose, is_any=is_any),
+            grasp.approach_mm,
+            grasp.retreat_mm,
+        )
+
+
+def lever_covariance(target: Target, rig_from_tcp: FloatArray, *, is_any: bool) -> FloatArray:
+    """(6, 6) of the tool's pose: a rotation w of the part moves a point r away from its origin by w x r.
+
+    is_any : the part may be taken in any rotation about its z, so that an error about it moves nothing.
+    """
+    arm = rig_from_tcp[:3, 3] - target.rig_from_part[:3, 3]
+    jacobian = np.eye(6)
+    if is_any:
+        axis = target.rig_from_part[:3, 2]
+        jacobian[3:, 3:] -= np.outer(axis, axis)
+    jacobian[:3, 3:] = -skew(arm) @ jacobian[3:, 3:]
+    return np.asarray(jacobian @ target.covariance @ jacobian.T)
+
+
+def _looks_the_same(target: Target) -> bool:
+    """Whether the part's rotation about its z is not known, as of a disc."""
+    axis = target.free_axis
+    return axis is not None and abs(float(axis @ target.rig_from_part[:3, 2])) > ALONG_Z
+
+
+def _rig_from_tcp(rig_from_part: FloatArray, grasp: Grasp, turn_rad: float) -> FloatArray:
+    turned = transform(about(2, turn_rad), np.zeros(3))
+    return np.asarray(rig_from_part @ turned @ grasp.part_from_tcp)
+
+
+def _turned_rad(rig_from_tcp: FloatArray, taught: FloatArray) -> float:
+    return float(np.linalg.norm(rotation_vector(rig_from_tcp[:3, :3] @ taught[:3, :3].T)))
+
+
+def _least_turn_rad(rig_from_part: FloatArray, grasp: Grasp) -> float:
+    """The turn about the part's z that leaves the tool as it stood at teaching, as well as it can.
+
+    The angle of a rotation is least where its trace is largest; with M = part_from_tcp taught^T rig_from_part
+    the trace of M Rz(t) is (M00 + M11) cos t + (M01 - M10) sin t + M22.
+    """
+    M = grasp.part_from_tcp[:3, :3] @ grasp.rig_from_tcp[:3, :3].T @ rig_from_part[:3, :3]
+    return math.atan2(M[0, 1] - M[1, 0], M[0, 0] + M[1, 1])
