@@ -6,8 +6,10 @@
 The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
 the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
 (pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed:
-what else the machine does slows down both. --large: the same part in images of 5 and 12 megapixels.
---growth: how the time grows with pixels, parts, and the ranges of angle and size, with the exponent.
+what else the machine does slows down both. A search is also timed on parts and scenes of `tools/bench shape`,
+with what a taught job asks for. --large: the demo's part in images of 5 and 12 megapixels.
+--growth: how the time grows with pixels, parts, jobs, points of the model, and the ranges of angle and size,
+with the exponent.
 --flame: where the time goes, drawn by py-spy.
 What jitters least are counts: of candidates followed, of fits, of steps; they guard the tests.
 """
@@ -23,7 +25,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import wraps
 from pathlib import Path
@@ -31,10 +33,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scenes
+from bench_shape import PARTS
 
 from edged.commands.demo import region_of_part
 from edged.domain import Frame, FramePair, Image
-from edged.pipeline import PreparedRig, inspect, prepare
+from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import Placed
 from edged.vision.curves import planefit
@@ -43,7 +47,9 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
 from edged.vision.shape import localsearch, refine, search
-from edged.vision.shape.search import find_shapes
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.model import ShapeLevel, ShapeModel
+from edged.vision.shape.search import SearchParams, Workspace, find_shapes
 from edged.vision.teaching.pair import teach
 
 Pair = tuple[Image, Image]
@@ -51,6 +57,8 @@ LEVELS = 4
 LARGE = ((2448, 2048), (4096, 3000))
 PLACES_MM = ((-17.0, -15.0), (17.0, 15.0), (17.0, -15.0), (-17.0, 15.0))
 """Of parts beside each other, all in view of both cameras."""
+MANY_MM = tuple((34.0 * x, 32.0 * y) for y in (0, -1, 1) for x in (-0.5, 0.5, -1.5, 1.5))
+"""Of a dozen in images of 5 megapixels."""
 SCENES = 1000
 COUNTED = {
     "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted
@@ -82,17 +90,22 @@ class Bench:
     pairs: list[Pair]
 
 
-def bench(scenes: int, size: tuple[int, int] = (1280, 960), parts: int = 1) -> Bench:
-    """Teach the demo's flange and render it at `scenes` poses; size (w, h) of the images."""
+def bench(
+    count: int,
+    size: tuple[int, int] = (1280, 960),
+    parts: int = 1,
+    places_mm: Sequence[tuple[float, float]] = PLACES_MM,
+) -> Bench:
+    """Teach the demo's flange and render it at `count` poses; size (w, h) of the images."""
     cell = VirtualCell(_grown(demo_rig(), size), demo_part(), seed=3)
     left, right, truth = cell.teach_pair()
     rig = prepare(cell.rig)
     job = teach(left, right, rig.rectification, region_of_part(cell.rig, truth), "flange")
     views = stereo_views(cell.rig)
     pairs = []
-    for number in range(scenes):
+    for number in range(count):
         poses = [cell.pose(number + SCENES * further) for further in range(parts)]
-        for pose, place in zip(poses, PLACES_MM if parts > 1 else (), strict=False):
+        for pose, place in zip(poses, places_mm if parts > 1 else (), strict=False):
             pose[:3, 3] = np.add(Motion().centre_mm, (*place, 0.0))
         scene = cell.scene(poses[0])
         scene = replace(scene, parts=tuple(Placed(demo_part(), pose) for pose in poses))
@@ -134,18 +147,25 @@ def as_frames(pair: Pair) -> FramePair:
 
 
 def timed(
-    what: str, name: str, works: list[tuple[Callable[[], object], Callable[[], object]]], rounds: int
+    what: str,
+    name: str,
+    works: list[tuple[Callable[[], object], Callable[[], object]]],
+    rounds: int,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> Row:
-    """Time each work beside its floor, all of them in turn, `rounds` times."""
+    """Time each work beside its floor, all of them in turn, `rounds` times.
+
+    clock : `time.thread_time` for what runs in one thread: others on the machine do not count.
+    """
     times = np.empty((rounds, len(works), 2))
     for work, floor in works:
         work(), floor()
     for turn in range(rounds):
         for number, pair in enumerate(works):
             for which, run in enumerate(pair):
-                start = time.perf_counter()
+                start = clock()
                 run()
-                times[turn, number, which] = time.perf_counter() - start
+                times[turn, number, which] = clock() - start
     own, floors = times.reshape(-1, 2).T
     median = float(np.median(own))
     ratio = float(np.median(own / floors))
@@ -186,9 +206,70 @@ def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
             )
         )
     return [
-        timed(f"find{label}", "f", finding, rounds),
+        timed(f"find{label}", "f", finding, rounds, time.thread_time),
         timed(f"measure, {len(cell.job.circles)} circles{label}", "F", measuring, rounds),
     ]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a search is timed on, as `tools/bench shape` draws it. size : px of the part."""
+
+    what: str
+    part: str
+    size: float = 250.0
+    image: tuple[int, int] = (1280, 960)
+    look: scenes.Look = scenes.Look(noise=5)  # noqa: RUF009 - frozen
+    parts: int = 1
+
+
+SEARCHES = (
+    Scene("gear with a keyway", "gear"),
+    Scene("60 px part, 640x480", "bracket", 60.0, (640, 480)),
+    Scene("60 px part, 1280x960", "bracket", 60.0),
+    Scene("flange with one odd hole, 25 % hidden", "flange", look=scenes.Look(noise=5, occlusion=0.25)),
+    Scene("five parts", "bracket", 200.0, parts=5),
+    Scene("no part", "bracket", parts=0),
+    Scene("bracket, 40 % hidden", "bracket", look=scenes.Look(noise=5, occlusion=0.4)),
+)
+FIVE_PX = ((260, 240), (1020, 240), (640, 480), (260, 720), (1020, 720))
+
+
+def search_rows(search_params: SearchParams, rounds: int, number: int) -> list[Row]:
+    """A search as a taught job asks for it, of other parts and in other scenes."""
+    rows = []
+    for scene in SEARCHES:
+        part = PARTS[scene.part](scene.size)
+        model, work, works = create_model(*scenes.teach_image(part)), Workspace(), []
+        for k in range(number):
+            rng = np.random.default_rng((7, k))
+            middle = tuple(rng.uniform(0.4, 0.6, 2) * scene.image)
+            places = FIVE_PX if scene.parts > 1 else (middle,) * scene.parts
+            truths = [scenes.Truth(x, y, rng.uniform(-np.pi, np.pi)) for x, y in places]
+            image = scenes.render([(part, truth) for truth in truths], scene.look, rng, scene.image)
+
+            def find(image: Image = image, model: ShapeModel = model, work: Workspace = work) -> list[Any]:
+                return find_shapes(image, model, search_params, workspace=work)
+
+            if len(find()) < scene.parts and not scene.look.occlusion:
+                raise SystemExit(f"{scene.what}: a part is not found")
+            works.append((find, lambda image=image: search_floor(image)))
+        rows.append(timed(f"find: {scene.what}", "f", works, rounds, time.thread_time))
+    return rows
+
+
+def further_rows(one: Bench, four: Bench, rounds: int) -> list[Row]:
+    """What each part beyond the first costs: measured with four, less with one, a third of it."""
+    rows = []
+    for what, first, all_four in (
+        ("measure", stage_rows(one, rounds)[1], stage_rows(four, rounds)[1]),
+        ("cycle", cycle_row("", one, rounds), cycle_row("", four, rounds)),
+    ):
+        ratio, median_ms = (
+            (getattr(all_four, name) - getattr(first, name)) / 3 for name in ("ratio", "median_ms")
+        )
+        rows.append(Row(f"{what}, each further part", "F", ratio, median_ms, math.nan, all_four.cycles))
+    return rows
 
 
 def growth_rows(rounds: int) -> list[tuple[str, list[float], list[float], float]]:
@@ -207,28 +288,71 @@ def growth_rows(rounds: int) -> list[tuple[str, list[float], list[float], float]
     add("measure, by megapixels", megapixels, [stage[1].median_ms for stage in stages])
     whole = [cycle_row("", cell, rounds) for cell in cells]
     add("cycle, by megapixels", megapixels, [row.median_ms for row in whole])
-    parts = [1, 2, 4]
-    crowd = [cycle_row("", bench(2, parts=count), rounds) for count in parts]
-    add("cycle, by parts", [float(count) for count in parts], [row.median_ms for row in crowd])
-    cell = cells[1]
+    cell, parts = cells[1], [1, 4, 12]
+    crowd = [bench(2, LARGE[0], count, MANY_MM) for count in parts]
+    asked = [replace(one.job, search=replace(one.job.search, max_matches=max(parts))) for one in crowd]
+    many = [cycle_row("", replace(one, job=job), rounds) for one, job in zip(crowd, asked, strict=True)]
+    add("cycle, by parts", [float(count) for count in parts], [row.median_ms for row in many])
+    jobs = [1, 4, 16]
+    add("getting jobs ready, by jobs", [float(count) for count in jobs], [_warmed(cell, n) for n in jobs])
+    shares = [1.0, 0.5, 0.25, 0.1]
+    add(
+        "find, by points of the model",
+        [600 * share for share in shares],
+        [_searched(cell, rounds, _thinned(cell.job, share)) for share in shares],
+    )
     degrees = [5.0, 20.0, 90.0, 360.0]
     add(
         "find, by the range of the angle, degrees",
         degrees,
-        [_searched(cell, rounds, angle_extent_rad=math.radians(value)) for value in degrees],
+        [
+            _searched(cell, rounds, _asking(cell.job, angle_extent_rad=math.radians(value)))
+            for value in degrees
+        ],
     )
     percent = [0.5, 2.0, 8.0, 32.0]
     add(
         "find, by the range of the size, percent",
         percent,
-        [_searched(cell, rounds, scale_min=1 - value / 200, scale_max=1 + value / 200) for value in percent],
+        [
+            _searched(cell, rounds, _asking(cell.job, scale_min=1 - value / 200, scale_max=1 + value / 200))
+            for value in percent
+        ],
     )
     return rows
 
 
-def _searched(cell: Bench, rounds: int, **ranges: float) -> float:
-    """Median time of a search with other ranges, ms."""
-    job = replace(cell.job, search=replace(cell.job.search, **ranges))
+def _asking(job: Job, **ranges: float) -> Job:
+    """The job with other ranges."""
+    return replace(job, search=replace(job.search, **ranges))
+
+
+def _thinned(job: Job, share: float) -> Job:
+    """The job with a share of its model's points on each level; they are in random order."""
+
+    def thinned(level: ShapeLevel) -> ShapeLevel:
+        count = round(share * len(level.points))
+        return ShapeLevel(level.points[:count].copy(), level.normals[:count].copy())
+
+    levels = tuple(thinned(level) for level in job.shape.levels)
+    return replace(job, shape=replace(job.shape, levels=levels))
+
+
+def _warmed(cell: Bench, count: int) -> float:
+    """Median time of a first look for each of so many jobs, ms, as the daemon has before it is ready."""
+    rig, times = cell.rig.rig, []
+    blank = tuple(np.zeros((one.height, one.width), np.uint8) for one in (rig.left, rig.right))
+    for _ in range(3):
+        jobs = [replace(cell.job, shape=replace(cell.job.shape)) for _ in range(count)]  # nobody knows them
+        start = time.perf_counter()
+        for job in jobs:
+            locate(as_frames(blank), job, cell.rig)
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def _searched(cell: Bench, rounds: int, job: Job) -> float:
+    """Median time of a search for another job, ms."""
     images = [StereoImages.of(cell.rig.rectification, *pair).rectified_left for pair in cell.pairs]
     valid, works = cell.rig.rectification.valid_left, []
     for image in images:
@@ -238,7 +362,7 @@ def _searched(cell: Bench, rounds: int, **ranges: float) -> float:
                 find_shapes(image, job.shape, job.search, valid, work)
 
         works.append((find, lambda image=image: search_floor(image)))
-    return timed("", "f", works, rounds).median_ms
+    return timed("", "f", works, rounds, time.thread_time).median_ms
 
 
 @contextlib.contextmanager
@@ -316,7 +440,10 @@ def main() -> int:
             rows.append(cycle_row("cycle, two cores", cell, options.rounds))
     with on_cores(1):
         rows += stage_rows(cell, options.rounds)
-        rows.append(cycle_row("cycle with four parts, one core", bench(4, parts=4), options.rounds))
+        four = bench(4, parts=4)
+        rows.append(cycle_row("cycle with four parts, one core", four, options.rounds))
+        rows += further_rows(cell, four, options.rounds)
+        rows += search_rows(cell.job.search, options.rounds, 4)
         for size in LARGE if options.large else ():
             large = bench(2, size)
             label = f", {size[0]}x{size[1]}"

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import bench_cycle
+import scenes
+
+from edged.vision.shape import scan
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.scan import Array
+from edged.vision.shape.search import SearchParams, find_shapes
 
 MOST = {
     "candidates followed": 1.5,
@@ -25,3 +35,22 @@ def test_a_cycle_does_no_more_work_than_it_did() -> None:
     assert set(MOST) == set(work)
     assert {} == {what: count for what, count in work.items() if not 0 <= count <= MOST[what]}
     assert work["steps of the joint fit"] > 0
+
+
+def test_a_small_part_is_scanned_in_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its scan begins on a large level and takes most of its search: 99 poses there, 275 with small steps."""
+    part, rng, poses = scenes.bracket(60.0), np.random.default_rng(1), list[int]()
+    model = create_model(*scenes.teach_image(part))
+    image = scenes.render([(part, scenes.Truth(300.0, 200.0, 1.0))], scenes.Look(noise=5), rng, (640, 480))
+    exhaustive = scan.scan
+
+    def counted(maps: Array, offsets: Array, *others: Any) -> None:
+        poses.append(len(offsets))
+        exhaustive(maps, offsets, *others)
+
+    monkeypatch.setattr(scan, "scan", counted)
+    asked = SearchParams(scale_min=0.8, scale_max=4 / 3, polarity="local")
+    (found,) = find_shapes(image, model, asked)
+    assert (found.x_px, found.y_px) == pytest.approx((300.0, 200.0), abs=0.1)
+    assert 2 == len(model.levels)
+    assert 0 < poses[0] <= 110

@@ -181,7 +181,7 @@ def scan(
             for n in range(0, count, GROUP):
                 add_group(maps, offsets, p, n, first, length, sums, words)
                 done = n + GROUP
-                if done == 2 * GROUP or done == 4 * GROUP or done == count:
+                if 2 * GROUP <= done <= 4 * GROUP or done == count:
                     top = highest(words, length, both)
                     # points come in random order: the share seen so far tells the whole to within SPREAD
                     expected = threshold * done / count
