@@ -80,8 +80,7 @@ class ExposedSecret:
 def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
     """What others may read of the password's hash and the private keys; path : of the configuration."""
     secrets = [*config.secret_files().items()]
-    if config.password_hash:
-        secrets.append(("web.password_hash", path))
+    secrets += [(place, path) for place in config.password_hashes()]
     if config.zenoh.enabled and config.zenoh.config_file is not None:
         from edged.adapters.zenoh.session import secret_files  # a check without such a file is quicker
 

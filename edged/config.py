@@ -523,6 +523,45 @@ class WebSection(_Section):
         return self
 
 
+class OpcUaSection(_Section):
+    """The OPC UA server: the same registers and handshake as Modbus has. Left out: none."""
+
+    host: Host = Field("127.0.0.1", description="address to listen on")
+    port: Port = Field(4840, description="TCP port")
+    certificate: FilePath | None = Field(
+        None, description="PEM; with `key` and `trusted` connections are signed and encrypted"
+    )
+    key: FilePath | None = Field(None, description="PEM; private key of the certificate, RSA")
+    trusted: FilePath | None = Field(
+        None, description="folder with the certificates of the clients that may connect, PEM or DER"
+    )
+    user: Name = Field("operator", description="who may command, with the password")
+    password_hash: SecretStr = Field(
+        SecretStr(""), description="from `edged password`; left out: nobody may command"
+    )
+    anonymous: bool = Field(
+        False, description="anybody who can connect may look, also without certificate and encryption"
+    )
+    readers: list[Network] = Field(
+        default_factory=list, description="networks that may connect; empty: everyone"
+    )
+    max_clients: int = Field(16, ge=1, le=64, description="connections at a time; one address gets half")
+
+    @model_validator(mode="after")
+    def _protected(self) -> OpcUaSection:
+        files = (self.certificate, self.key, self.trusted)
+        if any(file is None for file in files) and any(file is not None for file in files):
+            raise ValueError("certificate, key and trusted go together")
+        hashed = self.password_hash.get_secret_value()
+        if hashed and not hashed.startswith("$argon2"):
+            raise ValueError("password_hash: expected what `edged password` prints")
+        if hashed and self.certificate is None:
+            raise ValueError("password_hash needs certificate, key and trusted: no password goes unencrypted")
+        if not hashed and not self.anonymous:
+            raise ValueError("nobody could connect: set password_hash, or anonymous = true for readers only")
+        return self
+
+
 def _is_loopback(host: str) -> bool:
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
@@ -550,6 +589,7 @@ class Config(_Section):
     limits: LimitsSection = LimitsSection()
     recorder: RecorderSection | None = None
     web: WebSection | None = None
+    opcua: OpcUaSection | None = None
 
     @model_validator(mode="after")
     def _triggered(self) -> Config:
@@ -561,12 +601,23 @@ class Config(_Section):
         return self
 
     @model_validator(mode="after")
+    def _opcua_has_registers(self) -> Config:
+        if self.opcua is not None and not self.modbus.enabled:
+            raise ValueError(
+                "opcua serves the registers of modbus, which is off: modbus.enabled = true, "
+                'with modbus.host = "127.0.0.1" where no PLC may reach it'
+            )
+        return self
+
+    @model_validator(mode="after")
     def _ports_differ(self) -> Config:
         ports = [] if self.web is None else [("web.port", self.web.port)]
         if self.modbus.enabled:
             ports.append(("modbus.port", self.modbus.port))
             if self.modbus.socket is not None:
                 ports.append(("modbus.socket.port", self.modbus.socket.port))
+        if self.opcua is not None:
+            ports.append(("opcua.port", self.opcua.port))
         if self.zenoh.enabled:
             ports += [("zenoh.listen", port) for port in map(_tcp_port, self.zenoh.listen) if port]
         for index, (place, port) in enumerate(ports):
@@ -576,13 +627,22 @@ class Config(_Section):
         return self
 
     def secret_files(self) -> dict[str, Path]:
-        """Private keys by their dotted path. This file is one more where `password_hash` is set."""
+        """Private keys by their dotted path. This file is one more where there is a `password_hashes`."""
         return {place: file for place, file in self.machine_files().items() if place.endswith(".key")}
 
     @property
     def password_hash(self) -> str:
         """Of the status page; "" for none."""
-        return "" if self.web is None else self.web.password_hash.get_secret_value()
+        return self.password_hashes().get("web.password_hash", "")
+
+    def password_hashes(self) -> dict[str, str]:
+        """Those that are set, by their dotted path."""
+        found = {
+            f"{name}.password_hash": section.password_hash.get_secret_value()
+            for name, section in (("web", self.web), ("opcua", self.opcua))
+            if section is not None
+        }
+        return {place: hashed for place, hashed in found.items() if hashed}
 
     def machine_files(self) -> dict[str, Path]:
         """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
@@ -593,6 +653,8 @@ class Config(_Section):
             }
         if (web := self.web) is not None and web.certificate is not None and web.key is not None:
             found |= {"web.certificate": web.certificate, "web.key": web.key}
+        if (opcua := self.opcua) is not None and opcua.certificate is not None and opcua.key is not None:
+            found |= {"opcua.certificate": opcua.certificate, "opcua.key": opcua.key}
         return found
 
     def missing_files(self) -> list[str]:
@@ -704,7 +766,7 @@ def problem_of(detail: Any, model: type[BaseModel]) -> str:
         return f"{place}: missing"
     form = EXPECTED.get(detail["type"])
     message = form.format(**detail.get("ctx", {})) if form else detail["msg"].removeprefix("Value error, ")
-    if place == "web.password_hash" or "private key" in message:  # what was found may be the secret
+    if place.endswith("password_hash") or "private key" in message:  # what was found may be the secret
         return f"{place}: {message}"
     shown = repr(detail["input"])
     if isinstance(detail["input"], dict) or len(shown) > 60:

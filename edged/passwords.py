@@ -1,4 +1,4 @@
-"""The status page's password: Argon2 hashes (RFC 9106), as `edged password` makes them."""
+"""Passwords of the status page and of OPC UA: Argon2 hashes (RFC 9106), as `edged password` makes them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ HASHER = PasswordHasher(time_cost=3, memory_cost=64 * 1024, parallelism=1)
 
 
 def hash_password(password: str) -> str:
-    """The hash for `web.password_hash`; slow on purpose, each call with another salt."""
+    """The hash for a `password_hash`; slow on purpose, each call with another salt."""
     return HASHER.hash(password)
 
 

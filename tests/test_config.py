@@ -296,3 +296,36 @@ def test_the_same_serial_number_twice_is_a_mistake(tmp_path: Path) -> None:
     text = GOOD + 'left.serial = "7"\nright.serial = "7"\n'
     (problem,) = problems(tmp_path, text)
     assert "left and right expect the same serial number '7'" in problem
+
+
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        ("anonymous = true\ncertificate = 'c.pem'\n", "opcua: certificate, key and trusted go together"),
+        ("", "opcua: nobody could connect: set password_hash, or anonymous = true for readers only"),
+        (
+            "password_hash = '$argon2id$x'\n",
+            "opcua: password_hash needs certificate, key and trusted: no password goes unencrypted",
+        ),
+        ("anonymous = true\nport = 1502\n", "(file): modbus.port and opcua.port are both 1502"),
+        ("password_hash = 'secret'\n", "opcua: password_hash: expected what `edged password` prints"),
+    ],
+)
+def test_opcua_wants_encryption_for_commands_and_says_who_may_connect(
+    tmp_path: Path, section: str, expected: str
+) -> None:
+    """What would leave a password in the open, or nobody in, is a mistake; the password is not repeated."""
+    (found,) = problems(tmp_path, GOOD + "[opcua]\n" + section)
+
+    assert expected == found
+
+
+def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> None:
+    """There is one handshake."""
+    text = GOOD + "[modbus]\nenabled = false\n[opcua]\nanonymous = true\n"
+
+    (found,) = problems(tmp_path, text)
+
+    assert found.startswith(
+        "(file): opcua serves the registers of modbus, which is off: modbus.enabled = true"
+    )

@@ -1,11 +1,12 @@
-"""What a configuration publishes by: Modbus, Zenoh, the recorder and the web page, started and exchanged.
+"""What a configuration publishes by: Modbus, OPC UA, Zenoh, recorder and web page, started and exchanged.
 
-A cell without page or Zenoh loads neither: each is a tenth of a start.
+A cell without page, Zenoh or OPC UA loads none of them: each is a tenth of a start.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import importlib
 import logging
@@ -24,8 +25,8 @@ from edged.adapters.modbus import (
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
-from edged.config import Config, ModbusSection, RecorderSection, WebSection, ZenohSection
-from edged.errors import EdgedError
+from edged.config import Config, ModbusSection, OpcUaSection, RecorderSection, WebSection, ZenohSection
+from edged.errors import EdgedError, ListenError
 from edged.ports import Commander, Publisher
 from edged.robot.orientations import Brand, Convention
 
@@ -38,12 +39,15 @@ log = logging.getLogger(__name__)
 class Wanted(NamedTuple):
     """A server that a configuration asks for. cell : the cell's name where the server says it, else "".
 
+    free_running : the cell measures unasked, where the server says that.
+
     files : digest of each file that it reads at its start: certificates, authorities, access control.
     """
 
-    section: ModbusSection | ZenohSection | RecorderSection | WebSection
+    section: ModbusSection | ZenohSection | RecorderSection | WebSection | OpcUaSection
     cell: str = ""
     files: tuple[tuple[Path, bytes], ...] = ()
+    free_running: bool = False
 
     @property
     def port(self) -> int | None:
@@ -51,7 +55,7 @@ class Wanted(NamedTuple):
         section = self.section
         if isinstance(section, ModbusSection):
             return section.port if section.serial is None and section.socket is None else None
-        return section.port if isinstance(section, WebSection) else None
+        return section.port if isinstance(section, WebSection | OpcUaSection) else None
 
 
 def wanted_servers(config: Config) -> dict[str, Wanted]:
@@ -73,14 +77,27 @@ def wanted_servers(config: Config) -> dict[str, Wanted]:
         wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, _digests(named))
     if config.modbus.enabled:
         wanted["modbus"] = Wanted(config.modbus, files=_digests(files, "modbus."))
+    if config.opcua is not None:
+        named = {**files, **{f"opcua.trusted {file}": file for file in _certificates(config.opcua.trusted)}}
+        digests, is_free = _digests(named, "opcua."), config.cycle.mode != "command"
+        wanted["opcua"] = Wanted(config.opcua, config.cell.name, digests, is_free)
     return wanted
 
 
 def import_servers(config: Config) -> None:
     """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
-    wanted = {"web": config.web is not None, "zenoh": config.zenoh.enabled}
+    wanted = {
+        "web": config.web is not None,
+        "zenoh": config.zenoh.enabled,
+        "opcua": config.opcua is not None,
+    }
     for name in (name for name, asked in wanted.items() if asked):
-        importlib.import_module(f"edged.adapters.{name}")
+        with contextlib.suppress(ImportError):  # where a package is missing, it is told by who needs it
+            importlib.import_module(f"edged.adapters.{name}")
+
+
+def _certificates(folder: Path | None) -> list[Path]:
+    return [] if folder is None else sorted(file for file in folder.glob("*") if file.is_file())
 
 
 def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path, bytes], ...]:
@@ -211,6 +228,8 @@ class Servers:
                     RecorderSettings(**section.model_dump()),
                     lambda: (running().loaded.setup.fingerprint, running().loaded.cell.contents),
                 )
+            case OpcUaSection():
+                return self._opcua_builder(wanted, section)
             case WebSection():
                 from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
 
@@ -226,6 +245,36 @@ class Servers:
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
                 tls = page_context(web)
                 return lambda: WebPublisher(wanted.cell, web, sources, context=tls)
+
+    def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:
+        try:
+            from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of
+        except ImportError as error:
+            raise ListenError(
+                f"opcua: needs another package: pip install 'edged[opcua]' ({error})"
+            ) from error
+        settings = OpcUaSettings(
+            cell=wanted.cell,
+            host=section.host,
+            port=section.port,
+            certificate=section.certificate,
+            key=section.key,
+            trusted=section.trusted,
+            user=section.user,
+            password_hash=section.password_hash.get_secret_value(),
+            anonymous=section.anonymous,
+            max_clients=section.max_clients,
+            readers=tuple(ip_network(network) for network in section.readers),
+            free_running=wanted.free_running,
+        )
+        identity = identity_of(settings)
+        return lambda: OpcUaPublisher(
+            settings, self._registers, lambda: job_list(self._running().loaded), identity=identity
+        )
+
+    def _registers(self) -> ModbusPublisher | None:
+        served = self._started.get("modbus")
+        return served if isinstance(served, ModbusPublisher) else None
 
 
 def _lie_apart(one: Wanted, other: Wanted) -> bool:

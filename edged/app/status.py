@@ -57,6 +57,11 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
             groups["Modbus"]["lines for robots on"] = modbus.line_port
         if modbus.refused_writers:
             groups["Modbus"]["may not write, and tried"] = ", ".join(modbus.refused_writers)
+    if (opcua := config.opcua) is not None and "opcua" in running.servers:
+        groups["OPC UA"] = {
+            "port": opcua.port,
+            "commands": "with a password" if opcua.password_hash else "none",
+        }
     if zenoh is not None:
         groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
     if isinstance(recorder, Recorder):

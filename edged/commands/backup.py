@@ -34,7 +34,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     _print_left_out(taken, console)
     if made.holds_password:
         console.print(
-            "it holds the hash of the status page's password: only its owner may read it (mode 600)",
+            "it holds the hash of a password: only its owner may read it (mode 600)",
             markup=False,
             highlight=False,
         )

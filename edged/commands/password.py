@@ -22,5 +22,8 @@ def password() -> int:
     if len(first) < MIN_LENGTH:
         raise UserError(f"a password of at least {MIN_LENGTH} characters is expected")
     print(hash_password(first))
-    sys.stderr.write("edged: for web.password_hash; edged check says whether others may read the file\n")
+    sys.stderr.write(
+        "edged: for web.password_hash or opcua.password_hash; "
+        "edged check says whether others may read the file\n"
+    )
     return 0

@@ -14,8 +14,9 @@ def without_secrets(text: bytes) -> bytes:
     """The text with every Argon2 hash replaced, also in comments; b"" where one is hidden in escapes."""
     plain = HASH.sub(LEFT_OUT, text.decode("utf-8", "replace"))
     try:
-        web = tomllib.loads(plain).get("web")
+        document = tomllib.loads(plain)
     except tomllib.TOMLDecodeError:
         return b""
-    hashed = web.get("password_hash", "") if isinstance(web, dict) else ""
-    return plain.encode() if hashed in ("", LEFT_OUT) else b""
+    sections = [section for section in document.values() if isinstance(section, dict)]
+    hashes = [section.get("password_hash", "") for section in sections]
+    return plain.encode() if all(hashed in ("", LEFT_OUT) for hashed in hashes) else b""

@@ -337,6 +337,14 @@ def remaining(state: Handshake[Payload]) -> int:
     return len(state.parts.rest) if state.parts is not None else 0
 
 
+def valid_until_s(state: Handshake[Payload], now_s: float) -> float | None:
+    """When coordinates that may be used now fall by time alone; None when there are none."""
+    if state.result is None or not is_valid(state, now_s):
+        return None
+    fallen_s = state.result.exposed_s + state.limits.validity_s
+    return fallen_s if state.heartbeat_due_s is None else min(fallen_s, state.heartbeat_due_s)
+
+
 def may_write(state: Handshake[Payload], client: int, now_s: float) -> bool:
     """Whether this client has, or can have, the right to write now."""
     return state.owner in (None, client) or (now_s >= state.owner_until_s and not state.open)

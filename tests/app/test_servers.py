@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import cast
@@ -148,6 +149,45 @@ def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tm
     after = wanted_servers(config(tmp_path, sections + change, name))
 
     assert expected == {one for one in {*before, *after} if before.get(one) != after.get(one)}
+
+
+def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Path) -> None:
+    """A client's certificate more, and a reload lets it in."""
+    make_certificates(tmp_path)
+    trusted = tmp_path / "trusted"
+    trusted.mkdir()
+    files = "certificate = 'server.pem'\nkey = 'server.key'\ntrusted = 'trusted'\n"
+    sections = f"[opcua]\nanonymous = true\n{files}"
+
+    def wanted(name: str = "cell1", more: str = "") -> object:
+        return wanted_servers(config(tmp_path, sections + more, name))["opcua"]
+
+    before = wanted()
+    (trusted / "client.der").write_bytes(b"a client")
+    after = wanted()
+
+    assert before != after
+    assert after == wanted()
+    assert after != wanted("cell2")
+    assert after != wanted(more='[cycle]\nmode = "free"\n')
+
+
+def test_opcua_without_its_package_is_a_mistake_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Said before any server is touched."""
+    monkeypatch.setitem(sys.modules, "edged.adapters.opcua", None)
+    wanted = config(
+        tmp_path, "[opcua]\nanonymous = true\n[zenoh]\nenabled = false\n[modbus]\nenabled = true\n"
+    )
+
+    async def main() -> None:
+        servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+        with pytest.raises(ListenError, match=r"edged\[opcua\]"):
+            await servers.exchange(wanted)
+        assert {} == servers.started
+
+    asyncio.run(main())
 
 
 def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:

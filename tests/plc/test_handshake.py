@@ -610,3 +610,19 @@ TestAnyClientAnyCell = pytest.mark.slow(AnyClientAnyCell.TestCase)
 TestAnyClientAnyCell.settings = settings(
     max_examples=150, stateful_step_count=40, deadline=None, derandomize=True
 )
+
+
+def test_when_a_result_falls_by_time_alone_is_known_beforehand() -> None:
+    """Valid until just before that moment, and not from it on; with a heartbeat it may be earlier."""
+    run = Run()
+    assert hs.valid_until_s(run.state, run.now_s) is None
+    run.tell(hs.SequenceWritten(7))
+    run.good(7)
+    fallen_s = hs.valid_until_s(run.state, run.now_s)
+    assert run.now_s + LIMITS.validity_s == fallen_s
+    assert is_valid(run.state, fallen_s)
+    assert not is_valid(run.state, fallen_s + 1e-6)
+    run.tell(hs.HeartbeatWritten(1))
+    run.now_s += LIMITS.heartbeat_s / 2
+
+    assert min(fallen_s, 100.0 + LIMITS.heartbeat_s) == hs.valid_until_s(run.state, run.now_s)

@@ -51,6 +51,7 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
         ("dev", lambda p: p["build-system"]["requires"]),
         ("build", lambda p: p["build-system"]["requires"]),
         ("ros2", lambda p: p["project"]["optional-dependencies"]["ros2"]),
+        ("opcua", lambda p: p["project"]["optional-dependencies"]["opcua"]),
         ("manual", lambda _: ["mkdocs-material"]),
         ("aravis", lambda p: p["project"]["optional-dependencies"]["aravis"]),
     ],
@@ -71,7 +72,7 @@ def test_the_locks_agree() -> None:
     """A cell runs the versions that were tested."""
     tested = pins("dev")
 
-    for name in ("run", "build", "manual"):
+    for name in ("run", "build", "manual", "opcua"):
         assert pins(name).items() <= tested.items(), name
 
 

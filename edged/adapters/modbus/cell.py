@@ -98,6 +98,7 @@ class CellRegisters:
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self.clients = 0
+        self.changed: Callable[[], None] = lambda: None  # told of each write and event
 
     # --- reading -----------------------------------------------------------------------------
 
@@ -108,6 +109,11 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_ADDRESS)
         self._refresh()
         return struct.unpack_from(f">{count}H", self._image, 2 * start)
+
+    @property
+    def valid_until_s(self) -> float:
+        """When the coordinates on display fall by time alone; 0: there are none."""
+        return hs.valid_until_s(self._state, self._clock_s()) or 0.0
 
     def _refresh(self) -> None:
         """Bring the picture up to date. Nothing else runs between this and the answer being encoded."""
@@ -254,6 +260,7 @@ class CellRegisters:
             self._trigger(client, now_s, once=bool(options & reg.Option.ONCE))
         if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
+        self.changed()
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
         """Write bits of OPTIONS; no other word of the map is made of bits that a client may write."""
@@ -267,6 +274,7 @@ class CellRegisters:
     def gone(self, client: int) -> None:
         """A connection has ended."""
         self._step(hs.Released(client, gone=True), self._clock_s())
+        self.changed()
 
     def _trigger(self, client: int, now_s: float, *, once: bool) -> None:
         code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
@@ -339,6 +347,7 @@ class CellRegisters:
                 self._cell = event
             case _:
                 pass
+        self.changed()
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import itertools
 import ssl
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.lines import LineServer
+from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.rtu import RtuServer
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain import Event
-from edged.plc.registers import BLOCKS, Number, Register, decode
+from edged.errors import CommandRefused
+from edged.plc.registers import BLOCKS, COMMAND, Number, Register, decode, encode
 from edged.ports import Commander
 
 
@@ -67,6 +70,33 @@ class ModbusPublisher:
             values = decode(block, words, settings.word_order)
             found += [(register, values[register.name]) for register in block.registers]
         return found
+
+    @property
+    def valid_until_s(self) -> float:
+        """When the coordinates on display fall by time alone, by `clock_s`; 0: there are none."""
+        return self._cell.valid_until_s
+
+    def write(self, client: int, values: Mapping[str, Number]) -> None:
+        """Write registers of the command block that follow each other, as a client of its own.
+
+        client : a number of its caller's that no connection has. Raises `CommandRefused`: another's turn.
+        """
+        data = encode(COMMAND, values, self._settings.word_order)
+        written = [register for register in COMMAND.registers if register.name in values]
+        start, end = written[0].address, written[-1].address + written[-1].kind.words
+        words = struct.unpack(f">{COMMAND.words}H", data)[start - COMMAND.address : end - COMMAND.address]
+        try:
+            self._cell.write(client, self._settings.base_address + start, words)
+        except RequestRefused as error:
+            raise CommandRefused("another client holds the right to write") from error
+
+    def leave(self, client: int) -> None:
+        """A client of `write` is no more: its right to write ends."""
+        self._cell.gone(client)
+
+    def watch(self, changed: Callable[[], None] | None) -> None:
+        """Call this after each write and event, on the event loop; None: nobody any more."""
+        self._cell.changed = changed or (lambda: None)
 
     @property
     def clients(self) -> int:

@@ -1,0 +1,207 @@
+"""One TCP connection of a client: framing, limits, turns.
+
+asyncua buffers whatever is announced and logs a trace for whatever it cannot read; here a frame is bounded
+before it is kept, and whoever sends what is none is hung up on (OPC 10000-6, 7.1: Connection Protocol).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections import deque
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.connection import TransportLimits
+from asyncua.common.utils import Buffer
+from asyncua.ua.ua_binary import header_from_binary, struct_from_binary
+
+from edged.adapters.opcua.security import TrustList
+from edged.adapters.opcua.session import Processor, Server
+from edged.door import Guest, Rate
+from edged.logs import LogLimit
+
+FRAME = struct.Struct("<3scI")
+MAX_FRAME_BYTES, MIN_BUFFER_BYTES = 65535, 8192  # OPC 10000-6, 7.1.2.3: buffers have at least 8192 bytes
+MAX_MESSAGE_BYTES, MAX_CHUNKS = 256 * 1024, 8
+KINDS = frozenset({b"HEL", b"OPN", b"MSG", b"CLO"})
+CHUNKS = frozenset(b"FCA")
+ACTIVATE_S = 10.0
+"""From connecting to a user that is logged in; who only looks for endpoints is done long before."""
+SEND_S = 10.0
+MAX_UNSENT_BYTES = 2 * 1024 * 1024
+WAITING = 16
+"""Frames of one client that wait for their turn, then it is not read from."""
+REQUESTS_PER_S = 200.0
+STRANGERS_PER_S = 20.0
+"""Channels opened by all clients together: each costs a private key's operation."""
+NONE_URI = "http://opcfoundation.org/UA/SecurityPolicy#None"
+
+
+class Refused(Exception):
+    """The connection ends. status : what it is told."""
+
+    def __init__(self, status: int, why: str) -> None:
+        self.status = status
+        super().__init__(why)
+
+
+class Connection(asyncio.Protocol):
+    """The protocol of one guest."""
+
+    def __init__(
+        self,
+        server: Server,
+        policies: list[Any],
+        trust: TrustList,
+        channels: Rate,
+        guest: Guest,
+        log: LogLimit,
+    ) -> None:
+        self._server = server
+        self._policies = policies
+        self._trust = trust
+        self._channels = channels
+        self._guest = guest
+        self._log = log
+        self._rate = Rate(REQUESTS_PER_S)
+        self._received = bytearray()
+        self._frames: deque[bytes] = deque()
+        self._arrived = asyncio.Event()
+        self._is_greeted = False
+        self._transport: asyncio.Transport | None = None
+        self._processor: Processor | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a user is logged in."""
+        return self._processor is not None and self._processor.is_active
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The guest is in."""
+        if not isinstance(transport, asyncio.Transport):
+            raise TypeError("a stream transport was expected")
+        self._transport = transport
+        limits = TransportLimits(MAX_FRAME_BYTES, MAX_FRAME_BYTES, MAX_CHUNKS, MAX_MESSAGE_BYTES)
+        self._processor = Processor(self._server, transport, limits)
+        self._processor.set_policies(self._policies)
+        loop = asyncio.get_running_loop()
+        self._timers["activate"] = loop.call_later(ACTIVATE_S, self._must_be_active)
+        self._task = loop.create_task(self._work(self._processor), name="opcua-connection")
+
+    def connection_lost(self, _exc: Exception | None) -> None:
+        """The guest has left."""
+        for timer in self._timers.values():
+            timer.cancel()
+        if self._task is not None:
+            self._task.cancel()
+        self._frames.clear()
+        self._received.clear()
+
+    async def ended(self) -> None:
+        """Wait until nothing of it is left."""
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    def data_received(self, data: bytes) -> None:
+        """Cut what came into frames."""
+        self._received += data
+        try:
+            while len(self._received) >= FRAME.size:
+                kind, chunk, size = FRAME.unpack_from(self._received)
+                if kind not in KINDS or chunk[0] not in CHUNKS or not FRAME.size < size <= MAX_FRAME_BYTES:
+                    raise Refused(ua.StatusCodes.BadTcpMessageTypeInvalid, "this is no OPC UA")
+                if len(self._received) < size:
+                    break
+                self._frames.append(bytes(self._received[:size]))
+                del self._received[:size]
+        except Refused as refused:
+            self._refuse(refused)
+            return
+        if self._frames:
+            self._arrived.set()
+        if len(self._frames) > WAITING and self._transport is not None:
+            self._transport.pause_reading()
+
+    def pause_writing(self) -> None:
+        """It does not read its answers: it may take its time, but not for ever."""
+        loop = asyncio.get_running_loop()
+        self._timers["send"] = loop.call_later(SEND_S, self._guest.abort)
+
+    def resume_writing(self) -> None:
+        """It reads."""
+        self._timers.pop("send").cancel()
+
+    def _must_be_active(self) -> None:
+        if not self.is_active:
+            self._guest.abort()
+
+    async def _work(self, processor: Processor) -> None:
+        """Answer one frame after another."""
+        try:
+            while True:
+                while not self._frames:
+                    self._arrived.clear()
+                    await self._arrived.wait()
+                if not await self._answer(processor, self._frames.popleft()):
+                    break
+                if not self._frames and self._transport is not None and not self._transport.is_closing():
+                    self._transport.resume_reading()
+                # others get their turn, and at once while it keeps within its rate
+                await asyncio.sleep(0 if self._rate.take() else 1 / REQUESTS_PER_S)
+        except Refused as refused:
+            self._refuse(refused)
+        except Exception as error:  # noqa: BLE001  # whatever asyncua stumbles over was sent by the client
+            self._log.warning("opcua: %s is hung up on: %s", self._guest.peer, type(error).__name__)
+        finally:
+            if self._transport is not None:
+                self._transport.close()
+            await processor.close()
+
+    async def _answer(self, processor: Processor, frame: bytes) -> bool:
+        """Carry one frame out; False: the client has said good-bye."""
+        self._check(frame)
+        buffer = Buffer(frame)
+        header = header_from_binary(buffer)
+        goes_on = bool(await processor.process(header, buffer))
+        if processor.is_active:
+            self._guest.touch()
+        transport = self._transport
+        if transport is not None and transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
+            raise Refused(ua.StatusCodes.BadTcpNotEnoughResources, "it does not read")
+        return goes_on
+
+    def _check(self, frame: bytes) -> None:
+        """What asyncua does not look at before it works, or at all. Raises `Refused`."""
+        if frame.startswith(b"HEL") == self._is_greeted:
+            raise Refused(ua.StatusCodes.BadTcpMessageTypeInvalid, "it begins with HEL, and says it once")
+        if not self._is_greeted:
+            self._is_greeted = True
+            hello = struct_from_binary(ua.Hello, Buffer(frame[FRAME.size :]))
+            if min(hello.ReceiveBufferSize, hello.SendBufferSize) < MIN_BUFFER_BYTES:
+                raise Refused(ua.StatusCodes.BadTcpNotEnoughResources, "its buffers are too small")
+        elif frame.startswith(b"OPN"):
+            self._check_channel(
+                struct_from_binary(ua.AsymmetricAlgorithmHeader, Buffer(frame[FRAME.size + 4 :]))
+            )
+
+    def _check_channel(self, header: ua.AsymmetricAlgorithmHeader) -> None:
+        if header.SecurityPolicyURI == NONE_URI:
+            return
+        if not self._channels.take():
+            raise Refused(ua.StatusCodes.BadTcpServerTooBusy, "too many channels are opened")
+        why = self._trust.why_not(header.SenderCertificate or b"")
+        if why:
+            raise Refused(ua.StatusCodes.BadSecurityChecksFailed, why)
+
+    def _refuse(self, refused: Refused) -> None:
+        self._log.warning("opcua: %s is hung up on: %s", self._guest.peer, refused)
+        transport = self._transport
+        if transport is not None and not transport.is_closing():
+            # no reason in the message: it would tell a stranger what to try next (OPC 10000-6, 7.1.5)
+            transport.write(FRAME.pack(b"ERR", b"F", 16) + struct.pack("<Ii", refused.status, -1))
+            transport.close()
+        if self._task is not None and self._task is not asyncio.current_task():
+            self._task.cancel()

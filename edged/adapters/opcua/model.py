@@ -1,0 +1,288 @@
+"""The types of OPC 40100-1, read from the table beside this module and added to an address space.
+
+The table holds what the specification's own tables say: names, NodeIds, arguments, fields, numbers.
+Instances are built from it, too: what a type has to have, and which of its optional parts are asked for.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from importlib import resources
+from typing import Any
+
+from asyncua import ua
+
+from edged.adapters.opcua.nodes import (
+    HAS_PROPERTY,
+    VISION,
+    VISION_URI,
+    Nodes,
+    argument,
+    base,
+    in_cell,
+    variable_attributes,
+)
+
+STATE_MACHINES = frozenset({1017, 1021, 1026})
+FINITE_STATE_VARIABLE_TYPE, HAS_MODELLING_RULE = 2760, 37
+SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
+    "0:1": (ua.VariantType.Boolean, lambda text: text == "true"),
+    "0:7": (ua.VariantType.UInt32, int),
+    "0:12": (ua.VariantType.String, str),
+    "0:13": (ua.VariantType.DateTime, datetime.fromisoformat),
+}
+"""How the table writes a value, by its data type."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A node of the table. parent, type_definition, data_type : "0:58", "1:1017"; "" where there is none."""
+
+    number: int
+    kind: str
+    name: str
+    parent: str
+    reference: str
+    type_definition: str
+    data_type: str
+    rank: str
+    rule: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """The table: rows in their order, children by parent, references between them."""
+
+    rows: tuple[Row, ...]
+    children: Mapping[str, tuple[Row, ...]]
+    references: tuple[tuple[str, str, str], ...]
+
+    def row(self, number: int) -> Row:
+        """The row of a node."""
+        return next(row for row in self.rows if row.number == number)
+
+
+def read_model() -> Model:
+    """The table of this package."""
+    text = resources.files(__package__).joinpath("machinevision.tsv").read_text("utf-8")
+    first, second = "\n".join(line for line in text.splitlines() if not line.startswith("#")).split("\n\n")
+    rows = []
+    for line in first.splitlines():
+        number, *rest = line.split("\t")
+        rows.append(Row(int(number), *rest))
+    children = defaultdict[str, list[Row]](list)
+    for row in rows:
+        children[row.parent].append(row)
+    references = [tuple(line.split("\t")) for line in second.splitlines()]
+    return Model(
+        tuple(rows),
+        {parent: tuple(found) for parent, found in children.items()},
+        tuple((source, kind, target) for source, kind, target in references),
+    )
+
+
+def node_of(text: str) -> ua.NodeId:
+    """NodeId of the table's "0:58" or "1:1017"."""
+    space, _, number = text.partition(":")
+    return ua.NodeId(int(number), VISION if space == "1" else 0)
+
+
+def name_of(text: str) -> ua.QualifiedName:
+    """Browse name of the table's: "0:" before OPC UA's own."""
+    return ua.QualifiedName(text[2:], 0) if text.startswith("0:") else ua.QualifiedName(text, VISION)
+
+
+def arguments_of(text: str) -> list[ua.Argument]:
+    """Arguments as the table writes them."""
+    return [
+        argument(name, node_of(kind), is_array=rank == ["1"])
+        for name, kind, *rank in (part.split() for part in text.split(",") if part)
+    ]
+
+
+def add_types(nodes: Nodes, model: Model) -> None:
+    """Add every type of the specification."""
+    pending = list(model.rows)
+    known = {f"1:{row.number}" for row in model.rows}
+    while pending:  # parents first
+        waiting = {f"1:{row.number}" for row in pending}
+        ready = [row for row in pending if row.parent not in known or row.parent not in waiting]
+        for row in ready:
+            _add_type_row(nodes, row)
+        done = set(map(id, ready))
+        pending = [row for row in pending if id(row) not in done]
+    rules = {"M": 78, "O": 80, "OP": 11508, "MP": 11510}
+    nodes.refer(
+        [
+            *((node_of(source), node_of(kind), node_of(target)) for source, kind, target in model.references),
+            *(
+                (node_of(f"1:{row.number}"), base(37), base(rules[row.rule]))
+                for row in model.rows
+                if row.rule
+            ),
+        ]
+    )
+
+
+def _add_type_row(nodes: Nodes, row: Row) -> None:
+    is_abstract = row.value.endswith("abstract")
+    attributes: Any
+    match row.kind:
+        case "O":
+            attributes, kind = ua.ObjectAttributes(), ua.NodeClass.Object
+            attributes.EventNotifier = 0
+        case "V":
+            rank = int(row.rank or -1)
+            attributes = variable_attributes(node_of(row.data_type or "0:24"), rank, _value_of(row))
+            kind = ua.NodeClass.Variable
+        case "M":
+            attributes, kind = ua.MethodAttributes(), ua.NodeClass.Method
+            attributes.Executable = attributes.UserExecutable = True
+        case "OT":
+            attributes, kind = ua.ObjectTypeAttributes(), ua.NodeClass.ObjectType
+            attributes.IsAbstract = is_abstract
+        case "VT":
+            attributes, kind = ua.VariableTypeAttributes(), ua.NodeClass.VariableType
+            attributes.DataType, attributes.ValueRank = node_of(row.data_type), -1
+            attributes.IsAbstract = is_abstract
+        case "DT":
+            attributes, kind = ua.DataTypeAttributes(), ua.NodeClass.DataType
+            attributes.IsAbstract = is_abstract
+            attributes.DataTypeDefinition = _definition_of(row)
+        case _:
+            attributes, kind = ua.ReferenceTypeAttributes(), ua.NodeClass.ReferenceType
+    nodes.add(
+        ua.NodeId(row.number, VISION),
+        ua.QualifiedName(VISION_URI, VISION) if row.name == VISION_URI else name_of(row.name),
+        node_of(row.parent),
+        base(int(row.reference)),
+        kind,
+        attributes,
+        node_of(row.type_definition) if row.type_definition else None,
+    )
+
+
+def _value_of(row: Row) -> ua.Variant | None:
+    if row.data_type == "0:296":
+        return ua.Variant(arguments_of(row.value), ua.VariantType.ExtensionObject)
+    if row.value and row.data_type in SCALARS:
+        kind, read = SCALARS[row.data_type]
+        return ua.Variant(read(row.value), kind)
+    return None
+
+
+IDENTIFIER_FIELDS = "Id 1:3017,Version? 1:3017,Hash? 0:15,HashAlgorithm? 0:12,Description? 0:21"
+"""Of BinaryIdBaseDataType, whose subtypes have no fields of their own."""
+
+
+def _definition_of(row: Row) -> Any:
+    text = row.value.removesuffix("abstract").strip() or (IDENTIFIER_FIELDS if row.parent == "1:3019" else "")
+    if "=" in text:
+        enumeration = ua.EnumDefinition()
+        for part in text.split(","):
+            name, _, value = part.partition("=")
+            field = ua.EnumField()
+            field.Name, field.Value, field.DisplayName = name, int(value), ua.LocalizedText(name)
+            enumeration.Fields.append(field)
+        return enumeration
+    if not text:
+        return None
+    structure = ua.StructureDefinition()
+    structure.BaseDataType = node_of(row.parent)
+    structure.StructureType = (
+        ua.StructureType.StructureWithOptionalFields if "?" in text else ua.StructureType.Structure
+    )
+    for part in text.split(","):
+        name, kind, *rank = part.split()
+        found = ua.StructureField()
+        found.Name, found.IsOptional = name.removesuffix("?"), name.endswith("?")
+        found.DataType, found.ValueRank = node_of(kind), 1 if rank else -1
+        structure.Fields.append(found)
+    return structure
+
+
+class Instances:
+    """Builds objects of the cell from the types. values : of properties, by their path."""
+
+    def __init__(self, nodes: Nodes, model: Model) -> None:
+        self._nodes = nodes
+        self._model = model
+        self.methods: dict[str, ua.NodeId] = {}
+        self.variables: dict[str, ua.NodeId] = {}
+
+    def build(
+        self,
+        type_number: int,
+        path: str,
+        name: ua.QualifiedName,
+        parent: ua.NodeId,
+        optional: Collection[str] = (),
+        *,
+        events: bool = False,
+    ) -> ua.NodeId:
+        """An object of a type with all that is mandatory, and of the optional parts those that are named."""
+        node = self._nodes.object(path, name, parent, ua.NodeId(type_number, VISION), events=events)
+        self.fill(type_number, path, node, optional)
+        return node
+
+    def fill(self, type_number: int, path: str, node: ua.NodeId, optional: Collection[str] = ()) -> None:
+        """Give a node the parts of its type."""
+        if type_number in STATE_MACHINES:
+            self._current_state(path, node)
+        for row in self._model.children.get(f"1:{type_number}", ()):
+            if row.rule == "M" or (row.rule == "O" and row.name in optional):
+                self._part(row, path, node, optional)
+
+    def _current_state(self, path: str, node: ua.NodeId) -> None:
+        place = f"{path}.CurrentState"
+        self.variables[place] = state = self._nodes.variable(
+            place,
+            ua.QualifiedName("CurrentState", 0),
+            node,
+            base(ua.ObjectIds.LocalizedText),
+            type_definition=base(FINITE_STATE_VARIABLE_TYPE),
+        )
+        for name, kind in (("Id", ua.ObjectIds.NodeId), ("Number", ua.ObjectIds.UInt32)):
+            self.variables[f"{place}.{name}"] = self._nodes.variable(
+                f"{place}.{name}", ua.QualifiedName(name, 0), state, base(kind), is_property=True
+            )
+
+    def _part(self, row: Row, path: str, parent: ua.NodeId, optional: Collection[str]) -> None:
+        name, place = name_of(row.name), f"{path}.{row.name.removeprefix('0:')}"
+        if row.kind == "M":
+            signature = {child.name: child.value for child in self._model.children.get(f"1:{row.number}", ())}
+            self.methods[place] = self._nodes.method(
+                place,
+                name,
+                parent,
+                arguments_of(signature.get("0:InputArguments", "")),
+                arguments_of(signature.get("0:OutputArguments", "")),
+            )
+        elif row.kind == "V":
+            self.variables[place] = self._nodes.variable(
+                place,
+                name,
+                parent,
+                node_of(row.data_type or "0:24"),
+                rank=int(row.rank or -1),
+                type_definition=node_of(row.type_definition),
+                is_property=row.reference == str(HAS_PROPERTY),
+            )
+        elif row.type_definition.startswith("1:"):
+            self.build(int(row.type_definition[2:]), place, name, parent, optional)
+        else:
+            self._nodes.object(place, name, parent, node_of(row.type_definition))
+
+
+def type_node(number: int) -> ua.NodeId:
+    """A type or state of the specification."""
+    return ua.NodeId(number, VISION)
+
+
+def node_at(path: str) -> ua.NodeId:
+    """The node of the cell with this path."""
+    return in_cell(path)

@@ -1,0 +1,170 @@
+"""Nodes for asyncua's address space, made without its client calls: a cell has a thousand of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.internal_server import InternalServer
+
+from edged.errors import ListenError
+
+CELL, VISION = 3, 2
+"""Indices of the namespaces; 0 is OPC UA's own and 1 the application's."""
+VISION_URI = "http://opcfoundation.org/UA/MachineVision"
+CELL_URI = "urn:edged:cell"
+
+Reference = tuple[ua.NodeId, int, ua.NodeId]  # source, type of reference in OPC UA's namespace, target
+HAS_COMPONENT, HAS_PROPERTY, HAS_SUBTYPE = 47, 46, 45
+PROPERTY_TYPE, DATA_VARIABLE_TYPE, FOLDER_TYPE = 68, 63, 61
+
+
+def base(number: int) -> ua.NodeId:
+    """A node of OPC UA's own namespace."""
+    return ua.NodeId(number, 0)
+
+
+def in_cell(path: str) -> ua.NodeId:
+    """A node of the cell: ids are paths, the same after each start."""
+    return ua.NodeId(path, CELL)
+
+
+class Nodes:
+    """Adds nodes to a server's address space."""
+
+    def __init__(self, server: InternalServer) -> None:
+        self._server = server
+
+    def add(
+        self,
+        node: ua.NodeId,
+        name: ua.QualifiedName,
+        parent: ua.NodeId,
+        reference: ua.NodeId,
+        node_class: ua.NodeClass,
+        attributes: Any,
+        type_definition: ua.NodeId | None = None,
+    ) -> ua.NodeId:
+        """One node of any class. Raises `ListenError` for what contradicts the address space: a bug."""
+        attributes.DisplayName = ua.LocalizedText(name.Name)
+        item = ua.AddNodesItem()
+        item.RequestedNewNodeId, item.BrowseName = node, name
+        item.ParentNodeId, item.ReferenceTypeId = parent, reference
+        item.NodeClass, item.NodeAttributes = node_class, attributes
+        if type_definition is not None:
+            item.TypeDefinition = type_definition
+        (result,) = self._server.node_mgt_service.add_nodes([item])
+        if not result.StatusCode.is_good():
+            raise ListenError(f"opcua: node {node}: {result.StatusCode.name}")
+        return node
+
+    def refer(self, references: Iterable[tuple[ua.NodeId, ua.NodeId, ua.NodeId]]) -> None:
+        """References (source, type, target), seen from both ends."""
+        items = []
+        for source, kind, target in references:
+            for one, other, forward in ((source, target, True), (target, source, False)):
+                if one in self._server.aspace and other in self._server.aspace:
+                    item = ua.AddReferencesItem()
+                    item.SourceNodeId, item.TargetNodeId = one, other
+                    item.ReferenceTypeId, item.IsForward = kind, forward
+                    items.append(item)
+        self._server.node_mgt_service.add_references(items)
+
+    def remove(self, nodes: Sequence[ua.NodeId]) -> None:
+        """Nodes and what refers to them."""
+        params = ua.DeleteNodesParameters()
+        for node in nodes:
+            item = ua.DeleteNodesItem()
+            item.NodeId, item.DeleteTargetReferences = node, True
+            params.NodesToDelete.append(item)
+        self._server.node_mgt_service.delete_nodes(params)
+
+    def object(
+        self,
+        path: str,
+        name: ua.QualifiedName,
+        parent: ua.NodeId,
+        type_definition: ua.NodeId,
+        *,
+        events: bool = False,
+    ) -> ua.NodeId:
+        """An object of the cell. events : clients may subscribe to those that it emits."""
+        attributes = ua.ObjectAttributes()
+        attributes.EventNotifier = 1 if events else 0
+        reference = base(35 if parent == base(ua.ObjectIds.ObjectsFolder) else HAS_COMPONENT)
+        return self.add(
+            in_cell(path), name, parent, reference, ua.NodeClass.Object, attributes, type_definition
+        )
+
+    def variable(
+        self,
+        path: str,
+        name: ua.QualifiedName,
+        parent: ua.NodeId,
+        data_type: ua.NodeId,
+        value: ua.Variant | None = None,
+        *,
+        rank: int = -1,
+        type_definition: ua.NodeId | None = None,
+        is_property: bool = False,
+        description: str = "",
+    ) -> ua.NodeId:
+        """A variable or property of the cell that clients may read. value None: there is none yet."""
+        attributes = variable_attributes(data_type, rank, value)
+        attributes.Description = ua.LocalizedText(description)
+        return self.add(
+            in_cell(path),
+            name,
+            parent,
+            base(HAS_PROPERTY if is_property else HAS_COMPONENT),
+            ua.NodeClass.Variable,
+            attributes,
+            type_definition or base(PROPERTY_TYPE if is_property else DATA_VARIABLE_TYPE),
+        )
+
+    def method(
+        self,
+        path: str,
+        name: ua.QualifiedName,
+        parent: ua.NodeId,
+        inputs: Sequence[ua.Argument],
+        outputs: Sequence[ua.Argument],
+    ) -> ua.NodeId:
+        """A method of the cell with its arguments."""
+        attributes = ua.MethodAttributes()
+        attributes.Executable = attributes.UserExecutable = True
+        node = self.add(in_cell(path), name, parent, base(HAS_COMPONENT), ua.NodeClass.Method, attributes)
+        for what, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
+            if arguments:
+                value = ua.Variant(list(arguments), ua.VariantType.ExtensionObject)
+                self.variable(
+                    f"{path}.{what}",
+                    ua.QualifiedName(what, 0),
+                    node,
+                    base(ua.ObjectIds.Argument),
+                    value,
+                    rank=1,
+                    is_property=True,
+                )
+        return node
+
+
+def variable_attributes(data_type: ua.NodeId, rank: int, value: ua.Variant | None) -> ua.VariableAttributes:
+    """Attributes of a variable that nobody may write."""
+    attributes = ua.VariableAttributes()
+    attributes.DataType, attributes.ValueRank = data_type, rank
+    attributes.AccessLevel = attributes.UserAccessLevel = ua.AccessLevel.CurrentRead.mask
+    attributes.Value = value or ua.Variant(None, ua.VariantType.Null)
+    if rank == 1:
+        attributes.ArrayDimensions = [0]
+    return attributes
+
+
+def argument(name: str, data_type: ua.NodeId, *, is_array: bool = False) -> ua.Argument:
+    """One argument of a method."""
+    found = ua.Argument()
+    found.Name, found.DataType, found.ValueRank = name, data_type, 1 if is_array else -1
+    if is_array:
+        found.ArrayDimensions = [0]
+    return found

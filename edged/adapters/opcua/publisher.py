@@ -1,0 +1,248 @@
+"""The OPC UA side of a cell, on the cell's event loop: pictures to the server's thread, commands from it.
+
+The registers and their handshake are the cell's, held by the Modbus server: each OPC UA session is one more
+of its clients, with a turn to write like every other's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import itertools
+import time
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+from asyncua import ua
+
+from edged.adapters.opcua.methods import NOT_YOUR_TURN
+from edged.adapters.opcua.picture import Picture, ResultRecord
+from edged.adapters.opcua.security import Identity, identity_of
+from edged.adapters.opcua.server import ServerThread
+from edged.adapters.opcua.settings import OpcUaSettings
+from edged.domain import Event, Snapshot
+from edged.errors import CommandRefused
+from edged.plc import registers as reg
+from edged.plc.handshake import Reason
+
+TICK_S = 0.1
+"""Of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
+CALL_S = 5.0
+NAMED = frozenset(
+    register.address for block in (reg.RESULT, reg.COMMAND, reg.STATUS) for register in block.registers
+)
+"""What a cell's state is told by; names of other blocks may be the same and mean something else."""
+T = TypeVar("T")
+
+
+class Registers(Protocol):
+    """The registers of the cell and the one handshake behind them."""
+
+    def values(self) -> Sequence[tuple[reg.Register, reg.Number]]:
+        """Every register at one moment."""
+        ...
+
+    @property
+    def valid_until_s(self) -> float:
+        """When the coordinates on display fall, on the monotonic clock; 0: there are none."""
+        ...
+
+    def write(self, client: int, values: Mapping[str, reg.Number]) -> None:
+        """Write words of the command block that follow each other.
+
+        Raises `CommandRefused` while it is another client's turn.
+        """
+        ...
+
+    def leave(self, client: int) -> None:
+        """A client is no more."""
+        ...
+
+    def watch(self, changed: Callable[[], None] | None) -> None:
+        """Be told of each change that is not time passing."""
+        ...
+
+
+class OpcUaPublisher:
+    """Publishes one cell over OPC UA and takes its commands (`edged.ports.Publisher`).
+
+    registers : those that are served now, None while they are exchanged. jobs : (number, name) of each.
+    Both are called on the event loop. identity : so that files need not be read again.
+    """
+
+    def __init__(
+        self,
+        settings: OpcUaSettings,
+        registers: Callable[[], Registers | None],
+        jobs: Callable[[], Sequence[tuple[int, str]]],
+        *,
+        identity: Identity | None = None,
+    ) -> None:
+        self._settings = settings
+        self._registers = registers
+        self._jobs = jobs
+        self._identity = identity
+        self._numbers = itertools.count(1_000_000)  # the Modbus server counts its own from 1
+        self._clients: dict[ua.NodeId, int] = {}
+        self._watched: Registers | None = None
+        self._snapshot: Snapshot | None = None
+        self._started_ns = time.time_ns()
+        self._server: ServerThread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ticking: asyncio.TimerHandle | None = None
+        self._is_due = False
+        self._is_closed = False
+
+    @property
+    def port(self) -> int:
+        """TCP port that is listened on; 0 when closed."""
+        return self._server.port if self._server is not None else 0
+
+    async def start(self) -> None:
+        """Listen. Raises `ListenError`; then nothing stays open."""
+        identity = self._identity
+        if identity is None:
+            identity = await asyncio.to_thread(identity_of, self._settings)
+        self._loop = asyncio.get_running_loop()
+        server = ServerThread(self._settings, identity, self, self._nudge, self._session_gone)
+        self._server = server
+        await server.start()
+        self._tick()
+
+    def announce(self, event: Event) -> None:
+        """Take note of an event; shown when the registers have taken note of it, too."""
+        if self._is_closed:
+            return
+        if isinstance(event, Snapshot):
+            self._snapshot = event
+        self._show_soon()
+
+    async def close(self) -> None:
+        """Hang up on every client and end the thread."""
+        self._is_closed = True
+        if self._ticking is not None:
+            self._ticking.cancel()
+        if self._watched is not None:
+            self._watched.watch(None)
+        if self._server is not None:
+            await self._server.stop()
+        for session in list(self._clients):
+            self._forget(session)
+
+    # --- showing -----------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        if self._loop is not None and not self._is_closed:
+            self._show()
+            self._ticking = self._loop.call_later(TICK_S, self._tick)
+
+    def _show_soon(self) -> None:
+        """With the next turn of the loop: by then every publisher knows of the event."""
+        if self._loop is not None and not self._is_due and not self._is_closed:
+            self._is_due = True
+            self._loop.call_soon(self._show)
+
+    def _show(self) -> None:
+        self._is_due = False
+        picture = None if self._is_closed else self._picture()
+        if picture is not None and self._server is not None:
+            self._server.post(picture)
+
+    def _picture(self) -> Picture | None:
+        registers = self._registers()
+        if registers is not self._watched:  # exchanged by a reload: its clients are none of the new one
+            self._clients.clear()
+            self._watched = registers
+            if registers is not None:
+                registers.watch(self._show_soon)
+        if registers is None:
+            return None
+        found = registers.values()
+        values = {register.name: value for register, value in found if register.address in NAMED}
+        numbers = {register.address: value for register, value in found}
+        return Picture(values, numbers, registers.valid_until_s, tuple(self._jobs()), self._displayed(values))
+
+    def _displayed(self, values: Mapping[str, reg.Number]) -> ResultRecord | None:
+        """The result on display, unless it was good and may not be used any more."""
+        snapshot = self._snapshot
+        if snapshot is None or not values["SEQ_HEAD"] or values["CYCLE"] != snapshot.cycle & reg.UINT32_MAX:
+            return None
+        code, flags = values["RESULT"], int(values["FLAGS"])
+        if code == reg.ResultCode.OK and not flags & reg.Flag.VALID:
+            return None
+        return ResultRecord(
+            int(values["START_EPOCH"]),
+            int(values["SEQ_HEAD"]),
+            snapshot,
+            self._settings.cell,
+            self._started_ns,
+            is_silent=code == reg.ResultCode.VERIFIED,  # no robot gets coordinates from it
+        )
+
+    # --- commands, asked for on the server's thread --------------------------------------------
+
+    async def command(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> tuple[int, int, Picture]:
+        """See `methods.Handshake`."""
+        return await self._on_loop(self._command(session, values))
+
+    async def write(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
+        """See `methods.Handshake`."""
+        return await self._on_loop(self._write(session, values))
+
+    async def _on_loop(self, work: Coroutine[Any, Any, T]) -> T:
+        if self._loop is None or self._is_closed:
+            work.close()
+            raise CommandRefused("the daemon is stopping")
+        future: concurrent.futures.Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
+        return await asyncio.wait_for(asyncio.wrap_future(future), CALL_S)
+
+    async def _command(
+        self, session: ua.NodeId, wanted: Mapping[str, reg.Number]
+    ) -> tuple[int, int, Picture]:
+        picture = self._picture()
+        if picture is None or self._watched is None:
+            raise CommandRefused("the registers are being exchanged")
+        sequence = int(picture.values["LAST_SEQ"]) % reg.UINT16_MAX + 1
+        words: dict[str, reg.Number] = {register.name: 0 for register in reg.COMMAND.registers}
+        words |= {**wanted, "CMD_SEQ": sequence, "OPTIONS": reg.Option.ONCE}
+        error = self._put(session, words)
+        after = self._picture() or picture
+        self._show_soon()
+        if not error and after.values["DONE_SEQ"] == sequence and after.values["NACK_REASON"]:
+            error = -int(after.values["NACK_REASON"])
+        return sequence, error, after
+
+    async def _write(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
+        if self._picture() is None:
+            raise CommandRefused("the registers are being exchanged")
+        error = self._put(session, values)
+        self._show_soon()
+        return error
+
+    def _put(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
+        registers = self._watched
+        if registers is None:
+            return -int(Reason.REFUSED)
+        client = self._clients.setdefault(session, next(self._numbers))
+        try:
+            registers.write(client, values)
+        except CommandRefused:
+            return NOT_YOUR_TURN
+        return 0
+
+    def _nudge(self) -> None:
+        """A result has fallen on the server's thread: show what there is now."""
+        self._from_thread(self._show_soon)
+
+    def _session_gone(self, session: ua.NodeId) -> None:
+        self._from_thread(lambda: self._forget(session))
+
+    def _from_thread(self, work: Callable[[], None]) -> None:
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(work)
+
+    def _forget(self, session: ua.NodeId) -> None:
+        client = self._clients.pop(session, None)
+        if client is not None and self._watched is not None:
+            self._watched.leave(client)

@@ -1,0 +1,346 @@
+"""The server on a thread and an event loop of its own: what clients ask costs the cell's loop nothing.
+
+Pictures come in through `post`; commands go out through `Handshake`, whose calls end on the cell's loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import logging
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from ipaddress import IPv6Address, ip_address
+from typing import Any
+
+import asyncua
+from asyncua import ua
+from asyncua.common.callback import CallbackType
+from asyncua.crypto import security_policies
+from asyncua.server.address_space import AttributeValue
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from edged import __version__
+from edged.adapters.opcua.connection import STRANGERS_PER_S, Connection
+from edged.adapters.opcua.methods import Handshake, Methods
+from edged.adapters.opcua.model import read_model
+from edged.adapters.opcua.nodes import CELL_URI, VISION_URI, base
+from edged.adapters.opcua.picture import Picture
+from edged.adapters.opcua.security import Identity, TrustList, Users
+from edged.adapters.opcua.session import MAX_NODES, Server
+from edged.adapters.opcua.settings import OpcUaSettings
+from edged.adapters.opcua.space import Space
+from edged.door import Door, Guest, Rate
+from edged.errors import EdgedError, ListenError
+from edged.logs import LogLimit
+
+START_S, STOP_S = 30.0, 3.0
+IDLE_S = 60.0
+PRODUCT_URI = "urn:edged"
+TRANSPORT_URI = "http://opcfoundation.org/UA-Profile/Transport/uatcp-uasc-uabinary"
+POLICIES = (
+    ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
+)
+LIMITS = (
+    ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead,
+    ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerBrowse,
+    ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerTranslateBrowsePathsToNodeIds,
+    ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall,
+)
+
+# what it says of each frame that it cannot read is for its sender to choose; the lines that count are ours
+logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+log = logging.getLogger(__name__)
+
+
+class ServerThread:
+    """Owns the thread. gone : called on it for each session that has ended, with its id."""
+
+    def __init__(
+        self,
+        settings: OpcUaSettings,
+        identity: Identity,
+        handshake: Handshake,
+        fallen: Callable[[], None],
+        gone: Callable[[ua.NodeId], None],
+    ) -> None:
+        self._settings = settings
+        self._identity = identity
+        self._handshake = handshake
+        self._fallen = fallen
+        self._gone = gone
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopping = asyncio.Event()
+        self._thread: threading.Thread | None = None
+        self._door: Door | None = None
+        self._log = LogLimit(__name__)
+        self._channels = Rate(STRANGERS_PER_S)
+        self._connections: dict[Guest, Connection] = {}
+        self._newest: Picture | None = None
+        self._shown = asyncio.Event()
+        self._space: Space | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._falling: asyncio.Task[None] | None = None
+
+    @property
+    def port(self) -> int:
+        """TCP port that is listened on; 0 when closed."""
+        return self._door.port if self._door is not None else 0
+
+    async def start(self) -> None:
+        """Build the address space and listen. Raises `ListenError`."""
+        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        loop = asyncio.get_running_loop()
+
+        def tell(error: BaseException | None) -> None:
+            if not ready.done():
+                ready.set_result(None) if error is None else ready.set_exception(error)
+
+        def done(error: BaseException | None) -> None:
+            with contextlib.suppress(RuntimeError):  # nobody waits any more: the loop is closed
+                loop.call_soon_threadsafe(tell, error)
+
+        self._thread = threading.Thread(target=self._main, args=(done,), name="opcua", daemon=True)
+        self._thread.start()
+        async with asyncio.timeout(START_S):
+            await ready
+
+    def post(self, picture: Picture) -> None:
+        """Show a picture soon; one that comes before it was shown replaces it."""
+        self._newest = picture
+        loop = self._loop
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has just closed
+                loop.call_soon_threadsafe(self._shown.set)
+
+    async def stop(self) -> None:
+        """Hang up on everybody and end the thread."""
+        loop, thread = self._loop, self._thread
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(self._stopping.set)
+        if thread is not None:
+            await asyncio.get_running_loop().run_in_executor(None, thread.join, STOP_S)
+            if thread.is_alive():
+                log.warning("opcua: the server did not end within %g s", STOP_S)
+
+    # --- on the thread -------------------------------------------------------------------------
+
+    def _main(self, done: Callable[[BaseException | None], None]) -> None:
+        try:
+            asyncio.run(self._run(done))
+        except EdgedError as error:
+            done(error)
+        except Exception as error:
+            log.exception("opcua: the server has ended by a bug")
+            done(ListenError(f"opcua: {type(error).__name__}: {error}"))
+
+    async def _run(self, done: Callable[[BaseException | None], None]) -> None:
+        self._loop = asyncio.get_running_loop()
+        settings = self._settings
+        trust = TrustList(settings.trusted)
+        users = Users(settings)
+        server = Server(users, settings.max_clients, self._gone, anonymous=settings.anonymous)
+        server.disabled_clock = True  # stopping it takes up to a second
+        await self._prepare(server)
+        self._space = space = Space(server, settings, read_model(), time.monotonic)
+        space.build()
+        Methods(server, space, self._handshake).install()
+        policies = self._policies(server)
+        server.subscribe_server_callback(CallbackType.PreRead, self._before_read)
+        self._door = door = Door(
+            "opcua",
+            functools.partial(self._connect, server, policies, trust),
+            self._admits,
+            self._left,
+            idle_s=IDLE_S,
+        )
+        await self._open(door)
+        await server.start()
+        tasks = [asyncio.create_task(work) for work in (self._tick(server), self._show(space))]
+        done(None)
+        log.info(
+            "opcua: serving opc.tcp://%s:%d, %d trusted certificates", settings.host, door.port, len(trust)
+        )
+        stopped = asyncio.create_task(self._stopping.wait())
+        try:
+            await asyncio.wait({stopped, *tasks}, return_when=asyncio.FIRST_COMPLETED)
+            for task in tasks:
+                if task.done():
+                    task.result()  # a bug: it goes where the thread's errors go
+        finally:
+            await self._close(server, door, [stopped, *tasks])
+
+    async def _close(self, server: Server, door: Door, tasks: list[asyncio.Task[Any]]) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        connections = list(self._connections.values())
+        await door.close()
+        for connection in connections:
+            await connection.ended()
+        for session in list(server.sessions.values()):
+            await session.close_session(True)
+        await server.stop()
+
+    async def _open(self, door: Door) -> None:
+        settings = self._settings
+        try:
+            await door.open(settings.host, settings.port)
+        except (OSError, OverflowError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise ListenError(f"opcua: cannot listen on {settings.host}:{settings.port}: {why}") from error
+
+    async def _prepare(self, server: Server) -> None:
+        """The standard's own nodes, with what is to be said of this server."""
+        high = asyncua.Server(iserver=server)
+        await high.init()
+        await high.set_application_uri(self._settings.application_uri)
+        await high.set_build_info(PRODUCT_URI, "edged", "edged", __version__, "", datetime.now(UTC))
+        namespaces = server.aspace[base(ua.ObjectIds.Server_NamespaceArray)].attributes[ua.AttributeIds.Value]
+        uris = ["http://opcfoundation.org/UA/", self._settings.application_uri, VISION_URI, CELL_URI]
+        namespaces.value = ua.DataValue(ua.Variant(uris, ua.VariantType.String))
+        for number in LIMITS:
+            limit = ua.DataValue(ua.Variant(MAX_NODES, ua.VariantType.UInt32))
+            server.aspace[base(number)].attributes[ua.AttributeIds.Value] = AttributeValue(limit)
+
+    def _policies(self, server: Server) -> list[Any]:
+        identity, policies = self._identity, []
+        server.certificate, server.private_key = identity.certificate, identity.key
+        wanted = list(POLICIES) if identity.certificate is not None else []
+        if self._settings.anonymous:
+            wanted.append(ua.SecurityPolicyType.NoSecurity)
+        for kind in wanted:
+            policy, mode, level = security_policies.SECURITY_POLICY_TYPE_MAP[kind]
+            policies.append(
+                security_policies.SecurityPolicyFactory(policy, mode, identity.certificate, identity.key)
+            )
+            server.add_endpoint(self._endpoint(policy.URI, mode, level))
+        return policies
+
+    def _endpoint(self, uri: str, mode: ua.MessageSecurityMode, level: int) -> ua.EndpointDescription:
+        settings, certificate = self._settings, self._identity.certificate
+        application = ua.ApplicationDescription()
+        application.ApplicationName = ua.LocalizedText(f"edged {settings.cell}")
+        application.ApplicationUri, application.ProductUri = settings.application_uri, PRODUCT_URI
+        application.ApplicationType = ua.ApplicationType.Server
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        application.DiscoveryUrls.append(f"opc.tcp://{host}:{settings.port}")
+        found = ua.EndpointDescription()
+        found.EndpointUrl, found.Server = application.DiscoveryUrls[0], application
+        found.SecurityMode, found.SecurityPolicyUri, found.SecurityLevel = mode, uri, level
+        found.TransportProfileUri = TRANSPORT_URI
+        if certificate is not None:
+            found.ServerCertificate = certificate.public_bytes(Encoding.DER)
+        tokens = []
+        if mode is not ua.MessageSecurityMode.None_ and settings.password_hash:
+            tokens.append(("username", ua.UserTokenType.UserName))
+        if settings.anonymous:
+            tokens.append(("anonymous", ua.UserTokenType.Anonymous))
+        for name, kind in tokens:
+            token = ua.UserTokenPolicy()
+            # the channel encrypts: the password need not be encrypted once more
+            token.PolicyId, token.TokenType = name, kind
+            token.SecurityPolicyUri = security_policies.SecurityPolicyNone.URI
+            found.UserIdentityTokens.append(token)
+        return found
+
+    # --- guests --------------------------------------------------------------------------------
+
+    def _connect(self, server: Server, policies: list[Any], trust: TrustList, guest: Guest) -> Connection:
+        connection = Connection(server, policies, trust, self._channels, guest, self._log)
+        self._connections[guest] = connection
+        return connection
+
+    def _admits(self, newcomer: Guest) -> bool:
+        """Whether a client may stay. No address gets more than half of the connections."""
+        settings, peer = self._settings, newcomer.peer
+        if settings.readers and not _contains(settings, peer):
+            self._log.warning("opcua: %s is not in the list of networks, closed", peer)
+            return False
+        guests = self._door.guests if self._door is not None else ()
+        same = [guest for guest in guests if guest.peer == peer]
+        if len(guests) < settings.max_clients and len(same) < max(settings.max_clients // 2, 1):
+            return True
+        strangers = [guest for guest in same if not self._is_active(guest)]
+        if not strangers:
+            self._log.warning("opcua: %s closed, %d clients are connected", peer, len(guests))
+            return False
+        min(strangers, key=lambda guest: guest.active_s).abort()
+        return True
+
+    def _is_active(self, guest: Guest) -> bool:
+        connection = self._connections.get(guest)
+        return connection is not None and connection.is_active
+
+    def _left(self, guest: Guest) -> None:
+        self._connections.pop(guest, None)
+
+    # --- showing -------------------------------------------------------------------------------
+
+    async def _show(self, space: Space) -> None:
+        while True:
+            await self._shown.wait()
+            self._shown.clear()
+            picture = self._newest
+            if picture is not None:
+                await space.show(picture)
+                self._watch(space, picture.valid_until_s)
+
+    def _watch(self, space: Space, until_s: float) -> None:
+        """Be there when the result on display falls."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if until_s:
+            loop = asyncio.get_running_loop()
+            delay_s = max(until_s - time.monotonic(), 0.0)
+            self._timer = loop.call_later(delay_s, lambda: self._keep(loop.create_task(self._fall(space))))
+
+    def _keep(self, task: asyncio.Task[None]) -> None:
+        self._falling = task  # a task that nobody holds may be collected before it has ended
+
+    async def _fall(self, space: Space) -> None:
+        if space.is_overdue:
+            await space.fall()
+            self._fallen()
+
+    async def _before_read(self, *_arguments: object) -> None:
+        """A read that comes before the timer's turn must not see what has fallen."""
+        if self._space is not None and self._space.is_overdue:
+            await self._space.fall()
+
+    async def _tick(self, server: Server) -> None:
+        """The server's own clock, which clients look at to see that it lives."""
+        node, status = (
+            server.aspace[base(number)].attributes[ua.AttributeIds.Value]
+            for number in (
+                ua.ObjectIds.Server_ServerStatus_CurrentTime,
+                ua.ObjectIds.Server_ServerStatus,
+            )
+        )
+        while True:
+            now = datetime.now(UTC)
+            if status.value is not None and status.value.Value is not None:
+                status.value.Value.Value.CurrentTime = now
+            node.value = ua.DataValue(ua.Variant(now, ua.VariantType.DateTime), SourceTimestamp=now)
+            for handle, tell in list(node.datachange_callbacks.items()):
+                await tell(handle, node.value)
+            await asyncio.sleep(1.0)
+
+
+def _contains(settings: OpcUaSettings, peer: str) -> bool:
+    try:
+        address = ip_address(peer.partition("%")[0])
+    except ValueError:
+        return False
+    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
+        address = address.ipv4_mapped
+    return any(address in network for network in settings.readers)

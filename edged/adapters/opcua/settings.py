@@ -1,0 +1,37 @@
+"""What can be set of the OPC UA server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from ipaddress import IPv4Network, IPv6Network
+from pathlib import Path
+
+Network = IPv4Network | IPv6Network
+
+
+@dataclass(frozen=True, slots=True)
+class OpcUaSettings:
+    """The server of one cell.
+
+    certificate, key : PEM, ours; None: there is no encrypted endpoint. trusted : folder with the certificates
+    of the clients that may connect, PEM or DER. user, password_hash : who may command.
+    anonymous : anybody may look, also without encryption. readers : networks that may connect; empty: all.
+    """
+
+    cell: str
+    host: str = "127.0.0.1"
+    port: int = 4840
+    certificate: Path | None = None
+    key: Path | None = None
+    trusted: Path | None = None
+    user: str = "operator"
+    password_hash: str = ""
+    anonymous: bool = False
+    max_clients: int = 16
+    readers: tuple[Network, ...] = ()
+    free_running: bool = False
+
+    @property
+    def application_uri(self) -> str:
+        """What clients know this server by; the certificate must hold the same."""
+        return f"urn:edged:{self.cell}"

@@ -1,0 +1,495 @@
+"""The address space of a cell: a vision system of OPC 40100-1, and beside it every register as a variable.
+
+`show` replaces a picture by the next: all values first, then subscriptions are told, then events go out.
+Nothing else runs between the first value and the last one, so no read sees halves of two results. A
+coordinate that may not be used has no value and the status BadNoData, from the same moment on as its flag.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.events import Event
+
+from edged.adapters.opcua.model import Instances, Model, add_types, node_at, type_node
+from edged.adapters.opcua.nodes import Nodes, base, in_cell
+from edged.adapters.opcua.picture import Picture, ResultRecord, job_name
+from edged.adapters.opcua.session import Server
+from edged.adapters.opcua.settings import OpcUaSettings
+from edged.adapters.opcua.state import Automatic, Top, VisionState, vision_state
+from edged.adapters.opcua.structures import (
+    EPOCH,
+    ConfigurationIdDataType,
+    JobIdDataType,
+    MeasIdDataType,
+    PartIdDataType,
+    ProcessingTimesDataType,
+    ProductIdDataType,
+    RecipeIdExternalDataType,
+    RecipeIdInternalDataType,
+    ResultDataType,
+    ResultIdDataType,
+    structure,
+    text_of,
+)
+from edged.domain import CommandKind, Snapshot, Status
+from edged.logs import LogLimit
+from edged.plc import registers as reg
+
+SYSTEM, REGISTERS, HANDSHAKE = "VisionSystem", "Registers", "Handshake"
+MACHINE = f"{SYSTEM}.VisionStateMachine"
+AUTOMATIC = f"{MACHINE}.AutomaticModeStateMachine"
+RECIPES = f"{SYSTEM}.RecipeManagement.Recipes"
+LATEST = f"{SYSTEM}.ResultManagement.Results.Latest"
+OPTIONAL = frozenset(
+    {
+        "AutomaticModeStateMachine",
+        "SelectModeAutomatic",
+        "RecipeManagement",
+        "Recipes",
+        "ResultManagement",
+        "Results",
+        "ExternalId",
+        "IsSimulated",
+        "ProcessingTimes",
+        "ResultContent",
+        "MeasId",
+        "PartId",
+    }
+)
+"""What a cell has of the specification's optional parts."""
+RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.FLOAT, *reg.TABLE)
+VARIANTS = {
+    reg.Kind.U16: ua.VariantType.UInt16,
+    reg.Kind.I32: ua.VariantType.Int32,
+    reg.Kind.U32: ua.VariantType.UInt32,
+    reg.Kind.U64: ua.VariantType.UInt64,
+    reg.Kind.F32: ua.VariantType.Float,
+}
+UNITS = {"µm": "4H", "mm": "MMT", "°": "DD", "ms": "C26", "µs": "B98", "ns": "C45", "µrad": "B97"}
+"""Codes of UNECE Recommendation 20; OPC 10000-8, 5.6.3: the number is that of the code's characters."""
+BAD = ua.StatusCode(ua.StatusCodes.BadNoData)
+INACTIVE = ua.StatusCode(ua.StatusCodes.BadStateNotActive)
+GOOD = ua.StatusCode()
+MAX_ASKED = 64
+
+JOB_STARTED, READY, RECIPE_PREPARED, RESULT_READY, ACQUISITION_DONE = 1013, 1023, 1022, 1024, 1025
+STATE_CHANGED, ERROR_EVENT, ERROR_RESOLVED = 1018, 1019, 1020
+SEVERE, USUAL = 800, 100
+COMPLETED, FAILED = 1, 4  # ResultStateDataType, OPC 40100-1, table 153
+
+Asked = tuple[object, object, object, object]  # MeasId, PartId, RecipeId, ProductId of StartSingleJob
+
+
+class CellEvent(Event):
+    """An event; a client is given the fields that it has, and nothing else of the object."""
+
+    def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
+        """The fields that a client selected, by the last name of their path."""
+        return [self._field(clause) for clause in select_clauses]
+
+    def _field(self, clause: ua.SimpleAttributeOperand) -> ua.Variant:
+        name = "/".join(part.Name or "" for part in clause.BrowsePath or ())
+        kind = self.data_types.get(name)
+        value = getattr(self, name) if kind is not None else None
+        return ua.Variant(None) if value is None else ua.Variant(value, kind)
+
+
+def own_name(name: str) -> ua.QualifiedName:
+    """A browse name of the cell."""
+    return ua.QualifiedName(name, 3)
+
+
+class Space:
+    """The nodes of one cell. moment_s : monotonic, the clock of `Picture.valid_until_s`."""
+
+    def __init__(
+        self, server: Server, settings: OpcUaSettings, model: Model, moment_s: Callable[[], float]
+    ) -> None:
+        self._server = server
+        self._settings = settings
+        self._model = model
+        self._moment_s = moment_s
+        self._nodes = Nodes(server)
+        self.instances = Instances(self._nodes, model)
+        self._registers: dict[int, tuple[reg.Register, ua.NodeId, bool]] = {}
+        self._shown: dict[ua.NodeId, tuple[object, int]] = {}
+        self._modified: dict[str, datetime] = {}
+        self._asked: dict[str, Asked] = {}
+        self._written: tuple[Snapshot, str] | None = None  # its content is made once
+        self._log = LogLimit(__name__)
+        self.picture: Picture | None = None
+        self._fallen = True
+        self._state = VisionState(Top.PREOPERATIONAL, None)
+        self.recipe_added: Callable[[str], None] = lambda _path: None
+
+    # --- building ----------------------------------------------------------------------------
+
+    def build(self) -> None:
+        """Add types and objects."""
+        add_types(self._nodes, self._model)
+        objects = base(ua.ObjectIds.ObjectsFolder)
+        system = self.instances.build(
+            1003, SYSTEM, own_name(self._settings.cell), objects, OPTIONAL, events=True
+        )
+        self._notify(node_at(MACHINE))
+        latest = self._nodes.variable(
+            LATEST,
+            own_name("Latest"),
+            node_at(f"{SYSTEM}.ResultManagement.Results"),
+            type_node(3006),
+            type_definition=type_node(2002),
+        )
+        self.instances.variables[LATEST] = latest
+        self.instances.fill(2002, LATEST, latest, OPTIONAL)
+        self._build_registers(system)
+
+    def _notify(self, node: ua.NodeId) -> None:
+        attribute = self._server.aspace[node].attributes[ua.AttributeIds.EventNotifier]
+        attribute.value = ua.DataValue(ua.Variant(1, ua.VariantType.Byte))
+
+    def _build_registers(self, system: ua.NodeId) -> None:
+        folder = self._nodes.object(REGISTERS, own_name(REGISTERS), system, base(61))
+        for block in reg.BLOCKS:
+            path = f"{REGISTERS}.{block.name}"
+            parent = self._nodes.object(path, own_name(block.name), folder, base(61))
+            for register in block.registers:
+                place = f"{path}.{register.name}"
+                node = self._nodes.variable(
+                    place,
+                    own_name(register.name),
+                    parent,
+                    base(VARIANTS[register.kind].value),
+                    description=register.help,
+                )
+                self._registers[register.address] = (register, node, block in RESULT_BLOCKS)
+                if register.unit and register.unit != "bits":
+                    self._nodes.variable(
+                        f"{place}.EngineeringUnits",
+                        ua.QualifiedName("EngineeringUnits", 0),
+                        node,
+                        base(ua.ObjectIds.EUInformation),
+                        ua.Variant(unit_of(register.unit), ua.VariantType.ExtensionObject),
+                        is_property=True,
+                    )
+
+    # --- showing -----------------------------------------------------------------------------
+
+    async def show(self, picture: Picture) -> None:
+        """Replace the picture."""
+        before, self.picture, self._fallen = self.picture, picture, False
+        if before is None or before.jobs != picture.jobs:
+            self._exchange_recipes(picture)
+        state, self._state = (
+            self._state,
+            vision_state(picture.values, free_running=self._settings.free_running),
+        )
+        if self._moment_s() >= picture.valid_until_s > 0.0:
+            await self.fall()  # it took its time to come here
+        else:
+            await self._write([*self._register_values(picture), *self._other_values(picture)])
+        for event in self._events(before, state, picture):
+            await self._emit(event)
+
+    async def fall(self) -> None:
+        """The result may not be used any more, and the next picture is not here yet: show none."""
+        if self._fallen or self.picture is None:
+            return
+        self._fallen = True
+        hidden: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]] = [
+            (node, None, BAD, VARIANTS[register.kind])
+            for register, node, is_result in self._registers.values()
+            if is_result or register.name == "STATUS_BITS"
+        ]
+        await self._write([*hidden, *self._result_values(None)])
+
+    @property
+    def is_overdue(self) -> bool:
+        """Whether a coordinate is shown that may not be used any more."""
+        picture = self.picture
+        return not self._fallen and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
+
+    async def _write(self, values: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]) -> None:
+        now = datetime.now(UTC)
+        changed = []
+        for node, value, status, kind in values:
+            new = (value, status.value)
+            if self._shown.get(node) == new:
+                continue
+            self._shown[node] = new
+            variant = ua.Variant(None, ua.VariantType.Null) if status.is_bad() else ua.Variant(value, kind)
+            data = ua.DataValue(variant, status, SourceTimestamp=now, ServerTimestamp=now)
+            attribute = self._server.aspace[node].attributes[ua.AttributeIds.Value]
+            attribute.value = data
+            changed.append((attribute, data))
+        for attribute, data in changed:
+            for handle, tell in list(attribute.datachange_callbacks.items()):
+                await tell(handle, data)
+
+    def _register_values(
+        self, picture: Picture
+    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+        for address, (register, node, is_result) in self._registers.items():
+            value = picture.numbers[address]
+            unknown = is_result and is_unknown(register, value)
+            yield node, None if unknown else value, BAD if unknown else GOOD, VARIANTS[register.kind]
+
+    def _other_values(
+        self, picture: Picture
+    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+        yield from self._state_values(MACHINE, self._state.top)
+        yield from self._state_values(AUTOMATIC, self._state.automatic)
+        for number, name in picture.jobs:
+            is_active = number == picture.values["ACTIVE_JOB"]
+            place = f"{RECIPES}.{name}"
+            variables = self.instances.variables
+            yield variables[f"{place}.IsPrepared"], is_active, GOOD, ua.VariantType.Boolean
+        yield from self._result_values(picture.result)
+
+    def _state_values(
+        self, path: str, state: Top | Automatic | None
+    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+        number, node, name = (0, 0, "") if state is None else state.value
+        status = INACTIVE if state is None else GOOD
+        place, variables = f"{path}.CurrentState", self.instances.variables
+        yield variables[place], ua.LocalizedText(name), status, ua.VariantType.LocalizedText
+        yield variables[f"{place}.Id"], type_node(node), status, ua.VariantType.NodeId
+        yield variables[f"{place}.Number"], number, status, ua.VariantType.UInt32
+
+    def _result_values(
+        self, record: ResultRecord | None
+    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+        status = BAD if record is None else GOOD
+        data = ResultDataType() if record is None else self.result_data(record)
+        variables = self.instances.variables
+        yield variables[LATEST], data, status, ua.VariantType.ExtensionObject
+        for path, node in variables.items():
+            if path.startswith(f"{LATEST}."):
+                name = path.removeprefix(f"{LATEST}.")
+                value = getattr(data, name)
+                absent = record is None or value is None
+                yield (
+                    node,
+                    value,
+                    BAD if absent else GOOD,
+                    RESULT_KINDS.get(name, ua.VariantType.ExtensionObject),
+                )
+
+    # --- recipes and results -----------------------------------------------------------------
+
+    def _exchange_recipes(self, picture: Picture) -> None:
+        """Jobs came, or have gone: their objects with them."""
+        wanted = {name for _, name in picture.jobs}
+        variables, methods = self.instances.variables, self.instances.methods
+        for name in [name for name in self._modified if name not in wanted]:
+            place = f"{RECIPES}.{name}"
+            gone = [path for path in (*variables, *methods) if path.startswith(f"{place}.")]
+            arguments = [f"{path}.OutputArguments" for path in gone if path in methods]
+            self._nodes.remove([in_cell(path) for path in (*arguments, *gone, place)])
+            for path in gone:
+                self._shown.pop(in_cell(path), None)
+                variables.pop(path, None)
+                methods.pop(path, None)
+            del self._modified[name]
+        for number, name in picture.jobs:
+            if name not in self._modified:
+                self._add_recipe(number, name)
+
+    def _add_recipe(self, number: int, name: str) -> None:
+        place = f"{RECIPES}.{name}"
+        self._modified[name] = now = datetime.now(UTC)
+        self.instances.build(1002, place, own_name(name), node_at(RECIPES), OPTIONAL)
+        values: dict[str, ua.Variant] = {
+            "InternalId": structure(RecipeIdInternalDataType(Id=ua.String(name))),
+            "ExternalId": structure(RecipeIdExternalDataType(Id=ua.String(str(number)))),
+            "LastModified": ua.Variant(now, ua.VariantType.DateTime),
+        }
+        for key, value in values.items():
+            node = self.instances.variables[f"{place}.{key}"]
+            self._server.aspace[node].attributes[ua.AttributeIds.Value].value = ua.DataValue(value)
+        self.recipe_added(place)
+
+    def job_number(self, recipe: object) -> int | None:
+        """Number of the job that a recipe's id names, by name or number; 0 for an empty id, None for none."""
+        text = text_of(recipe)
+        if not text:
+            return 0
+        jobs = self.picture.jobs if self.picture is not None else ()
+        return next((number for number, name in jobs if text in (name, str(number))), None)
+
+    def remember(self, job: str, asked: Asked) -> None:
+        """What a client called its job, for the job's result."""
+        while len(self._asked) >= MAX_ASKED:
+            del self._asked[next(iter(self._asked))]
+        self._asked[job] = asked
+
+    def result_data(self, record: ResultRecord) -> ResultDataType:
+        """The result as the specification writes it."""
+        meas, part, recipe, product = self._asked.get(record.name, (None,) * 4)
+        snapshot, content = record.snapshot, self._content(record)
+        published = _time(snapshot.published_ns)
+        return ResultDataType(
+            ResultId=ResultIdDataType(ua.String(record.name)),
+            HasTransferableDataOnFile=_boolean(value=False),
+            IsPartial=_boolean(value=False),
+            IsSimulated=_boolean(value=snapshot.simulated),
+            ResultState=ua.Int32(FAILED if snapshot.status is Status.CAPTURE_FAULT else COMPLETED),
+            MeasId=meas if isinstance(meas, MeasIdDataType) else None,
+            PartId=part if isinstance(part, PartIdDataType) else None,
+            ExternalRecipeId=recipe if isinstance(recipe, RecipeIdExternalDataType) else None,
+            InternalRecipeId=RecipeIdInternalDataType(Id=ua.String(snapshot.job)),
+            ProductId=product if isinstance(product, ProductIdDataType) else None,
+            InternalConfigurationId=ConfigurationIdDataType(Id=ua.String(snapshot.fingerprint)),
+            JobId=JobIdDataType(ua.String(record.name)),
+            CreationTime=published,
+            ProcessingTimes=ProcessingTimesDataType(
+                _time(snapshot.exposed_ns) if snapshot.exposed_ns else published,
+                published,
+                None,
+                ua.Double(sum(snapshot.timing_ms.values())),
+            ),
+            ResultContent=[ua.Variant(content, ua.VariantType.String)] if content else None,
+        )
+
+    def _content(self, record: ResultRecord) -> str:
+        if self._written is None or self._written[0] is not record.snapshot:
+            self._written = record.snapshot, record.content()
+        return "" if record.is_silent else self._written[1]
+
+    # --- events ------------------------------------------------------------------------------
+
+    def _events(
+        self, before: Picture | None, state: VisionState, picture: Picture
+    ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
+        now, old = picture.values, before.values if before is not None else None
+        kind = ua.VariantType.ExtensionObject
+        job = JobIdDataType(ua.String(job_name(int(now["START_EPOCH"]), int(now["LAST_SEQ"]))))
+        if old is not None:
+            is_job = now["COMMAND"] != CommandKind.CHANGE_JOB
+            done = now["DONE_SEQ"] == now["LAST_SEQ"] and int(now["STATUS_BITS"]) & reg.StatusBit.ACK
+            if is_job and now["LAST_SEQ"] != old["LAST_SEQ"] and (now["OPEN_COMMANDS"] or done):
+                yield JOB_STARTED, "The job has started", USUAL, {"JobId": (job, kind)}
+            if int(now["STATUS_BITS"]) & ~int(old["STATUS_BITS"]) & reg.StatusBit.EXPOSURE_DONE:
+                yield ACQUISITION_DONE, "Both images are in memory", USUAL, {"JobId": (job, kind)}
+            if now["ACTIVE_JOB"] != old["ACTIVE_JOB"]:
+                name = next((name for number, name in picture.jobs if number == now["ACTIVE_JOB"]), "")
+                recipe = RecipeIdInternalDataType(Id=ua.String(name))
+                yield RECIPE_PREPARED, f"{name} is loaded", USUAL, {"InternalId": (recipe, kind)}
+        shown = before.result.name if before is not None and before.result is not None else ""
+        if picture.result is not None and picture.result.name != shown:
+            yield RESULT_READY, "The result is ready", USUAL, self._result_fields(picture.result)
+        if state != self._state:
+            yield from self._transition(state, job)
+
+    def _result_fields(self, record: ResultRecord) -> dict[str, tuple[object, ua.VariantType]]:
+        data = self.result_data(record)
+        return {
+            field.name: (
+                getattr(data, field.name),
+                RESULT_KINDS.get(field.name, ua.VariantType.ExtensionObject),
+            )
+            for field in fields(data)
+            if field.name not in ("Encoding", "HasTransferableDataOnFile")
+        }
+
+    def _transition(
+        self, state: VisionState, job: JobIdDataType
+    ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
+        new = self._state
+        if new.top is not state.top:
+            kind = STATE_CHANGED
+            if Top.ERROR in (new.top, state.top):
+                kind = ERROR_EVENT if new.top is Top.ERROR else ERROR_RESOLVED
+            said = self._transition_fields(state.top.value[2], new.top.value[2])
+            severity = SEVERE if new.top is Top.ERROR else USUAL
+            yield kind, f"{state.top.value[2]} to {new.top.value[2]}", severity, said
+        elif new.automatic is not None and state.automatic is not None:
+            names = state.automatic.value[2], new.automatic.value[2]
+            yield STATE_CHANGED, " to ".join(names), USUAL, self._transition_fields(*names)
+        if new.automatic is Automatic.READY:
+            yield READY, "Ready for the next job", USUAL, {"JobId": (job, ua.VariantType.ExtensionObject)}
+
+    def _transition_fields(self, source: str, target: str) -> dict[str, tuple[object, ua.VariantType]]:
+        text, node = ua.VariantType.LocalizedText, ua.VariantType.NodeId
+        ids = {state.value[2]: type_node(state.value[1]) for state in (*Top, *Automatic)}
+        found = next((row for row in self._model.rows if row.name.startswith(f"{source}To{target}")), None)
+        found_fields: dict[str, tuple[object, ua.VariantType]] = {
+            "FromState": (ua.LocalizedText(source), text),
+            "FromState/Id": (ids[source], node),
+            "ToState": (ua.LocalizedText(target), text),
+            "ToState/Id": (ids[target], node),
+        }
+        if found is not None:
+            found_fields["Transition"] = (ua.LocalizedText(found.name), text)
+            found_fields["Transition/Id"] = (type_node(found.number), node)
+        return found_fields
+
+    async def _emit(self, what: tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]) -> None:
+        """Send an event to those who subscribed to the server, the vision system, or its state machine."""
+        number, message, severity, own = what
+        now = datetime.now(UTC)
+        event = CellEvent()
+        kinds = ua.VariantType
+        standard: dict[str, tuple[object, ua.VariantType]] = {
+            "EventId": (uuid.uuid4().bytes, kinds.ByteString),
+            "EventType": (type_node(number), kinds.NodeId),
+            "SourceNode": (in_cell(SYSTEM), kinds.NodeId),
+            "SourceName": (self._settings.cell, kinds.String),
+            "Time": (now, kinds.DateTime),
+            "ReceiveTime": (now, kinds.DateTime),
+            "Message": (ua.LocalizedText(message), kinds.LocalizedText),
+            "Severity": (severity, kinds.UInt16),
+        }
+        for name, (value, kind) in {**standard, **own}.items():
+            event.add_property(name, value, kind)
+        for source in (base(ua.ObjectIds.Server), in_cell(SYSTEM), in_cell(MACHINE)):
+            event.emitting_node = source
+            try:
+                await self._server.subscription_service.trigger_event(event)
+            except Exception as error:  # noqa: BLE001  # one client's filter must not silence the others
+                self._log.warning("opcua: an event did not reach everybody: %s", type(error).__name__)
+
+
+RESULT_KINDS: dict[str, ua.VariantType] = {
+    "HasTransferableDataOnFile": ua.VariantType.Boolean,
+    "IsPartial": ua.VariantType.Boolean,
+    "IsSimulated": ua.VariantType.Boolean,
+    "ResultState": ua.VariantType.Int32,
+    "CreationTime": ua.VariantType.DateTime,
+    "ResultContent": ua.VariantType.Variant,
+}
+"""How a field of a result travels that is no structure."""
+
+
+def is_unknown(register: reg.Register, value: reg.Number) -> bool:
+    """Whether a register of a result holds the number that stands for none."""
+    if register.kind is reg.Kind.I32:
+        return value == reg.INT32_MIN
+    if register.kind is reg.Kind.F32:
+        return math.isnan(value)
+    is_saturated = register.name.startswith("SIGMA_") or register.name == "EPIPOLAR_ERROR"
+    return is_saturated and value == reg.UINT16_MAX
+
+
+def unit_of(unit: str) -> ua.EUInformation:
+    """The unit of a register; one that UNECE has no code for has its text only."""
+    found = ua.EUInformation()
+    found.NamespaceUri = "http://www.opcfoundation.org/UA/units/un/cefact"
+    found.UnitId = int.from_bytes(UNITS[unit].encode(), "big") if unit in UNITS else -1
+    found.DisplayName = found.Description = ua.LocalizedText(unit)
+    return found
+
+
+def _time(utc_ns: int) -> Any:
+    return EPOCH + timedelta(microseconds=utc_ns / 1000)
+
+
+def _boolean(*, value: bool) -> Any:
+    """asyncua's class of this name is none for a type checker."""
+    return value

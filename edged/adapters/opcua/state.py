@@ -1,0 +1,73 @@
+"""States of OPC 40100-1 as the registers show them: derived each time and kept nowhere.
+
+Source: OPC 40100-1, 8.2.6 (VisionStateMachineType) and 8.3.5 (VisionAutomaticModeStateMachineType).
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from edged.plc.registers import Flag, Number, StatusBit
+
+
+class CellStates(enum.IntEnum):
+    """Register STATE."""
+
+    STARTING = 0
+    READY = 1
+    BUSY = 2
+    FAULT = 3
+    STOPPING = 4
+
+
+class Top(enum.Enum):
+    """States of the VisionStateMachine: state number and the number of the state's node."""
+
+    PREOPERATIONAL = (1, 5028, "Preoperational")
+    HALTED = (2, 5029, "Halted")
+    ERROR = (3, 5030, "Error")
+    OPERATIONAL = (4, 5031, "Operational")
+
+
+class Automatic(enum.Enum):
+    """States of the AutomaticModeStateMachine: the same."""
+
+    INITIALIZED = (5, 5056, "Initialized")
+    READY = (6, 5057, "Ready")
+    SINGLE_EXECUTION = (7, 5058, "SingleExecution")
+    CONTINUOUS_EXECUTION = (8, 5059, "ContinuousExecution")
+
+
+@dataclass(frozen=True, slots=True)
+class VisionState:
+    """Where both machines are. automatic : None outside of Operational."""
+
+    top: Top
+    automatic: Automatic | None
+
+
+def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionState:
+    """The state that registers stand for. free_running : the cell measures without being asked."""
+    state, bits = int(values["STATE"]), int(values["STATUS_BITS"])
+    if state == CellStates.STARTING:
+        return VisionState(Top.PREOPERATIONAL, None)
+    if state == CellStates.STOPPING:
+        return VisionState(Top.HALTED, None)
+    if state == CellStates.FAULT or bits & StatusBit.ERROR:
+        return VisionState(Top.ERROR, None)
+    if int(values["OPEN_COMMANDS"]):
+        automatic = Automatic.SINGLE_EXECUTION
+    elif free_running:
+        automatic = Automatic.CONTINUOUS_EXECUTION
+    elif bits & StatusBit.READY:
+        automatic = Automatic.READY
+    else:
+        automatic = Automatic.INITIALIZED
+    return VisionState(Top.OPERATIONAL, automatic)
+
+
+def is_simulated(values: Mapping[str, Number]) -> bool:
+    """Whether the result on display is a virtual cell's."""
+    return bool(int(values["FLAGS"]) & Flag.SIMULATED)
