@@ -73,7 +73,7 @@ class Backup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """A backup and its archive. holds_password : the hash of the status page's password is in it."""
+    """A backup and its archive. holds_password : the hash of a password is in it."""
 
     backup: Backup
     archive: bytes
@@ -99,7 +99,7 @@ def make(config: Path) -> Made:
         found = read_cell(Path(place) / "cell" / config.name, elsewhere=True).fingerprint
     if found != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
-    return Made(taken, data, bool(cell.config.password_hash))
+    return Made(taken, data, bool(cell.config.password_hashes()))
 
 
 def read(archive: Path) -> Backup:
