@@ -160,6 +160,7 @@ class Cycle:
         self._state: CellState | None = None
         self._drift = DriftMonitor(setup.drift)
         self._faults = FaultLog(log)
+        self._misses = FaultLog(log, level=logging.INFO, kind="result")
         self._pending: tuple[Setup, Head | None] | None = None
         self._rests_until_s = 0.0
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
@@ -347,6 +348,7 @@ class Cycle:
         self._tell_state(CellPhase.BUSY, keep_error=True)
         snapshot = await self._measure(command, heard)
         self._announce(snapshot)
+        self._tell_miss(snapshot)
         if snapshot.status is Status.CAPTURE_FAULT:
             if command is None:
                 self._rests_until_s = time.monotonic() + FAULT_REST_S
@@ -435,6 +437,20 @@ class Cycle:
         )
 
     # --- telling ---------------------------------------------------------------------------
+
+    def _tell_miss(self, snapshot: Snapshot) -> None:
+        """A part that is missing or refused is no fault, but told as one: once, and how often at its end."""
+        grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
+        if snapshot.status is Status.CAPTURE_FAULT or grabbed:
+            return
+        if snapshot.status is Status.OK:
+            self._misses.well()
+            return
+        text = f"{snapshot.status}: no part of job {snapshot.job} found"
+        if snapshot.targets:
+            reasons = sorted({target.reject.name or "" for target in snapshot.targets})
+            text = f"{snapshot.status}: part of job {snapshot.job} refused: {', '.join(reasons)}"
+        self._misses.failed(text, str(snapshot.status))
 
     def _announce(self, event: Event) -> None:
         for publisher in self._publishers:

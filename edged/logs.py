@@ -167,7 +167,7 @@ class _Outage:
     """
 
     since_s: float
-    seen: dict[int, tuple[str, int]] = field(default_factory=dict)
+    seen: dict[int | str, tuple[str, int]] = field(default_factory=dict)
     returns: int = 0
     over_s: float | None = None
 
@@ -177,14 +177,24 @@ class FaultLog:
 
     A camera that is gone fails in several ways, one after the other: each is said once, and their end is one.
     What returns within `RELAPSE_S` is counted, and said again only when it has stayed away for so long.
+    level, kind : of the first line, and the field that has the code in it.
     """
 
-    def __init__(self, log: logging.Logger, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        log: logging.Logger,
+        monotonic_s: Callable[[], float] = time.monotonic,
+        *,
+        level: int = logging.ERROR,
+        kind: str = "fault",
+    ) -> None:
         self._log = log
         self._monotonic_s = monotonic_s
+        self._level = level
+        self._kind = kind
         self._outage: _Outage | None = None
 
-    def failed(self, text: str, code: int) -> None:
+    def failed(self, text: str, code: int | str) -> None:
         """Something failed; faults are told apart by their code, because texts hold changing figures."""
         if self._outage is None:
             self._outage = _Outage(self._monotonic_s())
@@ -193,7 +203,7 @@ class FaultLog:
             outage.returns += 1
             outage.over_s = None
         if code not in outage.seen:
-            self._log.error("%s", text, extra=fields(fault=code))
+            self._log.log(self._level, "%s", text, extra=fields(**{self._kind: code}))
         first_text, count = outage.seen.get(code, (text, 0))
         outage.seen[code] = (first_text, count + 1)
 
@@ -220,7 +230,7 @@ class FaultLog:
             relapses if outage.returns else f" after {lasted_s:.1f} s",
             counts,
             extra=fields(
-                fault=next(iter(outage.seen)),
+                **{self._kind: next(iter(outage.seen))},
                 failures=sum(count for _, count in outage.seen.values()),
                 returns=outage.returns,
                 lasted_s=round(lasted_s, 3),

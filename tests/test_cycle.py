@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -243,6 +244,37 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(command: Comma
             cycle.submit(command)
 
     drive(make_setup(), script)
+
+
+def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    """An empty table all night is a line, and one when a part is there again; a grab is no miss."""
+    seen: list[Outcome] = []
+
+    def locate(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+        seen.append(outcomes[min(len(seen), len(outcomes) - 1)])
+        return seen[-1]
+
+    refused = Outcome(Status.LOW_QUALITY, (make_target(reject=Reject.SIGMA_LIMIT),))
+    outcomes = [*[Outcome(Status.NO_TARGET, ())] * 5, refused, Outcome(Status.OK, (make_target(),))]
+
+    async def script(cycle, ear, head):
+        cycle.submit(Command(CommandKind.GRAB, "test", 1))
+        await until(lambda: ear.snapshots() and ear.snapshots()[-1].status is Status.OK)
+
+    with caplog.at_level(logging.INFO, "edged.cycle"):
+        drive(make_setup(period_s=0.001, locate=locate), script)
+
+    told = [
+        record for record in caplog.records if "job1" in record.getMessage() and "READY" not in record.msg
+    ]
+    assert [
+        "NO_TARGET: no part of job job1 found",
+        "LOW_QUALITY: part of job job1 refused: SIGMA_LIMIT",
+    ] == [record.getMessage() for record in told[:2]]
+    assert "5 x NO_TARGET: no part of job job1 found; 1 x LOW_QUALITY" in told[2].getMessage()
+    assert 3 == len(told)
+    assert {"INFO"} == {record.levelname for record in told}
+    assert ["NO_TARGET", "LOW_QUALITY", "NO_TARGET"] == [record.edged["result"] for record in told]
 
 
 def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:

@@ -48,7 +48,7 @@ STATES = ("FAULT", GONE, "STARTING", "STOPPING", "?", "BUSY", "READY")
 
 @dataclass(slots=True)
 class CellView:
-    """What is known of one cell."""
+    """What is known of one cell. misses : results in a row that are not OK, and alike."""
 
     state: str = "?"
     error: str = ""
@@ -57,6 +57,7 @@ class CellView:
     age_at_arrival_s: float = 0.0
     arrived_s: float = 0.0
     lost: int = 0
+    misses: int = 0
 
     def take(self, news: News, now_s: float, utc_ns: int) -> None:
         """Take a message in; now_s : monotonic, utc_ns : of this machine."""
@@ -69,6 +70,8 @@ class CellView:
             self.rate_hz = _number(document.get("rate_hz"))
         elif news.kind == "target":
             self.lost += _gap(self.target, document)
+            alike = _text(self.target, "status") == _text(document, "status") != "OK"
+            self.misses = self.misses + 1 if alike else 1
             # after the first one, which may be old, only this machine's clock counts: clocks differ
             exposed_ns = utc_ns if self.target else _number(document.get("exposed_ns")) or utc_ns
             self.age_at_arrival_s = max(0.0, (utc_ns - exposed_ns) / 1e9)
@@ -333,14 +336,14 @@ def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool
     for heading in ("σ mm", *more):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, cell in rows:
-        frame, pose = _pose(cell.target)
+        pose = _pose(cell.target)[1]
         status = _text(cell.target, "status")
         table.add_row(
             name,
             _styled(cell.state),
             *([] if narrow else [Text(_text(cell.target, "job"))]),
             _styled(status).append(" sim" if cell.target.get("simulated") else "", style="yellow"),
-            f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}" if pose else "",
+            _place(cell),
             _largest(pose.get("sigma_mm")),
             *([] if narrow else [_shown(cell.rate_hz, "{:.1f}")]),
             _shown(cell.age_s(now_s), "{:.1f}"),
@@ -348,6 +351,14 @@ def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool
             *([str(cell.lost)] if lost else []),
         )
     return table
+
+
+def _place(cell: CellView) -> str:
+    """Of the part; where there is none, how many results in a row have been alike."""
+    frame, pose = _pose(cell.target)
+    if pose:
+        return f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}"
+    return f"{cell.misses} in a row" if cell.misses > 1 else ""
 
 
 def _styled(word: str) -> Text:

@@ -343,6 +343,18 @@ def test_lost_results_are_counted_and_a_restart_is_not_a_loss():
     assert 3 == view.lost
 
 
+def test_misses_that_repeat_are_counted():
+    """The table says how many in a row are alike; a good result and another status begin anew."""
+    view, shown = CellView(), []
+    for status in ("OK", "NO_TARGET", "NO_TARGET", "NO_TARGET", "CAPTURE_FAULT", "OK", "OK"):
+        view.take(News("cell1", "target", {"status": status}), 0.0, 0)
+        console = Console(file=io.StringIO(), width=80)
+        console.print(fleet_view({"cell1": view}, 1, "", 1.0, ConsoleDimensions(80, 24)))
+        text = console.file.getvalue()
+        shown.append(text[: text.index(" in a row")].split()[-1] if "in a row" in text else "")
+    assert ["", "", "2", "3", "", "", ""] == shown
+
+
 def test_age_of_a_first_result_counts_from_its_exposure():
     """A result from the cache is as old as it is; later ones age from their arrival."""
     view = CellView()
