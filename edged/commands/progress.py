@@ -9,11 +9,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from edged.commissioning.pairs import Progress as Told
+from edged.commissioning.pairs import silent
 
 
 @contextmanager
 def shown_on(console: Console) -> Iterator[Told]:
-    """Progress that is shown while this is open, and leaves nothing behind."""
+    """Progress that is shown while this is open, and leaves nothing behind; nothing where nobody looks."""
+    if not console.is_terminal:
+        yield silent  # rich would leave an empty line in the file for each stage
+        return
     with ExitStack() as shown:
         yield _Shown(console, shown)
 
