@@ -118,7 +118,7 @@ async def _weight(port: int) -> dict[str, int]:
         "page, script, style, icon": files,
         "first event, with the trends so far": sizes[0],
         "each further event, at most five a second": sizes[1],
-        "both pictures of a cycle": pictures,
+        "pictures and thumbnail of a cycle": pictures,
     }
 
 

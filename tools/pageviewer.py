@@ -1,4 +1,4 @@
-"""A viewer of a status page: hears each event, fetches both pictures of each cycle, as the page does.
+"""A viewer of a status page: hears each event, fetches the pictures of each cycle, as the page does.
 
 python tools/pageviewer.py PORT; says "looking" after the first pictures, and looks until it is ended.
 """
@@ -27,12 +27,12 @@ async def look(port: int) -> None:
 
 
 async def fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
-    """Size of both; the cycle may be out of memory again."""
+    """Size of both and of the thumbnail; the cycle may be out of memory again."""
     if not status["picture"]:
         return 0
     size = 0
-    for side in ("left", "right"):
-        async with session.get(f"/picture/{status['picture']['cycle']}/{side}") as answer:
+    for name in ("left", "right", "left/small"):
+        async with session.get(f"/picture/{status['picture']['cycle']}/{name}") as answer:
             size += len(await answer.read()) if answer.status == 200 else 0
     return size
 

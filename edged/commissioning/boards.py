@@ -51,9 +51,12 @@ def boards_in(
     return (whole,), f"board {whole}: {in_words(board)} ({where})"
 
 
-def check_board_shown(pictures: Sequence[Picture], board: NominalBoard) -> None:
-    """Raises `CalibrationError` if pictures in which a board was not found agree on another one."""
-    seen = agreed_board([one for picture in _spread(pictures) if (one := _recognise(picture)) is not None])
+def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress: Progress = silent) -> None:
+    """Raises `CalibrationError` if most pictures in which a board was not found agree on another one."""
+    some = _spread(pictures)
+    looked = work_on([partial(_recognise, one) for one in some], "looking for another board", progress)
+    known = [one for one in looked if one is not None]
+    seen = agreed_board(known) if 2 * len(known) > len(some) else None
     if seen is None or _may_be(board, seen):
         return
     fits = of_size(seen, board.pitch_mm)

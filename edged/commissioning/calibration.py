@@ -140,13 +140,13 @@ class Views:
         )
         return left, right
 
-    def check_board(self) -> None:
+    def check_board(self, progress: Progress = silent) -> None:
         """Where hardly a pair shows the stated board: raises `CalibrationError` if they show another."""
         seen = [not isinstance(view.left, NotDetected) for view in self.found]
         if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
             return
         missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one]
-        check_board_shown(missed, self.boards[0])
+        check_board_shown(missed, self.boards[0], progress)
 
     @property
     def thumbnails(self) -> dict[str, tuple[Image, Image]]:
@@ -205,7 +205,7 @@ def solve(
     plate_shape : measure how the board is bent and misprinted, too.
     """
     sizes = views.sizes
-    views.check_board()
+    views.check_board(progress)
     progress("bundle adjustment", 0, 0)
     first = calibrate_stereo(views.found, *sizes, lens)
     remeasured = views.remeasured(first, progress)
