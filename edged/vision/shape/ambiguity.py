@@ -131,8 +131,12 @@ def look(
     expected, normals = level.points[chosen], level.normals[chosen]
     placed = np.empty((len(expected), 4))
     refine.place(expected, normals, pose, placed)
-    scale = float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
-    return look_at(image, model, placed, sign, chosen, scale)
+    return look_at(image, model, placed, sign, chosen, _scale(pose))
+
+
+def _scale(pose: FloatArray) -> float:
+    """Of the image's px to the model's."""
+    return float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
 
 
 def look_at(
@@ -196,14 +200,34 @@ def open_turns(
     sight = look(image, model, pose, sign)
     light = surroundings(sight, min_contrast)
     shown, denied = light.shows(sight), light.denies(sight)
+    foreign = [np.flatnonzero(all_turns.foreign[k]) for k in doubtful]
+    turned_poses = [turned(pose, all_turns.motions[k]) for k in doubtful]
+    others = _look_at_each(image, model, turned_poses, sign, foreign)
+    others_shown, others_denied = light.shows(others), light.denies(others)
     left: list[tuple[float, int]] = []
-    for k in doubtful:
-        foreign = np.flatnonzero(all_turns.foreign[k])
-        other = look(image, model, turned(pose, all_turns.motions[k]), sign, foreign)
-        ahead = _lead(shown[own[k]], denied[own[k]], light.shows(other), light.denies(other))
-        if ahead < 0 or max(len(foreign), count[k]) < MIN_APART:
+    first = 0
+    for k, points in zip(doubtful, foreign, strict=True):
+        part = slice(first, first + len(points))
+        first = part.stop
+        ahead = _lead(shown[own[k]], denied[own[k]], others_shown[part], others_denied[part])
+        if ahead < 0 or max(len(points), count[k]) < MIN_APART:
             left.append((ahead, int(k)))
     return [k for _, k in sorted(left)]
+
+
+def _look_at_each(
+    image: Image, model: ShapeModel, poses: list[FloatArray], sign: int, points: list[npt.NDArray[np.int64]]
+) -> Sight:
+    """`look` at several poses of one size, each at points of its own, all of them one after the other.
+
+    Forty rotations of a dozen points each at once take a fifth of the time.
+    """
+    level, size = model.levels[0], [len(one) for one in points]
+    placed = np.empty((sum(size), 4))
+    for pose, chosen, end in zip(poses, points, np.cumsum(size), strict=True):
+        rows = placed[end - len(chosen) : end]
+        refine.place(level.points[chosen], level.normals[chosen], pose, rows)
+    return look_at(image, model, placed, sign, np.concatenate(points), _scale(poses[0]))
 
 
 def _strong(slopes: FloatArray, min_contrast: float) -> float:
