@@ -55,6 +55,9 @@ QUEUE_LENGTH = 8
 IDLE_CHECK_S = 1.0
 """Waiting for commands, look after the cameras this often: a dead one must show before the PLC asks."""
 
+TRY_ALL_S = 3.0
+"""A command that tries every job begins with no further one after so long."""
+
 FAULT_REST_S = 0.1
 """After a fault that nobody asked for, wait so long before the next try: known faults come at once, and each
 is announced, published and recorded."""
@@ -380,10 +383,40 @@ class Cycle:
         self._announce(ExposureDone(self._number, command, pair))
         if command is not None and command.kind is CommandKind.GRAB:
             return self._snapshot(setup, job, command, Status.NO_TARGET, stopwatch, pair=pair)
-        loop = asyncio.get_running_loop()
-        outcome = await loop.run_in_executor(self._vision, job.locate, pair, stopwatch)
+        if command is not None and command.tries_all:
+            job, outcome = await self._best(setup, command, pair, stopwatch)
+        else:
+            outcome = await self._located(job, pair, stopwatch)
         outcome = self._watched(job, outcome)
         return self._snapshot(setup, job, command, outcome.status, stopwatch, pair=pair, outcome=outcome)
+
+    async def _located(self, job: LoadedJob, pair: FramePair, stopwatch: _Stopwatch) -> Outcome:
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._vision, job.locate, pair, stopwatch)
+
+    async def _best(
+        self, setup: Setup, command: Command, pair: FramePair, stopwatch: _Stopwatch
+    ) -> tuple[LoadedJob, Outcome]:
+        """Every job on one exposure, the active one first, the others by number, as far as the time goes.
+
+        The good part that agrees best counts; without any the bad one that does, or that nothing was found.
+        """
+        frame, _ = _frame_of(setup, command)
+        others = [job for _, job in sorted(setup.jobs.items()) if job is not self._active]
+        end_s = time.monotonic() + TRY_ALL_S
+        tried: list[tuple[LoadedJob, Outcome]] = []
+        for job in (self._active, *others):
+            if not tried or time.monotonic() < end_s:
+                tried.append((job, await self._located(job, pair, stopwatch)))
+        if len(tried) <= len(others):
+            log.warning("%d of %d jobs were tried within %g s", len(tried), 1 + len(others), TRY_ALL_S)
+
+        def agreement(one: tuple[LoadedJob, Outcome]) -> tuple[bool, float]:
+            job, outcome = one
+            allowed = picked(outcome, job.picking, frame)
+            return allowed.status is Status.OK, max((t.match.score for t in allowed.targets), default=-1.0)
+
+        return max(tried, key=agreement)
 
     def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
         """The outcome with good results refused while the calibration is known to be wrong."""
@@ -403,15 +436,9 @@ class Cycle:
         outcome: Outcome | None = None,
         error: CaptureError | None = None,
     ) -> Snapshot:
-        robot_from_rig, registration = setup.robot_from_rig, setup.registration_covariance
-        if setup.flange_from_rig is not None and command is not None:
-            robot_from_flange = command.robot_from_flange
-            if robot_from_flange is not None:
-                robot_from_rig = robot_from_flange @ setup.flange_from_rig
-                registration = None if registration is None else moved_frame(registration, robot_from_flange)
+        frame, registration = _frame_of(setup, command)
         if outcome is not None:
-            is_known = robot_from_rig is not None or setup.flange_from_rig is None
-            outcome = picked(outcome, job.picking, RobotFrame(robot_from_rig, is_known))
+            outcome = picked(outcome, job.picking, frame)
             status = outcome.status
         return Snapshot(
             cycle=self._number,
@@ -431,7 +458,7 @@ class Cycle:
             timing_ms=stopwatch.timing_ms(),
             error=str(error) if error is not None else "",
             error_code=error.code if error is not None else 0,
-            robot_from_rig=robot_from_rig,
+            robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
             drift=self._drift.state(),
         )
@@ -490,6 +517,18 @@ class Cycle:
             )
         self._state = new
         self._announce(new)
+
+
+def _frame_of(setup: Setup, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
+    """Where the coordinates of a cycle are told, and the covariance (6, 6) of that frame."""
+    robot_from_rig, registration = setup.robot_from_rig, setup.registration_covariance
+    if setup.flange_from_rig is None:
+        return RobotFrame(robot_from_rig), registration
+    robot_from_flange = command.robot_from_flange if command is not None else None
+    if robot_from_flange is None:
+        return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
+    moved = None if registration is None else moved_frame(registration, robot_from_flange)
+    return RobotFrame(robot_from_flange @ setup.flange_from_rig), moved
 
 
 class _Stopwatch:

@@ -466,6 +466,7 @@ class Command:
     source : who asks (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
     job : job number, 0 for the active one.
     robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
+    tries_all : every job is tried, and the part that agrees best counts; job is then 0.
     """
 
     kind: CommandKind
@@ -473,6 +474,7 @@ class Command:
     sequence: int
     job: int = 0
     robot_from_flange: FloatArray | None = field(default=None, compare=False)
+    tries_all: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,8 @@ class LiveCell:
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.cycle = Cycle(self.head, self.setup)
-        self.server = ModbusPublisher(self.settings, self.cycle)
+        jobs = [(job.number, job.name) for job in self.setup.jobs.values()]
+        self.server = ModbusPublisher(self.settings, self.cycle, jobs=lambda: jobs)
         await self.server.start()
         try:
             self.cycle.set_publishers([self.server])

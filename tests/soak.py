@@ -656,7 +656,7 @@ class Soak:
                 for _ in range(self.dice.choice((1, 1, 12))):
                     sequence = self.dice.choice((self.dice.randrange(65536), self.dice.randrange(9)))
                     line.intent = {sequence}
-                    option = self.dice.choice((0, 0, reg.Option.ONCE))
+                    option = self.dice.choice((0, reg.Option.ALL_JOBS, reg.Option.ONCE))
                     words = (self.dice.choice((1, 2, 3, 4, 5, 5, 77)), 0, sequence, 0, 0, option)
                     if line.write(reg.ADDRESS["COMMAND"], *words):
                         self.book.counts["careless writes"] += 1

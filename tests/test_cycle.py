@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import functools
 import logging
 import threading
 import time
@@ -17,6 +18,8 @@ from snapshots import make_target, make_transform
 from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
 from edged.domain import (
     PLC_SOURCE,
+    Bounds,
+    Box,
     CellPhase,
     CellState,
     Command,
@@ -125,6 +128,75 @@ def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() ->
     assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, looks_down)
     assert [210.0, 200.0, 190.0] == places(Order.TOPMOST, np.eye(4))
     assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, None)
+
+
+def score(value: float, reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Outcome:
+    """One part with this score."""
+    target = make_target(reject, x_mm)
+    match = dataclasses.replace(target.match, score=value)
+    status = Status.LOW_QUALITY if reject else Status.OK
+    return Outcome(status, (dataclasses.replace(target, match=match),))
+
+
+def tried(
+    outcomes: dict[int, Outcome], picking: Picking | None = None, slow: bool = False
+) -> tuple[Snapshot, list[int]]:
+    """What a command that tries every job gives, and which were tried; job 2 is the active one."""
+    order: list[int] = []
+
+    def found(number: int, _pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+        order.append(number)
+        if slow:
+            time.sleep(0.02)
+        return outcomes[number]
+
+    jobs = {
+        number: LoadedJob(
+            f"job{number}", number, functools.partial(found, number), picking=picking or Picking()
+        )
+        for number in outcomes
+    }
+    setup = dataclasses.replace(make_setup(), jobs=jobs, active_job=2)
+
+    async def script(cycle, ear, head):
+        cycle.submit(Command(CommandKind.LOCATE, "test", 1, tries_all=True))
+        await until(ear.snapshots)
+
+    ear, head = drive(setup, script)
+    assert 1 == head.captures
+    (snapshot,) = ear.snapshots()
+    assert f"job{snapshot.job_number}" == snapshot.job
+    return snapshot, order
+
+
+def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
+    """One exposure, every job on it, the active one first; a good part goes before a bad one."""
+    nothing = Outcome(Status.NO_TARGET)
+    snapshot, order = tried({1: score(0.8), 2: score(0.7), 3: score(0.9)})
+    assert (3, Status.OK, [2, 1, 3]) == (snapshot.job_number, snapshot.status, order)
+    snapshot, _ = tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: score(0.6)})
+    assert (3, Status.OK) == (snapshot.job_number, snapshot.status)
+    snapshot, _ = tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: nothing})
+    assert (1, Status.LOW_QUALITY) == (snapshot.job_number, snapshot.status)
+    snapshot, _ = tried({1: nothing, 2: nothing})
+    assert (2, Status.NO_TARGET) == (snapshot.job_number, snapshot.status)
+
+
+def test_of_all_jobs_what_the_robot_must_not_take_counts_as_bad() -> None:
+    """The best part lies outside of the limits: the other one is given."""
+    near = Picking(bounds=(Bounds((Box("near", (0.0, 0.0, 0.0), (20.0, 30.0, 300.0)),)),))
+    snapshot, _ = tried({1: score(0.9, x_mm=50.0), 2: score(0.7)}, near)
+    assert (2, Status.OK) == (snapshot.job_number, snapshot.status)
+
+
+def test_trying_all_jobs_ends_in_time(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """No further job is begun after the bound; what was tried counts, and the log says so."""
+    monkeypatch.setattr("edged.cycle.TRY_ALL_S", 0.001)
+    snapshot, order = tried({1: score(0.9), 2: score(0.7), 3: score(0.8)}, slow=True)
+    assert (2, [2]) == (snapshot.job_number, order)
+    assert "1 of 3 jobs were tried" in caplog.text
 
 
 def test_a_reload_is_announced_and_a_list_of_parts_is_no_business_of_the_loop() -> None:

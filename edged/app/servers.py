@@ -210,7 +210,9 @@ class Servers:
             case ModbusSection():
                 modbus = _modbus_settings(section)
                 context = None if modbus.tls is None else server_context(modbus.tls)
-                return lambda: ModbusPublisher(modbus, self._commander, context=context)
+                return lambda: ModbusPublisher(
+                    modbus, self._commander, context=context, jobs=lambda: job_list(running().loaded)
+                )
             case ZenohSection():
                 from edged.adapters.zenoh import ZenohPublisher, configured
 

@@ -16,7 +16,7 @@ from edged.plc.registers import (
     INT32_MIN,
     MAGIC,
     MAP_VERSION,
-    TABLE,
+    ROWS,
     Block,
     Kind,
     Number,
@@ -45,7 +45,7 @@ def read(place: str, base_address: int, unit_id: int, console: Console) -> int:
         table = Table("address", "name", "value", "unit", "meaning")
         for block in BLOCKS:
             values = decode(block, _words(client, place, block, base_address, unit_id), order)
-            if block in TABLE and _is_empty(block, values):
+            if any(block in rows for rows in ROWS) and _is_empty(block, values):
                 continue
             table.add_section()
             for one in block.registers:

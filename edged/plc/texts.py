@@ -20,7 +20,9 @@ from edged.plc.clients import (
     twincat_files,
     urscript_source,
 )
-from edged.plc.registers import BLOCKS, MAP_VERSION, TABLE, Block, Register
+from edged.plc.registers import BLOCKS, JOBS, MAP_VERSION, ROWS, TABLE, Block, Register
+
+TITLES = {TABLE[0]: f"target table, {len(TABLE)} rows", JOBS[0]: f"jobs, {len(JOBS)} rows"}
 
 
 def render(fmt: str) -> str:
@@ -43,11 +45,12 @@ def _markdown() -> str:
         "same words. 32-bit and 64-bit values take 2 and 4 words, high word first unless set otherwise.",
     ]
     for block in BLOCKS:
-        if block in TABLE[1:]:
+        rows = next((rows for rows in ROWS if block in rows), (block,))
+        if block is not rows[0]:
             continue
-        last = TABLE[-1] if block is TABLE[0] else block
+        last = rows[-1]
         access = "read and write" if block.writable else "read"
-        name = f"target table, {len(TABLE)} rows" if block is TABLE[0] else block.name
+        name = TITLES.get(block, block.name)
         lines += [
             "",
             f"### {block.address}-{last.address + last.words - 1}: {name} ({access})",

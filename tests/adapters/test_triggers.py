@@ -11,7 +11,7 @@ from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.config import load
 from edged.domain import CommandKind
-from edged.errors import ConfigError
+from edged.errors import CommandRefused, ConfigError
 
 
 def test_each_trigger_is_answered_once_by_its_own_command() -> None:
@@ -47,3 +47,16 @@ def test_the_longest_wait_that_may_be_configured_is_accepted(tmp_path: Path) -> 
     path.write_text(f"{text}{MAX_TIMEOUT_S + 0.1}")
     with pytest.raises(ConfigError, match="trigger_timeout_s"):
         load(path)
+
+
+def test_a_trigger_may_ask_for_all_jobs_and_never_for_the_next_part() -> None:
+    """All is no number; one answer holds every part already."""
+    asked = parse_trigger(zenoh.Parameters("job=all"), 5.0)
+    assert (0, True) == (asked.job, asked.tries_all)
+    assert not parse_trigger(zenoh.Parameters("job=7"), 5.0).tries_all
+    for parameters, message in (
+        ("job=every", "or all, got 'every'"),
+        ("kind=next_part", "kind: expected one of"),
+    ):
+        with pytest.raises(CommandRefused, match=message):
+            parse_trigger(zenoh.Parameters(parameters), 5.0)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import GraspPose, Reject, Snapshot, Status
+from edged.domain import Command, CommandKind, GraspPose, Reject, Snapshot, Status
 from edged.errors import UserError
 from edged.plc import registers as reg
 from edged.plc.texts import render
@@ -210,6 +210,51 @@ def test_a_tool_that_fits_no_register_is_none() -> None:
     measured = reg.measured(make_snapshot(targets=(target,)), Convention.FIXED_XYZ)
     values = reg.result_values(measured, 7, valid=True, free_running=False)
     assert "G_X" not in values and not int(values["G_FLAGS"]) & reg.Flag.VALID
+
+
+def test_counters_say_what_was_found_and_why_it_was_bad() -> None:
+    """Cycles, parts, good and bad ones, each reason; pictures only count as nothing, a fault as a fault."""
+    targets = (
+        make_target(),
+        make_target(Reject.TOLERANCE | Reject.RESIDUAL),
+        make_target(Reject.TOLERANCE),
+    )
+    grab = make_snapshot(status=Status.NO_TARGET, command=Command(CommandKind.GRAB, "modbus", 1))
+    counts: dict[str, int] = {}
+    for snapshot in (
+        make_snapshot(targets=targets),
+        make_snapshot(status=Status.NO_TARGET),
+        make_snapshot(status=Status.CAPTURE_FAULT),
+        grab,
+    ):
+        counts = reg.counted(counts, snapshot)
+    decoded = reg.decode(reg.COUNTERS, words_of(reg.encode(reg.COUNTERS, counts)))
+    expected = {
+        "N_CYCLES": 2,
+        "N_NO_TARGET": 1,
+        "N_FAULTS": 1,
+        "N_PARTS": 3,
+        "N_GOOD": 1,
+        "N_REJECTED": 2,
+        "N_TOLERANCE": 2,
+        "N_RESIDUAL": 1,
+    }
+    assert expected == {name: value for name, value in decoded.items() if value}
+    full = dict.fromkeys(decoded, reg.UINT32_MAX)
+    assert full == reg.counted(full, make_snapshot(targets=targets)), "it stays at the largest number"
+
+
+def test_names_of_jobs_can_be_read() -> None:
+    """By number; a long name is cut, other letters are question marks, what is left is empty."""
+    jobs = [(7, "flange"), (65535, "x" * 64), (2, "Träger")]
+    rows = [
+        reg.decode(reg.JOBS[i], words_of(reg.encode(reg.JOBS[i], reg.job_values(i, jobs)))) for i in range(4)
+    ]
+    names = []
+    for i, row in enumerate(rows):
+        words = [int(row[f"J{i}_NAME_{k}"]) for k in range(1, 16)]
+        names.append((row[f"J{i}_NUMBER"], struct.pack(">15H", *words).rstrip(b"\0")))
+    assert [(2, b"Tr?ger"), (7, b"flange"), (65535, b"x" * 30), (0, b"")] == names
 
 
 @pytest.mark.parametrize("x_mm", [2.2e6, -2.2e6, math.nan, math.inf])

@@ -26,7 +26,7 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
-from edged.domain import Reject
+from edged.domain import FramePair, Outcome, Reject, Status
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.plc.texts import render
 from edged.vision.geometry.rigid import rotation_vector
@@ -135,6 +135,45 @@ def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> N
         client.verify()
         with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
             client.next_part()
+
+
+def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -> None:
+    """Their names by number; of all jobs the one whose part agrees best; counters go on."""
+    cell = LiveCell()
+    jobs = {**cell.setup.jobs}
+    for number, value in ((1, 0.7), (2, 0.9)):
+        target = make_target(x_mm=10.0 * number)
+        part = dataclasses.replace(target, match=dataclasses.replace(target.match, score=value))
+        found = Outcome(Status.OK, (part,))
+        jobs[number] = dataclasses.replace(jobs[number], locate=lambda _pair, _lap, found=found: found)
+    cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
+    with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert {1: "job1", 2: "job2"} == client.jobs()
+        one, best = client.locate(), client.locate(all_jobs=True)
+        assert [(1, 10_000), (2, 20_000)] == [(r.values["JOB"], r.values["X"]) for r in (one, best)]
+        assert 1 == client.status()["ACTIVE_JOB"]
+        assert (2, 2) == tuple(client.read("counters")[name] for name in ("N_CYCLES", "N_GOOD"))
+
+
+def test_structured_text_tries_all_jobs() -> None:
+    """xAllJobs, taken at the rising edge like everything that says what to do."""
+    cell = LiveCell()
+
+    def found(_pair: FramePair, _lap: Any) -> Outcome:
+        target = make_target(x_mm=20.0)
+        match = dataclasses.replace(target.match, score=0.99)
+        return Outcome(Status.OK, (dataclasses.replace(target, match=match),))
+
+    jobs = {**cell.setup.jobs, 2: dataclasses.replace(cell.setup.jobs[2], locate=found)}
+    cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
+    with cell, Plc(cell.port) as plc:
+        for all_jobs, expected in ((False, 1), (True, 2), (False, 1)):
+            plc.until("xReady")
+            plc.run(xAllJobs=all_jobs)
+            result = plc.values["stResult"]
+            assert (True, expected, 10_000 * expected) == (result["xValid"], result["uiJOB"], result["diX"])
+            plc.release()
 
 
 def test_the_python_client_says_where_the_tool_takes_the_part(client_module: ModuleType) -> None:

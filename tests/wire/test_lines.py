@@ -21,7 +21,7 @@ from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.adapters.modbus.lines import parse
-from edged.domain import Bounds, Box, Picking, Reject
+from edged.domain import Bounds, Box, FramePair, Outcome, Picking, Reject, Status
 from edged.plc import registers as reg
 from edged.plc.lines import LineStatus
 from edged.plc.registers import Option
@@ -162,6 +162,27 @@ def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
         assert 0 == robot.ask("8,ACK")[1]
         assert LineStatus.NOT_VALID == robot.ask("9,GRASP")[1]
         assert 1 == cell.head.captures
+
+
+def test_a_star_tries_every_job() -> None:
+    """One picture; the job that was found is in the registers."""
+    cell = LiveCell(KUKA)
+
+    def better(_pair: FramePair, _lap: Any) -> Outcome:
+        target = make_target(x_mm=20.0)
+        match = dataclasses.replace(target.match, score=0.99)
+        return Outcome(Status.OK, (dataclasses.replace(target, match=match),))
+
+    jobs = {**cell.setup.jobs, 2: dataclasses.replace(cell.setup.jobs[2], locate=better)}
+    cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
+    with cell, connected(cell) as robot:
+        ready(cell)
+        seen = [robot.ask(line) for line in ("1,LOCATE,0", "2,LOCATE,*", "3, verify , *")]
+        assert [(1, 0), (2, 0), (3, 0)] == [one[:2] for one in seen]
+        assert [10.0, 20.0] == [one[3][0] for one in seen[:2]]
+        values = cell.call(lambda: {one.name: value for one, value in cell.server.values()})
+        assert (2, 1, 3) == (values["JOB"], values["ACTIVE_JOB"], cell.head.captures)
+        assert (3, 3, 3, 0) == tuple(values[f"N_{name}"] for name in ("CYCLES", "PARTS", "GOOD", "REJECTED"))
 
 
 def test_a_part_without_a_grasp_says_so() -> None:

@@ -159,9 +159,10 @@ def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
         "kind=melt": "kind: expected one of locate, change_job, grab, verify, got 'melt'",
-        "job=-1": "job: expected a number from 0 to 65535, got '-1'",
-        "job=99999999999999999999": "job: expected a number from 0 to 65535, got '99999999999999999999'",
-        "job=²": "job: expected a number from 0 to 65535, got '²'",
+        "job=-1": "job: expected a number from 0 to 65535, or all, got '-1'",
+        "job=99999999999999999999": "job: expected a number from 0 to 65535, or all, got "
+        "'99999999999999999999'",
+        "job=²": "job: expected a number from 0 to 65535, or all, got '²'",
         "timeout_s=nan": "timeout_s: expected seconds up to 60, got 'nan'",
         "timeout_s=1e9": "timeout_s: expected seconds up to 60, got '1e9'",
         "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s, flange",

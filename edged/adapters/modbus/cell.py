@@ -80,7 +80,11 @@ class CellRegisters:
     """All registers of the cell, for every connection."""
 
     def __init__(
-        self, settings: ModbusSettings, commander: Commander | None, clock_s: Callable[[], float]
+        self,
+        settings: ModbusSettings,
+        commander: Commander | None,
+        clock_s: Callable[[], float],
+        jobs: Callable[[], Sequence[tuple[int, str]]] = tuple,
     ) -> None:
         self._settings = settings
         self._commander = commander
@@ -97,6 +101,8 @@ class CellRegisters:
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
+        self._jobs, self._are_jobs_placed = jobs, False
+        self._counts: dict[str, int] = {}
         self.clients = 0
         self.changed: Callable[[], None] = lambda: None  # told of each write and event
 
@@ -131,6 +137,10 @@ class CellRegisters:
             self._held = (result, self._last)
             self._place_result(valid)
         self._place_ur_status(status)
+        if not self._are_jobs_placed:
+            self._are_jobs_placed, jobs = True, self._jobs()
+            for index, block in enumerate(reg.JOBS):
+                self._place(block, reg.job_values(index, jobs))
 
     def _place(self, block: reg.Block, values: dict[str, reg.Number]) -> None:
         start = 2 * block.address
@@ -247,7 +257,7 @@ class CellRegisters:
             raise RequestRefused(DEVICE_BUSY)
         new = [*self._command[:start], *words, *self._command[start + len(words) :]]
         options = new[_offset("OPTIONS")]
-        if options & ~int(reg.Option.RELEASE | reg.Option.ONCE):
+        if options & ~sum(reg.Option):
             raise RequestRefused(ILLEGAL_VALUE)
         new[_offset("OPTIONS")] = 0
         self._command = new
@@ -257,7 +267,7 @@ class CellRegisters:
         if _offset("ACK_SEQ") in written:
             self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
         if _offset("CMD_SEQ") in written:
-            self._trigger(client, now_s, once=bool(options & reg.Option.ONCE))
+            self._trigger(client, now_s, reg.Option(options))
         if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
         self.changed()
@@ -276,7 +286,7 @@ class CellRegisters:
         self._step(hs.Released(client, gone=True), self._clock_s())
         self.changed()
 
-    def _trigger(self, client: int, now_s: float, *, once: bool) -> None:
+    def _trigger(self, client: int, now_s: float, options: reg.Option) -> None:
         code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
@@ -286,12 +296,13 @@ class CellRegisters:
             known,
             timeout_ms / 1000 if timeout_ms else None,
             client,
-            once,
+            reg.Option.ONCE in options,
             job if code == CommandKind.NEXT_PART else None,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
-                self._submit(Command(CommandKind(code), PLC_SOURCE, effect.ticket, job, flange))
+                kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
+                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all))
 
     def _taken_flange(self) -> FloatArray | None:
         """Pose of the flange, which serves one command: the next must not measure with an old one.
@@ -338,6 +349,7 @@ class CellRegisters:
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(hs.Failed(ticket), now_s)
             case Reloaded():
+                self._are_jobs_placed = False
                 self._step(hs.Reloaded(), now_s)
             case CellState():
                 if event.state is CellPhase.BUSY and (
@@ -352,6 +364,8 @@ class CellRegisters:
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)
         self._last = result
+        self._counts = reg.counted(self._counts, snapshot)
+        self._place(reg.COUNTERS, dict(self._counts))
         verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)

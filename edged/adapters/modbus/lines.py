@@ -56,12 +56,16 @@ class _Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A line that was understood. flange : robot_from_flange (4, 4) in mm, None when it was not said."""
+    """A line that was understood.
+
+    flange : robot_from_flange (4, 4) in mm, None when it was not said. tries_all : the job was "*".
+    """
 
     sequence: int
     command: str
     job: int
     flange: FloatArray | None
+    tries_all: bool = False
 
 
 def parse(line: bytes, brand: Brand) -> Request:
@@ -70,14 +74,15 @@ def parse(line: bytes, brand: Brand) -> Request:
     if len(fields) < 2:
         raise ValueError("expected a sequence and a command")
     sequence, command = int(fields[0]), fields[1].upper()
-    job = int(fields[2]) if len(fields) > 2 else 0
+    tries_all = len(fields) > 2 and fields[2] == "*"
+    job = int(fields[2]) if len(fields) > 2 and not tries_all else 0
     if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
         raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
     command = "NEXT_PART" if command == "NEXT" else command
     if command not in (*CommandKind.__members__, *READ, "ACK"):
         raise ValueError(f"no such command: {command}")
     flange = transform_of(brand, tuple(float(field) for field in fields[3:])) if len(fields) > 3 else None
-    return Request(sequence, command, job, flange)
+    return Request(sequence, command, job, flange, tries_all)
 
 
 class Robot:
@@ -190,7 +195,7 @@ class Robot:
             "COMMAND": CommandKind[request.command],
             "JOB": request.job,
             "CMD_SEQ": sequence,
-            "OPTIONS": reg.Option.ONCE,
+            "OPTIONS": reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0)),
             "TIMEOUT": round(TIMEOUT_S * 1000),
             **{f"FLANGE_{axis}": 0 for axis in "XYZABC"},
         }

@@ -6,7 +6,7 @@ import itertools
 import ssl
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.lines import LineServer
@@ -17,7 +17,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain import Event
 from edged.errors import CommandRefused
-from edged.plc.registers import BLOCKS, COMMAND, Number, Register, decode, encode
+from edged.plc.registers import BLOCKS, COMMAND, JOBS, Number, Register, decode, encode
 from edged.ports import Commander
 
 
@@ -26,7 +26,7 @@ class ModbusPublisher:
 
     commander : takes the commands that clients write; None answers each with NACK.
     clock_s : monotonic; ages, time-outs and the heartbeat count on it. context : of `settings.tls`, so that
-    its files need not be read again; None: they are read at the start.
+    its files need not be read again; None: they are read at the start. jobs : number and name of every job.
     """
 
     def __init__(
@@ -36,9 +36,10 @@ class ModbusPublisher:
         *,
         clock_s: Callable[[], float] = time.monotonic,
         context: ssl.SSLContext | None = None,
+        jobs: Callable[[], Sequence[tuple[int, str]]] = tuple,
     ) -> None:
         self._settings = settings
-        self._cell = CellRegisters(settings, commander, clock_s)
+        self._cell = CellRegisters(settings, commander, clock_s, jobs)
         clients = itertools.count(1)
         self._refusals = Refusals()
         self._tcp = TcpServer(settings, self._cell, clients, self._refusals, context)
@@ -63,10 +64,12 @@ class ModbusPublisher:
         return self._tcp.port
 
     def values(self) -> list[tuple[Register, Number]]:
-        """Every register of the map with the value that a client would read now."""
+        """Every register with the value that a client would read now, but of empty rows of jobs."""
         settings, found = self._settings, list[tuple[Register, Number]]()
         for block in BLOCKS:
             words = self._cell.read(settings.base_address + block.address, block.words)
+            if block in JOBS and not any(words):
+                continue
             values = decode(block, words, settings.word_order)
             found += [(register, values[register.name]) for register in block.registers]
         return found

@@ -43,7 +43,10 @@ QUERYABLES = tuple(key.path for key in KEYS if key.kind == "queryable")
 
 TRIGGER_PARAMETERS = {
     "kind": ("locate", "locate, change_job, grab or verify"),
-    "job": ("0", "number of the job; 0: the active one"),
+    "job": (
+        "0",
+        "number of the job; 0: the active one; all: each is tried, the part that agrees best counts",
+    ),
     "timeout_s": ("", "seconds until the reply is an error, up to 60; left out: `zenoh.trigger_timeout_s`"),
     "flange": (
         "",

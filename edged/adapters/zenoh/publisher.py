@@ -296,7 +296,9 @@ class ZenohPublisher:
         if len(self._triggers) >= MAX_PENDING:
             self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
             return
-        command = self._triggers.add(query, asked.kind, asked.job, asked.robot_from_flange)
+        command = self._triggers.add(
+            query, asked.kind, asked.job, asked.robot_from_flange, tries_all=asked.tries_all
+        )
         late = f"no result within {asked.timeout_s:g} s"
         loop = asyncio.get_running_loop()
         self._triggers.limit(command, loop.call_later(asked.timeout_s, self._settle, command, late))

@@ -18,6 +18,7 @@ MAX_TIMEOUT_S = 60.0
 class Trigger(NamedTuple):
     """A command, and how long its result is waited for. job : number, 0 for the active one.
 
+    tries_all : every job, instead.
     robot_from_flange (4, 4) : None where it was not said.
     """
 
@@ -25,6 +26,7 @@ class Trigger(NamedTuple):
     job: int
     timeout_s: float
     robot_from_flange: FloatArray | None
+    tries_all: bool = False
 
 
 def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Trigger:
@@ -40,8 +42,11 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
     kind = kinds.get(known["kind"].lower())
     if kind is None:
         raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")
+    tries_all = known["job"] == "all"
+    if tries_all:
+        known["job"] = "0"
     if not (known["job"].isascii() and known["job"].isdigit() and int(known["job"][:6]) <= 65535):
-        raise CommandRefused(f"job: expected a number from 0 to 65535, got {known['job'][:40]!r}")
+        raise CommandRefused(f"job: expected a number from 0 to 65535, or all, got {known['job'][:40]!r}")
     try:
         timeout_s = float(known["timeout_s"])
     except ValueError:
@@ -50,7 +55,7 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
         raise CommandRefused(
             f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
         )
-    return Trigger(kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"]))
+    return Trigger(kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"]), tries_all)
 
 
 def _parse_flange(text: str) -> FloatArray | None:

@@ -34,10 +34,18 @@ class Triggers(Generic[Query]):
     def __len__(self) -> int:
         return len(self._pending)
 
-    def add(self, query: Query, kind: CommandKind, job: int, robot_from_flange: FloatArray | None) -> Command:
+    def add(
+        self,
+        query: Query,
+        kind: CommandKind,
+        job: int,
+        robot_from_flange: FloatArray | None,
+        *,
+        tries_all: bool = False,
+    ) -> Command:
         """The command of a trigger, which waits from now on."""
         self._count += 1
-        command = Command(kind, SOURCE, self._count, job, robot_from_flange)
+        command = Command(kind, SOURCE, self._count, job, robot_from_flange, tries_all)
         self._pending[command.sequence] = _Pending(query, command)
         return command
 

@@ -46,6 +46,7 @@ FLAGS = {str(code.name): code.value for code in Flag}
 # </map>
 
 ROW_WORDS = 20
+JOB_ROWS, JOB_WORDS = 16, 16
 # pymodbus calls the unit id `slave` before 3.10 and `device_id` since ("API changes 3.10.0")
 _NAMES = inspect.signature(ModbusTcpClient.read_holding_registers).parameters
 UNIT = "device_id" if "device_id" in _NAMES else "slave"
@@ -164,9 +165,17 @@ class EdgedCell:
 
     # --- commands ------------------------------------------------------------------------------
 
-    def locate(self, job: int = 0, timeout_s: float = 5.0) -> Result:
-        """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`."""
-        return self._measure("LOCATE", job, timeout_s)
+    def locate(self, job: int = 0, timeout_s: float = 5.0, *, all_jobs: bool = False) -> Result:
+        """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`.
+
+        all_jobs : every job is tried; the register JOB of the result is the one whose part agrees best.
+        """
+        return self._measure("LOCATE", job, timeout_s, OPTIONS["ALL_JOBS"] if all_jobs else 0)
+
+    def jobs(self) -> dict[int, str]:
+        """Names of the jobs by their numbers, the first 16; a long name is cut."""
+        rows = (self.read("job 0", JOB_WORDS * index) for index in range(JOB_ROWS))
+        return {int(row["J0_NUMBER"]): _text(row) for row in rows if row["J0_NUMBER"]}
 
     def next_part(self, job: int = 0, timeout_s: float = 5.0) -> Result:
         """The next good part of the picture that the last `locate` took; job : of it, 0 for whatever it was.
@@ -250,15 +259,15 @@ class EdgedCell:
 
     # --- inside --------------------------------------------------------------------------------
 
-    def _measure(self, command: str, job: int, timeout_s: float) -> Result:
-        sequence, epoch = self._run(command, job, timeout_s)
+    def _measure(self, command: str, job: int, timeout_s: float, option: int = 0) -> Result:
+        sequence, epoch = self._run(command, job, timeout_s, option)
         result = self.latest()
         ours = (sequence, sequence, epoch)
         if ours != tuple(result.values[name] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH")):
             raise NoAnswer(f"another command has taken the place of {sequence}")
         return result
 
-    def _run(self, command: str, job: int, timeout_s: float) -> tuple[int, int]:
+    def _run(self, command: str, job: int, timeout_s: float, option: int = 0) -> tuple[int, int]:
         """Write a command and wait for its end; returns its sequence and the cell's START_EPOCH."""
         before = self.read("status")
         # one more than the cell has seen: a client that was started anew never repeats a sequence
@@ -266,7 +275,8 @@ class EdgedCell:
         self._write(ADDRESS["TIMEOUT"], [min(max(round(timeout_s * 1000), 1), 0xFFFF)])
         # COMMAND, JOB, CMD_SEQ, ACK_SEQ, CLIENT_HEARTBEAT, OPTIONS: on purpose and once, so that it runs as
         # the first command of a connection, too
-        self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence, 0, self._beat, OPTIONS["ONCE"]])
+        options = OPTIONS["ONCE"] | option
+        self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence, 0, self._beat, options])
         reasons = {number: name for name, number in NACK_REASONS.items()}
         # the cell gives up by itself after the time-out and says so
         end_s = time.monotonic() + timeout_s + self._answer_s
@@ -330,6 +340,12 @@ def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first:
             part.reverse()
         (values[name],) = struct.unpack(">" + kind, struct.pack(f">{len(part)}H", *part))
     return values
+
+
+def _text(row: dict[str, float]) -> str:
+    """The name in a row of the list of jobs."""
+    words = [int(word) for name, word in row.items() if "_NAME_" in name]
+    return struct.pack(f">{len(words)}H", *words).rstrip(b"\0").decode("ascii", "replace")
 
 
 def _names(flags: dict[str, int], word: int) -> set[str]:

@@ -11,7 +11,7 @@ from edged.plc.registers import (
     BLOCKS,
     MAGIC,
     MAP_VERSION,
-    TABLE,
+    ROWS,
     Flag,
     Option,
     ResultCode,
@@ -37,7 +37,7 @@ def _map() -> str:
         f"MAP_VERSION = {MAP_VERSION}",
         "BLOCKS: dict[str, tuple[int, tuple[tuple[str, str], ...]]] = {",
     ]
-    for block in BLOCKS[: -len(TABLE)] + TABLE[:1]:
+    for block in (one for one in BLOCKS if not any(one in rows[1:] for rows in ROWS)):
         lines.append(f'    "{block.name}": (')
         lines.append(f"        {block.address},")
         lines.append("        (")

@@ -45,6 +45,7 @@ VERSION : 0.1
       xExecute : Bool;
       uiCommand : UInt := 1;
       uiJob : UInt;
+      xAllJobs : Bool;
       tTimeout : Time := T#5S;
       xAllowRigFrame : Bool;
       xAllowSimulated : Bool;
@@ -136,6 +137,7 @@ BEGIN
    END_IF;
 
    #fbEdged(xLinkOk := #xLinkOk, xExecute := #xExecute, uiCommand := #uiCommand, uiJob := #uiJob,
+      xAllJobs := #xAllJobs,
       tTimeout := #tTimeout, xLowWordFirst := #xLowWordFirst, xAllowRigFrame := #xAllowRigFrame,
       xAllowSimulated := #xAllowSimulated, adiFlange := #adiFlange, awStatus := "DB_EDGED".awStatus,
       awResult := "DB_EDGED".awResult, awGrasp := "DB_EDGED".awGrasp,

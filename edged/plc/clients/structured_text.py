@@ -19,6 +19,7 @@ from edged.plc.registers import (
     Block,
     Flag,
     Kind,
+    Option,
     Register,
     StatusBit,
 )
@@ -147,6 +148,7 @@ VAR_INPUT
     xExecute : BOOL;
     uiCommand : UINT := @LOCATE@; (* @COMMANDS@ *)
     uiJob : UINT; (* 0: the active one *)
+    xAllJobs : BOOL; (* TRUE: every job is tried, the part that agrees best counts *)
     tTimeout : TIME := T#5S;
     xLowWordFirst : BOOL; (* word_order = "low" in the cell *)
     xAllowRigFrame : BOOL; (* TRUE: xValid also in the rig's frame, which no robot knows *)
@@ -222,6 +224,10 @@ IF iState = 0 AND xExecute AND NOT xWasExecute THEN
     awCommand[@O_COMMAND@] := UINT_TO_WORD(uiCommand);
     awCommand[@O_JOB@] := UINT_TO_WORD(uiJob);
     awCommand[@O_ACK_SEQ@] := 16#0;
+    awCommand[@O_OPTIONS@] := 16#0;
+    IF xAllJobs THEN
+        awCommand[@O_OPTIONS@] := @ALL_JOBS@;
+    END_IF;
     tLimit := tTimeout;
     awCommand[@O_TIMEOUT@] := DWORD_TO_WORD(DINT_TO_DWORD(TIME_TO_DINT(tTimeout)));
     IF tTimeout > T#60S THEN
@@ -368,13 +374,14 @@ def _block() -> str:
         "VALID": f"16#{Flag.VALID.value:04X}",
         "ROBOT_FRAME": f"16#{Flag.ROBOT_FRAME.value:04X}",
         "F_SIMULATED": f"16#{Flag.SIMULATED.value:04X}",
+        "ALL_JOBS": f"16#{Option.ALL_JOBS.value:04X}",
         "DECODE": _decoded("stResult", RESULT),
         "DECODE_GRASP": _decoded("stGrasp", GRASP),
     }
     words |= {bit.name or "": f"16#{bit.value:04X}" for bit in StatusBit}
     words |= {
         f"O_{name}": ADDRESS[name] - COMMAND.address
-        for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "TIMEOUT")
+        for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "OPTIONS", "TIMEOUT")
     }
     return filled(BLOCK, words)
 

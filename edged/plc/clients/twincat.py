@@ -33,6 +33,7 @@ VAR_INPUT
     xExecute : BOOL;
     uiCommand : UINT := 1;
     uiJob : UINT;
+    xAllJobs : BOOL;
     tTimeout : TIME := T#5S;
     xLowWordFirst : BOOL;
     xAllowRigFrame : BOOL;
@@ -114,9 +115,9 @@ ELSIF xEnded THEN
 END_IF;
 
 fbEdged(xLinkOk := xLinkOk, xExecute := xExecute, uiCommand := uiCommand, uiJob := uiJob,
-    tTimeout := tTimeout, xLowWordFirst := xLowWordFirst, xAllowRigFrame := xAllowRigFrame,
-    xAllowSimulated := xAllowSimulated, adiFlange := adiFlange, awStatus := awStatus, awResult := awResult,
-    awGrasp := awGrasp,
+    xAllJobs := xAllJobs, tTimeout := tTimeout, xLowWordFirst := xLowWordFirst,
+    xAllowRigFrame := xAllowRigFrame, xAllowSimulated := xAllowSimulated, adiFlange := adiFlange,
+    awStatus := awStatus, awResult := awResult, awGrasp := awGrasp,
     xReady => xReady, xBusy => xBusy, xExposureDone => xExposureDone, xDone => xDone, xError => xError,
     uiError => uiError, stResult => stResult, stGrasp => stGrasp);
 (* what is being sent must not change; it is taken anew before each write *)

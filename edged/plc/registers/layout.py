@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from edged.domain import CommandKind, Reject
 from edged.plc.registers.schema import (
+    JOB_ROWS,
+    NAME_WORDS,
     ROW_WORDS,
     TABLE_ROWS,
     Block,
@@ -71,8 +73,10 @@ COMMAND = make_block(
             "OPTIONS",
             _U16,
             "bits",
-            f"{list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. ONCE, in one "
-            "request with CMD_SEQ: not written again and again, so it runs as the first of a connection, too",
+            f"{list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. The others count in "
+            "one request with CMD_SEQ. ONCE: it is not written again and again, so it runs as the first of a "
+            "connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result is "
+            "the one whose part agrees best",
         ),
         *(
             (
@@ -288,9 +292,55 @@ def _row(index: int) -> Block:
     )
 
 
+COUNTERS = make_block(
+    "counters",
+    940,
+    [
+        ("N_CYCLES", _U32, "", "cycles that measured, whoever asked, since START_EPOCH; as all of these"),
+        ("N_NO_TARGET", _U32, "", "of them: nothing found"),
+        ("N_FAULTS", _U32, "", "cycles without a pair of images"),
+        ("N_PARTS", _U32, "", "parts found, good and bad"),
+        ("N_GOOD", _U32, "", "good ones"),
+        ("N_REJECTED", _U32, "", "bad ones"),
+        *(
+            (f"N_{bit.name}", _U32, "", f"bad ones for {bit.name}; a part may be bad for several")
+            for bit in Reject
+        ),
+    ],
+)
+
+
+def _job(index: int) -> Block:
+    j = f"J{index}_"
+    return make_block(
+        f"job {index}",
+        1000 + (1 + NAME_WORDS) * index,
+        [
+            (
+                j + "NUMBER",
+                _U16,
+                "",
+                "how COMMAND's JOB calls it; 0: empty row. The least numbers come first",
+            ),
+            *(
+                (
+                    f"{j}NAME_{i}",
+                    _U16,
+                    "",
+                    "two characters of its name, the first in the high byte; 0: its end",
+                )
+                for i in range(1, NAME_WORDS + 1)
+            ),
+        ],
+    )
+
+
+JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
-BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, UR_GRASP, FLOAT, GRASP, *TABLE)
+BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, UR_GRASP, FLOAT, GRASP, COUNTERS, *TABLE, *JOBS)
+ROWS = (TABLE, JOBS)
+"""Blocks that repeat, row by row."""
 
 ADDRESS = {
     register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers

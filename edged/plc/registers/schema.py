@@ -16,6 +16,9 @@ UINT16_MAX = 0xFFFF
 UINT32_MAX = 0xFFFFFFFF
 TABLE_ROWS = 16
 ROW_WORDS = 20
+JOB_ROWS = 16
+NAME_WORDS = 15
+"""Of a job's name, two characters each."""
 
 WordOrder = Literal["high", "low"]
 Number = int | float
@@ -114,6 +117,8 @@ class Option(enum.IntFlag):
     """Give up the right to write; reads back as 0."""
     ONCE = 1 << 1
     """With CMD_SEQ in one request: written once, so it runs as the first of a connection, too."""
+    ALL_JOBS = 1 << 2
+    """With CMD_SEQ in one request: LOCATE and VERIFY try every job, and the part that agrees best counts."""
 
 
 class Warn(enum.IntFlag):

@@ -7,7 +7,9 @@ never published.
 from __future__ import annotations
 
 import math
+import struct
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +21,7 @@ from edged.plc.registers.schema import (
     INT32_MIN,
     MAGIC,
     MAP_VERSION,
+    NAME_WORDS,
     ROW_WORDS,
     TABLE_ROWS,
     UINT16_MAX,
@@ -345,3 +348,38 @@ def constant_values(convention: Convention, config: int, calibration: int) -> di
         "TABLE_ROWS": TABLE_ROWS,
         "ROW_WORDS": ROW_WORDS,
     }
+
+
+def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
+    """Values of the block counters after one more cycle; one that took pictures only measured nothing."""
+    counts = dict(before)
+
+    def add(name: str, number: int = 1) -> None:
+        counts[name] = min(counts.get(name, 0) + number, UINT32_MAX)
+
+    if snapshot.status is Status.CAPTURE_FAULT:
+        add("N_FAULTS")
+        return counts
+    if snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB:
+        return counts
+    add("N_CYCLES")
+    add("N_NO_TARGET", int(not snapshot.targets))
+    bad = [target.reject for target in snapshot.targets if target.reject]
+    add("N_PARTS", len(snapshot.targets))
+    add("N_GOOD", len(snapshot.targets) - len(bad))
+    add("N_REJECTED", len(bad))
+    for reject in bad:
+        for bit in reject:
+            add(f"N_{bit.name}")
+    return counts
+
+
+def job_values(index: int, jobs: Sequence[tuple[int, str]]) -> dict[str, Number]:
+    """Values of one row of the list of jobs. jobs : number and name of each."""
+    by_number = sorted(jobs)
+    if index >= len(by_number):
+        return {}
+    number, name = by_number[index]
+    text = name.encode("ascii", "replace")[: 2 * NAME_WORDS].ljust(2 * NAME_WORDS, b"\0")
+    words = struct.unpack(f">{NAME_WORDS}H", text)
+    return {f"J{index}_NUMBER": number} | {f"J{index}_NAME_{i}": word for i, word in enumerate(words, 1)}
