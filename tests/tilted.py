@@ -40,7 +40,14 @@ def thin(part: Part, where: FloatArray) -> Scene:
 
 
 def thick(part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24) -> Scene:
-    """The part with walls of its outline and its holes: thin copies of it down its normal, lowest first."""
+    """The part with walls of its outline and its holes."""
+    return Scene(_table(), tuple(stacked(part, where, thickness_mm, wall, slices)))
+
+
+def stacked(
+    part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24
+) -> list[Placed]:
+    """Thin copies of a part down its normal, lowest first: its walls, and then itself."""
     clear = tuple(replace(hole, transmission=1.0) for hole in part.holes)
     below = replace(part, surface=wall, holes=clear)
     layers = []
@@ -48,7 +55,7 @@ def thick(part: Part, where: FloatArray, thickness_mm: float, wall: Surface, sli
         down = np.eye(4)
         down[2, 3] = depth_mm
         layers.append(Placed(below, where @ down))
-    return Scene(_table(), (*layers, Placed(replace(part, holes=clear), where)))
+    return [*layers, Placed(replace(part, holes=clear), where)]
 
 
 def _table() -> Table:

@@ -41,7 +41,7 @@ from edged.domain import Frame, FramePair, Image
 from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import Placed
-from edged.vision.curves import planefit
+from edged.vision.curves.planestate import State
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
@@ -65,7 +65,7 @@ COUNTED = {
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
     "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001 - likewise
-    "steps of the joint fit": (planefit._State, "step"),  # noqa: SLF001 - likewise
+    "steps of the joint fit": (State, "step"),
 }
 
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain import FloatArray
 from edged.vision.kernels.jit import F2
@@ -64,6 +65,8 @@ class Curve:
     it is the direction turned by 90° from u to v.
     length_mm : of an edge; its ends are no result of a fit.
     height_mm : of its plane along the face's normal; kept.
+    signs (2, S) : the polarity over each of S equal stretches of the outline, in the left and the right
+    image, 0 where it is not to be measured; None: the polarity is that of the whole curve in both.
     """
 
     name: str
@@ -72,6 +75,14 @@ class Curve:
     polarity: int
     length_mm: float = 0.0
     height_mm: float = 0.0
+    signs: npt.NDArray[np.int64] | None = None
+
+    def signs_at(self, side: int, count: int) -> npt.NDArray[np.int64]:
+        """(count,) the polarity at samples of `spread`; 0 : not known, or, of stretches, not measured."""
+        if self.signs is None:
+            return np.full(count, self.polarity)
+        stretch = (np.arange(count) + 0.5) / count * self.signs.shape[1]
+        return np.asarray(self.signs[side, stretch.astype(np.int64)])
 
     @property
     def closed(self) -> bool:

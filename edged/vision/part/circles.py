@@ -11,8 +11,9 @@ from statistics import median
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Reject, Target
+from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import CurveFit, FitParams, PlaneFit, fit_circle, fit_plane
+from edged.vision.curves.planefit import fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
@@ -202,7 +203,7 @@ def _others(
     fit = fit_plane(images.rig, images.raw, face, [first, *wanted.values()], OTHER_PARAMS, fixed_normal=True)
     if fit is None:
         return []
-    limit = _tolerance_mm(job)
+    limit = tolerance_mm(job)
     rise = float(face.from_rig(fit.face.origin)[2])
     found = []
     for one in fit.fits:
@@ -214,7 +215,7 @@ def _others(
     return found
 
 
-def _tolerance_mm(job: Job) -> float:
+def tolerance_mm(job: Job) -> float:
     """How far from its place, and from its size, a circle may be."""
     return PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
 
@@ -230,7 +231,7 @@ def _decided(
     others = _others(images, job, match, main, start)
     if not match.ambiguous:
         return 0.0, others, False
-    turns = _rival_turns(job)
+    turns = rival_turns(job)
     if any(_maps_on_itself(job, turn) for turn in turns):
         # they are the same circles under other names: one half hidden may count under one and not the other
         return 0.0, others, True
@@ -246,11 +247,11 @@ def _decided(
     return best_turn, best, len(best) == rival_count or not turns
 
 
-def _rival_turns(job: Job) -> list[float]:
+def rival_turns(job: Job) -> list[float]:
     """Turns about the reference circle's axis that lay one circle of the part on another one's place."""
     arms = np.array([c.centre_mm[:2] - job.reference_circle.centre_mm[:2] for c in job.circles])
     lengths = np.linalg.norm(arms, axis=1)
-    tolerance = _tolerance_mm(job)
+    tolerance = tolerance_mm(job)
     turns: list[float] = []
     for i, j in itertools.permutations(range(len(arms)), 2):
         if min(lengths[i], lengths[j]) < 2 * tolerance or abs(lengths[i] - lengths[j]) > tolerance:
@@ -264,7 +265,7 @@ def _rival_turns(job: Job) -> list[float]:
 def _maps_on_itself(job: Job, turn: float) -> bool:
     """Whether this turn about the reference circle's axis lays each circle on one of its size."""
     centre = job.reference_circle.centre_mm
-    limit = _tolerance_mm(job)
+    limit = tolerance_mm(job)
     return all(
         any(
             np.linalg.norm(centre + about_z(turn) @ (circle.centre_mm - centre) - other.centre_mm) < limit

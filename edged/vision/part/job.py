@@ -80,6 +80,8 @@ class CornerFeature:
 
 MAX_TILT_DEG = 45.0
 """To the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
+SOLID_MM = 0.25
+"""Features whose heights differ by less are those of one face."""
 DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 
@@ -181,6 +183,14 @@ class Job:
     def reference_circle(self) -> CircleFeature:
         """The circle that the measurement begins with: the reference, or else the largest one."""
         return next((circle for circle in self.circles if circle.name == self.reference), self.circles[0])
+
+    @property
+    def solid(self) -> bool:
+        """Whether its features lie on several heights, so that it is measured as one rigid whole."""
+        heights = [float(circle.centre_mm[2]) for circle in self.circles]
+        heights += [float(edge.start_mm[2]) for edge in self.edges]
+        heights += [float(slot.centre_mm[2]) for slot in self.slots]
+        return max(heights) - min(heights) > SOLID_MM
 
     def kind_of(self, name: str) -> str | None:
         """ "circle", "edge", "slot" or "corner"; None for a name that the job does not have."""

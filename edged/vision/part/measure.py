@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import FloatArray, Reject, Target
+from edged.vision.curves.curvefit import FitParams, PlaneFit, derived
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
-from edged.vision.curves.planefit import FitParams, PlaneFit, derived, fit_plane
+from edged.vision.curves.planefit import fit_plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages
@@ -29,6 +30,7 @@ from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import is_contradicted, match_in_raw
 from edged.vision.part.sizes import measure_sizes, place
+from edged.vision.part.solid import measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
@@ -44,6 +46,18 @@ CONCENTRIC = 0.15  # share of the reference radius within which a circle says no
 
 def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
     """Measure one found part with all its features; the reason when it cannot be measured at all."""
+    if job.solid:
+        return _measured_whole(images, job, match)
+    result = _measured_flat(images, job, match)
+    if isinstance(result, Reject):  # walls may hide each curve by itself, and yet not where the whole part is
+        whole = _measured_whole(images, job, match)
+        if isinstance(whole, Measured) and not whole.target.reject and not whole.target.doubt_mm:
+            return whole
+    return result
+
+
+def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+    """A part of one face, whose curves are measured free: each says by itself where it is."""
     result: Measured | Reject
     if job.circles:
         main = replace(job, reference=job.reference_circle.name)
@@ -63,6 +77,15 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
     return replace(result, target=target)
 
 
+def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+    """A part measured as one rigid whole, judged."""
+    result = measure_solid(images, job, match)
+    if isinstance(result, Reject):
+        return result
+    target = judged(job, images.rectification, _with_free_axis(job, result.target), result.evidence)
+    return replace(result, target=target)
+
+
 # --- parts with circles ----------------------------------------------------------------------------
 
 
@@ -78,11 +101,7 @@ def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     target = replace(target, measurements=measure_sizes(job, fit, target.circles))
     if fit is not None:
         target = with_features(target, job, fit)
-    if _is_round(job):
-        axis = target.rig_from_part[:3, 2]
-        covariance = target.covariance.copy()
-        covariance[3:, 3:] += UNKNOWN_TURN**2 * np.outer(axis, axis)
-        target = replace(target, free_axis=axis, covariance=covariance)
+    target = _with_free_axis(job, target)
     if job.kind_of(job.reference) not in ("circle", None):
         target = _referred(job, fit, target)
     beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
@@ -161,6 +180,16 @@ def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
     return replace(
         target, rig_from_part=transform(target.rig_from_part[:3, :3], position), covariance=covariance
     )
+
+
+def _with_free_axis(job: Job, target: Target) -> Target:
+    """A round part's turn about its axis is not known."""
+    if not _is_round(job):
+        return target
+    axis = target.rig_from_part[:3, 2]
+    covariance = target.covariance.copy()
+    covariance[3:, 3:] += UNKNOWN_TURN**2 * np.outer(axis, axis)
+    return replace(target, free_axis=axis, covariance=covariance)
 
 
 def _is_round(job: Job) -> bool:

@@ -39,7 +39,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     normal = rig_from_part[:3, 2]
     face = Plane(normal, float(normal @ rig_from_part[:3, 3]))
     contours = find_contours(view.images.rectified_left, mask)
-    agreeing = [_agreeing(view, face, contour) for contour in contours]
+    agreeing = [agreeing_with(view, face, contour) for contour in contours]
     total = sum(len(one) for one in agreeing)
     if not total or sum(np.count_nonzero(one) for one in agreeing) >= CLEAN_SHARE * total:
         return mask
@@ -54,7 +54,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     return np.minimum(np.asarray(cv2.dilate(kept, around), np.uint8), mask)
 
 
-def _agreeing(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
+def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
     """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
     along = np.column_stack([-contour.normals[:, 1], contour.normals[:, 0]])
     there, beside = (_in_right(view, face, contour.points + shift) for shift in (-0.5 * along, 0.5 * along))

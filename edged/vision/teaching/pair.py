@@ -9,8 +9,9 @@ import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image
 from edged.errors import TeachError
+from edged.vision.curves.curvefit import CurveFit, FitParams
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import CurveFit, FitParams, fit_circle, fit_plane
+from edged.vision.curves.planefit import fit_circle, fit_plane
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
@@ -32,13 +33,21 @@ from edged.vision.teaching.features import (
     outline_mask,
     part_frame,
 )
+from edged.vision.teaching.levels import SolidFeatures, find_levels, main_face_mask, solid_features
 from edged.vision.teaching.region import Area, Region, painted_region
 
 FACE_TOLERANCE_MM = 0.15
 """A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
+SOLID_SCORE = 0.5
+"""Of a thick part's main face: walls as bright as the face hide some of its outline, and a false match is
+refused by both cameras when the whole part is laid onto it."""
+SOLID_TOP_POINTS = 100
+"""Of the coarsest level: with fewer, half of which its walls may hide, a tilted view is like many things."""
 IN_FACE_MM = 0.05
 """Machined faces are flat to better than this, and holes measured singly are off by less."""
 MIN_SUPPORT = 0.75
+HEIGHT_SHARE = 0.12
+"""Of the distance: farther from the reference circle no face is of the same part."""
 MAX_RMS_PX = 0.5
 """As a job's own limit: edges that scatter more are those of two different things, one in each image."""
 
@@ -65,7 +74,13 @@ def teach(
     view = TeachingView(StereoImages.of(rectification, left, right), mask)
     ellipses = find_ellipses(view.images.rectified_left, view.mask)
     try:
-        circles = _circles(view, ellipses)
+        face, largest = _reference(view.images, ellipses)
+        levels = find_levels(view.images, ellipses, face, _near_depths(rectification, largest), _is_clear)
+        if levels is not None:
+            solid = solid_features(view, levels)
+            if solid is not None:
+                return _solid_job(view, params, name, number, solid)
+        circles = _circles(view, ellipses, face, largest)
     except TeachError:
         edges = _from_edges(view)
         if edges is None:
@@ -99,18 +114,58 @@ def teach(
     return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
-def _circles(view: TeachingView, ellipses: list[ImageEllipse]) -> list[FoundCircle]:
-    """The circles of the face, measured together, largest first."""
-    if not ellipses:
-        raise TeachError(
-            "no circle found, and no face with straight edges: a job needs a feature that both cameras see"
-        )
-    face, reference = _reference(view.images, ellipses)
+def _circles(
+    view: TeachingView, ellipses: list[ImageEllipse], face: Plane, reference: FoundCircle
+) -> list[FoundCircle]:
+    """The circles of the reference's face, measured together, largest first."""
     found = _in_order([reference, *_others(view.images, ellipses, face, reference)])
     together = fit_plane(view.images.rig, view.images.raw, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
     if together is None or together.fit_of("c0") is None:
         return [replace(one, circle=replace(one.circle, name=f"c{k}")) for k, one in enumerate(found)]
     return circles_in_rig(together)
+
+
+def _solid_job(
+    view: TeachingView, params: ModelParams | None, name: str, number: int, solid: SolidFeatures
+) -> Job:
+    """The job of a part of several heights; what is searched for is its main face."""
+    into_part = invert(solid.rig_from_part)
+    features = tuple(
+        CircleFeature(
+            one.circle.name,
+            apply(into_part, one.circle.centre_mm),
+            one.circle.radius_mm,
+            one.fit.curve.polarity,
+            is_double(view.images, one),
+        )
+        for one in solid.circles
+    )
+    reference = solid.circles[0].circle
+    job = _job(
+        view,
+        params,
+        name,
+        number,
+        solid.rig_from_part,
+        reference.name,
+        solid.found,
+        features,
+        reference.sigma_radius_mm,
+        main_face_mask(view, solid),
+    )
+    levels = job.shape.levels
+    while len(levels) > 2 and len(levels[-1].points) < SOLID_TOP_POINTS:
+        levels = levels[:-1]
+    return replace(
+        job, shape=replace(job.shape, levels=levels), search=replace(job.search, min_score=SOLID_SCORE)
+    )
+
+
+def _near_depths(rectification: Rectification, reference: FoundCircle) -> tuple[float, float]:
+    """Rectified depths at which other faces of the reference circle's part may lie."""
+    depth = float((rectification.rectified_from_left @ reference.circle.centre_mm)[2])
+    nearest, farthest = _common_depths(rectification)
+    return max(nearest, depth * (1 - HEIGHT_SHARE)), min(farthest, depth * (1 + HEIGHT_SHARE))
 
 
 def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | None:
@@ -140,10 +195,13 @@ def _job(
     found: FoundFeatures,
     circles: tuple[CircleFeature, ...] = (),
     sigma_mm: float = 0.0,
+    main_face: Image | None = None,
 ) -> Job:
     rectification = view.images.rectification
     depth = float(rig_from_part[2, 3])
-    if circles:
+    if main_face is not None:
+        shape = create_model(view.images.rectified_left, main_face, params=params)
+    elif circles:
         place = rectification.rig.left.project(rig_from_part[None, :3, 3])
         origin = rectification.rectify_points("left", place)[0]
         shape = create_model(view.images.rectified_left, view.mask, origin, params)
@@ -186,6 +244,10 @@ def taught_mask(region: Area | None, exclude: Sequence[Area], rectification: Rec
 
 def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
     """The largest circle that both cameras see, and the plane it lies in."""
+    if not ellipses:
+        raise TeachError(
+            "no circle found, and no face with straight edges: a job needs a feature that both cameras see"
+        )
     for ellipse in ellipses:
         points, normals = ellipse.outline(240)
         depths_mm = _common_depths(images.rectification)

@@ -1,0 +1,520 @@
+"""Plane and curves at one moment of a fit: sampled, measured, and the step that fits best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import SIDES, FloatArray, Image
+from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
+from edged.vision.curves.commonmode import pair, samples_of
+from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit, RigidMotion
+from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
+from edged.vision.curves.outlineprojection import (
+    ProjectedOutline,
+    camera_pose,
+    curvatures,
+    project_outline,
+)
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
+from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
+from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import shifts_by_calibration
+from edged.vision.geometry.rigid import about_z, apply
+from edged.vision.kernels.parallel import for_both
+from edged.vision.kernels.robust import MIN_SAMPLES
+
+AGREE_PX = 0.5
+"""An edge that scatters more is another one, whatever the others do."""
+MARGIN_PX = 5.0
+"""Of an edge at both ends: the corner's blur, seen through the widest operator."""
+MIN_SPOKES, MAX_SPOKES = 24, 2000
+MIN_SPOKES_AROUND = 48
+MIN_RADIUS_PX, MIN_LENGTH_PX, MAX_LENGTH_PX = 3.0, 3.0, 1e6
+RUNAWAY = 0.5
+"""Of its size: a curve that would move by more in one step stays, and must not take the others with it."""
+MAX_SLOPE, MAX_RISE = 0.5, 0.2
+"""Of the plane in one step: slope, and height in shares of the distance."""
+RIGID_PARAMETERS = 4
+"""Of a rigid part beyond its plane: shift along u and v, turn, growth."""
+GROWTH_SIGMA = 0.01
+"""How far a part may be larger than taught, or a rig be wrong, before the edges have been asked."""
+PROBE_MM = 0.01
+PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""A point and two beside it, for the scale of the image there."""
+CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
+"""By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
+of it both cameras do not have in common."""
+SOFT_PX, SOFT_SHIFT_PX = 1.1, 0.15
+"""Blur from which an edge is one with what lies beside it (`operatorwidth` tells it up to 1.2), and by how
+much that moves it: by a tenth of the blur, as of something with a tenth of the contrast."""
+ROW_SIGMA_PX = 0.3
+"""How far the rows of both images may lie apart, before anything was measured."""
+RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
+WAVES = 5
+START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
+
+
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One step of the joint problem.
+
+    delta (U,), covariance, edge_covariance (U, U) : 0 for what is held or not seen.  moved_px (K,) :
+    farthest that each curve moves.  row_shift_px, row_sigma_px : as `PlaneFit` has them.
+    starts (K + 1,) : where its samples begin.  offsets, weights, residuals (2, N), points (2, N, 2).
+    """
+
+    delta: FloatArray
+    covariance: FloatArray
+    edge_covariance: FloatArray
+    moved_px: FloatArray
+    row_shift_px: float
+    row_sigma_px: float
+    starts: npt.NDArray[np.int64]
+    points: FloatArray
+    offsets: FloatArray
+    weights: FloatArray
+    residuals: FloatArray
+
+    def support(self) -> FloatArray:
+        """(2, K) share of the samples of each curve with an edge that agrees, left and right."""
+        agree = (self.weights > 0) & (np.abs(self.residuals) < AGREE_PX)
+        return np.add.reduceat(agree, self.starts[:-1], axis=1, dtype=np.float64) / np.diff(self.starts)
+
+    def supported(self, share: float) -> list[int]:
+        """The curves that were seen, by so much of both images."""
+        seen = np.add.reduceat(self.weights, self.starts[:-1], axis=1).sum(axis=0) >= MIN_SAMPLES
+        return np.flatnonzero(seen & (self.support().min(axis=0) >= share)).tolist()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    """What the curves show in both images.
+
+    offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
+    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
+    saturated surface.  soft (2, N) bool : of a curve that is blurred.
+    """
+
+    offset_px: FloatArray
+    base: FloatArray
+    bias_px: FloatArray
+    clipped: Flags
+    soft: Flags
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Plane and curves at one moment of the fit; what is held: the normal, the circles' radii.
+
+    Of a rigid part the curves stay as they were taught, and the face moves with the part.
+    """
+
+    rig: StereoRig
+    images: tuple[Image, Image]
+    face: Face
+    curves: tuple[Curve, ...]
+    params: FitParams
+    fixed_normal: bool
+    fixed_radius: bool
+    rigid_mm: float | None = None
+
+    @property
+    def shared(self) -> int:
+        """Unknowns of all curves together, which come first."""
+        return PLANE_PARAMETERS if self.rigid_mm is None else PLANE_PARAMETERS + RIGID_PARAMETERS
+
+    def _px_per_mm(self) -> FloatArray:
+        """(K,) scale of the left image at each curve; NaN behind the camera."""
+        middles = np.array([[*curve.parameters[:2], curve.height_mm] for curve in self.curves])
+        probes = (middles[:, None] + PROBES_MM).reshape(-1, 3)
+        space = self.face.to_rig(probes)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            pixels = self.rig.left.project(space).reshape(-1, 3, 2)
+        scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / PROBE_MM
+        return np.where(space[::3, 2] > 0, scales, np.nan)
+
+    def _sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
+        """Samples of all curves, and where each curve's begin (K + 1,).
+
+        None when one lies behind the cameras, or has a size that no image can show.
+        """
+        outlines = []
+        for curve, scale in zip(self.curves, self._px_per_mm(), strict=True):
+            size_px = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
+            least_px = 2 * math.pi * MIN_RADIUS_PX if curve.kind == "circle" else MIN_LENGTH_PX
+            if not least_px < size_px < MAX_LENGTH_PX:  # False for NaN
+                return None
+            fewest = MIN_SPOKES_AROUND if curve.closed else MIN_SPOKES
+            count = min(max(int(size_px / spacing_px), fewest), MAX_SPOKES)
+            outlines.append(curve.spread(count, MARGIN_PX / scale))
+        starts = np.cumsum([0, *(len(one.points) for one in outlines)])
+        points = np.concatenate([one.points for one in outlines])
+        normals = np.concatenate([one.normals for one in outlines])
+        common = self.shared - PLANE_PARAMETERS
+        speed = np.zeros((starts[-1], common + max(curve.free for curve in self.curves)))
+        for k, one in enumerate(outlines):
+            speed[starts[k] : starts[k + 1], common : common + one.speed.shape[1]] = one.speed
+        if self.rigid_mm is not None:
+            speed *= self.rigid_mm
+            speed[:, :2] = normals
+            speed[:, 2] = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
+            speed[:, 3] = GROWTH_SIGMA * np.sum(points[:, :2] * normals, axis=1)
+        return Outline(points, normals, speed), starts
+
+    @property
+    def unknowns(self) -> int:
+        """Of the whole problem."""
+        return self.shared + sum(curve.free for curve in self.curves)
+
+    def _columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """(K, C): which unknown each column of the design is, -1 where a curve has none, or it is held.
+
+        seen (K,) : of the others nothing is known.
+        """
+        first = self.shared
+        columns = np.full((len(self.curves), first + max(c.free for c in self.curves)), -1)
+        columns[:, :first] = np.arange(first)
+        if self.fixed_normal:
+            columns[:, 1:PLANE_PARAMETERS] = -1
+        for k, curve in enumerate(self.curves):
+            columns[k, self.shared : self.shared + curve.free] = first + np.arange(curve.free)
+            if self.fixed_radius and curve.kind == "circle":
+                columns[k, self.shared + 2] = -1
+            first += curve.free
+        columns[~seen] = -1
+        return columns
+
+    def with_polarity(self, reach: float, spacing_px: float) -> State:
+        """Give curves of unknown polarity the sign of most of their contrast."""
+        sampled = None if all(curve.polarity for curve in self.curves) else self._sampled(spacing_px)
+        if sampled is None:
+            return self
+        outline, starts = sampled
+        total = np.zeros(len(self.curves))
+        for side, image in zip(SIDES, self.images, strict=True):
+            seen = project_outline(self.rig, side, self.face, outline)
+            slope = edges_at_widths(image, seen.pixels, seen.normals, reach, 0, START_WIDTHS_PX).slope[0]
+            strong = np.abs(np.nan_to_num(slope)) >= self.params.min_slope
+            total += np.add.reduceat(np.where(strong, slope, 0.0), starts[:-1])
+        signs = np.where(total < 0, -1, 1)
+        return replace(
+            self,
+            curves=tuple(
+                replace(curve, polarity=curve.polarity or int(sign))
+                for curve, sign in zip(self.curves, signs, strict=True)
+            ),
+        )
+
+    def step(self, reach: float, spacing_px: float, *, final: bool) -> Step | None:
+        """Measure the edges at the present curves, and solve for the step that fits them best.
+
+        final : each curve chooses its operator width, and systematic shifts are reckoned with.
+        """
+        sampled = self._sampled(spacing_px)
+        if sampled is None:
+            return None
+        outline, starts = sampled
+        sides, edges = self._measure(outline, starts, reach, final)
+        gain = np.stack([side.gain for side in sides])
+        pairs = pair(edges.offset_px, edges.base, gain, starts, together=final)
+        columns = self._columns(np.diff(pairs.parts) > 0)
+        # unknowns that are held leave no gap: the solver would find them undetermined
+        used = np.unique(columns[columns >= 0])
+        dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
+        samples, priors = samples_of(
+            pairs,
+            self._with_row_shift(outline, sides) if final else tuple(side.design for side in sides),
+            np.pad(dense, ((0, 0), (0, 1)), constant_values=-1) if final else dense,
+            edges.offset_px,
+            edges.bias_px,
+            np.array([curve.polarity for curve in self.curves]),
+            self._shift_basis(outline, sides, gain) if final else None,
+            len(used),
+        )
+        if final:
+            samples.columns[samples.columns[:, 0] >= 0, -1] = len(used) + priors
+            priors += 1
+        known_before = 0  # of a rigid part: its growth, and each curve's own places and sizes
+        if self.rigid_mm is not None:
+            known_before = int(np.count_nonzero(used >= self.shared - 1))
+        solution = solve(samples, len(used) + priors, known_before + priors, SETTLED if final else ROUGHLY)
+        if solution is None:
+            return None
+        by_edges = known = solution.covariance[: len(used), : len(used)]
+        row, row_shift, row_variance = len(solution.delta) - 1, math.nan, math.nan
+        if final:
+            row_shift, row_variance = float(solution.delta[row]), float(solution.covariance[row, row])
+        if final and (edges.clipped.any() or edges.soft.any()):
+            by_cause = propagate(samples, solution, pairs.rows_of(*self._poor_light(edges, sides, starts)))
+            by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
+            row_variance += float(by_cause[row] @ by_cause[row])
+            known = by_edges
+        if final and self.rig.covariance is not None:
+            space = self.face.to_rig(outline.points)
+            causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
+            by_cause = propagate(samples, solution, causes)
+            row_variance += float(by_cause[row] @ self.rig.covariance @ by_cause[row])
+            by_cause = by_cause[: len(used)]
+            known = known + by_cause @ self.rig.covariance @ by_cause.T
+        delta, covariances = np.zeros(self.unknowns), np.zeros((2, self.unknowns, self.unknowns))
+        delta[used] = solution.delta[: len(used)]
+        for whole, part in zip(covariances, (known, by_edges), strict=True):
+            whole[np.ix_(used, used)] = part
+        return Step(
+            delta,
+            covariances[0],
+            covariances[1],
+            self._motion(sides, delta, starts),
+            ROW_SIGMA_PX * row_shift,
+            ROW_SIGMA_PX * math.sqrt(row_variance),
+            starts,
+            np.stack(
+                [
+                    side.pixels + side.normals * offset[:, None]
+                    for side, offset in zip(sides, edges.offset_px, strict=True)
+                ]
+            ),
+            edges.offset_px,
+            pairs.weights_by_camera(solution.weights),
+            pairs.by_camera(solution.residuals),
+        )
+
+    def _measure(
+        self, outline: Outline, starts: npt.NDArray[np.int64], reach: float, final: bool
+    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], _Edges]:
+        """The present curves in both images, and the edges across them."""
+        counts = np.diff(starts)
+        widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
+        nothing = np.zeros((starts[-1], 0))
+
+        def side(
+            number: int,
+        ) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray, tuple[Flags, Flags]]:
+            seen = project_outline(self.rig, SIDES[number], self.face, outline)
+            image = self.images[number]
+            signs = np.concatenate(
+                [curve.signs_at(number, count) for curve, count in zip(self.curves, counts, strict=True)]
+            )
+            edges = edges_at_widths(image, seen.pixels, seen.normals, reach, signs, widths, fine)
+            for k, curve in enumerate(self.curves):
+                if curve.signs is not None:
+                    rows = slice(starts[k], starts[k + 1])
+                    edges.offset_px[:, rows][:, signs[rows] == 0] = np.nan
+            waves = self._waves(seen, starts) if final else nothing
+            chosen = choose_widths(edges, starts, waves, self.params.min_slope)
+            offsets = chosen.offset_px
+            if final:
+                # blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to
+                # the centre of the bend by blur² x curvature / 2
+                blur2_px2 = np.repeat(chosen.blur2_px2, counts)
+                offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
+            soft = np.repeat(chosen.blur2_px2 >= SOFT_PX**2, counts)
+            return seen, offsets, chosen.base, chosen.bias_px, (edges.clipped, soft)
+
+        # side by side only what takes long enough: handing it over costs as much as a coarse step
+        both = for_both(side) if final else (side(0), side(1))
+        (left, *of_left, poor_left), (right, *of_right, poor_right) = both
+        offsets, base, bias = (np.stack(pair) for pair in zip(of_left, of_right, strict=True))
+        few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
+        base = np.where(np.repeat(few, counts), 0.0, base)
+        return (left, right), _Edges(
+            offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
+        )
+
+    def _poor_light(
+        self,
+        edges: _Edges,
+        sides: tuple[ProjectedOutline, ProjectedOutline],
+        starts: npt.NDArray[np.int64],
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
+
+        A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
+        A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
+        in each camera by itself. Along the rows that is a depth.
+        """
+        towards = -np.repeat([float(curve.polarity) for curve in self.curves], np.diff(starts))
+        left, right = CLIPPED_PX * towards * edges.clipped
+        none = np.zeros(len(towards))
+        soft_left, soft_right = (
+            SOFT_SHIFT_PX * seen.normals[:, 0] * soft for seen, soft in zip(sides, edges.soft, strict=True)
+        )
+        return (
+            np.column_stack([left, CLIPPED_APART * left, soft_left, none]),
+            np.column_stack([right, -CLIPPED_APART * right, none, soft_right]),
+        )
+
+    def _with_row_shift(
+        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]
+    ) -> tuple[FloatArray, FloatArray]:
+        """The designs of both images with a column for a shift of one against the other across the rows.
+
+        No place in space explains such a shift: it is what a knocked camera, or a calibration that is a
+        little wrong, does to all curves alike. Without it every curve would seem displaced by itself. Half of
+        it is each camera's: nobody knows which one has moved.
+        """
+        rig, space = self.rig, self.face.to_rig(outline.points)
+        right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
+        # a row is what one camera shows of a ray of the other
+        on_left = rig.left.project(space + RAY_STEP * (space - right_centre))
+        on_right = rig.right.project(apply(rig.right_from_left, space * (1 + RAY_STEP)))
+        columns = []
+        # both rays run away from each other: what is down in one image is up in the other
+        for seen, beyond in zip(sides, (on_left, on_right), strict=True):
+            along = beyond - seen.pixels
+            with np.errstate(invalid="ignore", divide="ignore"):
+                across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+            columns.append(0.5 * ROW_SIGMA_PX * np.sum(seen.normals * across, axis=1))
+        left, right = (
+            np.column_stack([seen.design, column]) for seen, column in zip(sides, columns, strict=True)
+        )
+        return left, right
+
+    def _shift_basis(
+        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N, A) each: the shapes of systematic shifts in both images."""
+        points, across = self.face.to_rig(outline.points), outline.normals @ self.face.axes[:2]
+        poses = (camera_pose(self.rig, side)[1] for side in SIDES)
+        slant = np.stack([slants(points, across, self.face.normal, pose) for pose in poses])
+        return shift_basis(sides[0].normals, gain, slant)
+
+    def _motion(
+        self,
+        sides: tuple[ProjectedOutline, ProjectedOutline],
+        delta: FloatArray,
+        starts: npt.NDArray[np.int64],
+    ) -> FloatArray:
+        """(K,) farthest that a step of the unknowns moves each curve, px."""
+        by_curve = np.append(delta, 0.0)[self._columns(np.ones(len(self.curves), bool))]
+        by_sample = by_curve.repeat(np.diff(starts), axis=0)
+        moved = np.abs([np.sum(side.design * by_sample, axis=1) for side in sides]).max(axis=0)
+        return np.asarray(np.maximum.reduceat(moved, starts[:-1]))
+
+    def _waves(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+        """(N, 5): what tells a systematic shift from scatter; an edge, of one direction, has half waves."""
+        waves = fourier_basis(seen.normals)
+        for k, curve in enumerate(self.curves):
+            if not curve.closed:
+                waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
+        return waves
+
+    def _curvature(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+        """(N,) of the projected curves, 1 / px."""
+        closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
+        return np.where(closed, curvatures(seen.pixels, seen.normals, starts), 0.0)
+
+    def moved(self, step: Step) -> State | None:
+        """The state after a step; None when it has run away."""
+        plane = step.delta[:PLANE_PARAMETERS]
+        if not np.isfinite(step.delta).all() or np.abs(plane[1:]).max() > MAX_SLOPE:
+            return None
+        if abs(plane[0]) > MAX_RISE * abs(self.face.origin[2]):
+            return None
+        if self.rigid_mm is not None:
+            shift_u, shift_v, turn = step.delta[PLANE_PARAMETERS : self.shared - 1]
+            face = self.face.moved(plane)
+            origin = face.origin + shift_u * face.axes[0] + shift_v * face.axes[1]
+            return replace(self, face=Face(origin, about_z(float(turn)).T @ face.axes))
+        curves, first = [], PLANE_PARAMETERS
+        for curve in self.curves:
+            own = step.delta[first : first + curve.free]
+            first += curve.free
+            away = curve.kind == "circle" and np.abs(own).max() >= RUNAWAY * curve.parameters[2]
+            fresh = None if away else curve.moved(own)
+            if fresh is None and len(self.curves) == 1:
+                return None
+            curves.append(curve if fresh is None else fresh)
+        return replace(self, face=self.face.moved(plane), curves=tuple(curves))
+
+    def result(self, step: Step) -> PlaneFit | None:
+        """What was measured; None for nothing."""
+        kept = step.supported(self.params.min_support)
+        if not kept:
+            return None
+        fits, support = [], step.support()
+        first = np.cumsum([self.shared, *(curve.free for curve in self.curves)])
+        for k in kept:
+            rows = slice(*step.starts[k : k + 2])
+            weights = step.weights[:, rows]
+            curve = self.curves[k]
+            if self.rigid_mm is not None:
+                own = self.rigid_mm * step.delta[first[k] : first[k + 1]]
+                curve = curve.moved(own) or curve
+            with np.errstate(invalid="ignore"):
+                means = np.nansum(step.offsets[:, rows] * weights, axis=1) / weights.sum(axis=1)
+            fits.append(
+                CurveFit(
+                    curve,
+                    support[:, k],
+                    float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
+                    float(means[0] - means[1]),
+                    step.points[:, rows],
+                    weights,
+                )
+            )
+        unknowns = np.concatenate([np.arange(self.shared), *(np.arange(*first[k : k + 2]) for k in kept)])
+        rigid = None
+        if self.rigid_mm is None:
+            lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(self.curves[k].lift() for k in kept)])
+        else:
+            lift = self._rigid_lift(kept)
+            units = np.append(np.ones(self.shared - 1), GROWTH_SIGMA)
+            common = slice(self.shared)
+            rigid = RigidMotion(
+                step.covariance[common, common] * np.outer(units, units),
+                step.edge_covariance[common, common] * np.outer(units, units),
+                GROWTH_SIGMA * float(step.delta[self.shared - 1]),
+            )
+        whole, by_edges = (
+            np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
+            for inner in (step.covariance, step.edge_covariance)
+        )
+        return PlaneFit(self.face, tuple(fits), whole, by_edges, step.row_shift_px, step.row_sigma_px, rigid)
+
+    def _rigid_lift(self, kept: Sequence[int]) -> FloatArray:
+        """(P, U) : plane and parameters of the kept curves by the unknowns of a rigid fit that are theirs."""
+        assert self.rigid_mm is not None
+        own = _block_diagonal([self.rigid_mm * self.curves[k].lift() for k in kept])
+        rows = []
+        for k in kept:
+            curve = self.curves[k]
+            x, y = curve.parameters[:2]
+            moved = np.zeros((len(curve.parameters), RIGID_PARAMETERS))
+            moved[:2] = [[1.0, 0.0, -y, GROWTH_SIGMA * x], [0.0, 1.0, x, GROWTH_SIGMA * y]]
+            if curve.kind != "circle":
+                moved[2, 2] = 1.0
+            sizes = slice(2, 3) if curve.kind == "circle" else slice(3, None)
+            moved[sizes, 3] = GROWTH_SIGMA * curve.parameters[sizes]
+            rows.append(moved)
+        lift = np.zeros((PLANE_PARAMETERS + len(own), self.shared + own.shape[1]))
+        lift[:PLANE_PARAMETERS, :PLANE_PARAMETERS] = np.eye(PLANE_PARAMETERS)
+        lift[PLANE_PARAMETERS:, PLANE_PARAMETERS : self.shared] = np.concatenate(rows)
+        lift[PLANE_PARAMETERS:, self.shared :] = own
+        return lift
+
+
+def _half_waves(count: int) -> FloatArray:
+    """(N, 5): half waves along a curve, each with a mean square of 1."""
+    way = (np.arange(count) + 0.5) / count
+    return np.column_stack(
+        [np.ones(count), *(math.sqrt(2.0) * np.cos(m * np.pi * way) for m in range(1, WAVES))]
+    )
+
+
+def _block_diagonal(blocks: list[FloatArray]) -> FloatArray:
+    result = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
+    row = column = 0
+    for block in blocks:
+        result[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return result

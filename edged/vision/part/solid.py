@@ -1,0 +1,304 @@
+"""Thick parts and parts of several heights: measured from where the whole part was locked as a rigid one.
+
+Walls, edge breaks and shadows give a curve a second edge beside it, over some of its length, and turn its
+contrast round over other. So each stretch of each curve is looked at from the locked pose, in each camera by
+itself: which sign its edge has, and whether it has a rival. Where the picture does not tell which of two is
+meant, that stretch is not measured.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain import SIDES, FloatArray, Reject, Target
+from edged.vision.curves.curvefit import FitParams, PlaneFit
+from edged.vision.curves.outlineprojection import project_outline
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import fit_plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.circles import rival_turns
+from edged.vision.part.consistency import distance_share
+from edged.vision.part.frames import circles_in_rig, with_features
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.pose import edge_curve, slot_curve
+from edged.vision.part.prediction import match_in_raw, poses_of_match
+from edged.vision.part.rigidlock import (
+    AGREE_PX,
+    ALONG_PX,
+    SPACING_PX,
+    Lock,
+    candidates,
+    glance,
+    lock,
+    spread,
+)
+from edged.vision.part.sizes import measure_sizes
+from edged.vision.shape.search import ShapeMatch
+
+STRETCHES = 48
+"""Of a curve, each of which has a sign of its own."""
+RIVAL_PX = 4.5
+"""A second edge nearer than this displaces the first one, whatever the operator."""
+REACH_PX = 8.0
+ENOUGH = 0.4
+"""Of a curve without rivals: the rest is not needed, and the curve can be measured by itself."""
+LIKE = 0.1
+"""Share of their length by which two edges may differ and yet be taken for each other."""
+MAX_RIVALS = 16
+ASIDE = 0.2
+"""Of the part's size: by so much a turn may shift its middle."""
+SAME_TURN = math.radians(3.0)
+MIN_MARGIN = 0.012
+"""Share of all curves by which one turn must agree better than every other: an odd hole is about 0.04."""
+MIN_SHARE, LEAST_SHARE = 0.58, 0.4
+"""Of all curves, that the cameras must agree with in the mean, and each; at a wrong pose it is about 0.5."""
+GOOD_SHARE = 0.75
+"""Of a start that both cameras agree with this much there is no better one."""
+RIVAL_SHARE = 0.25
+"""Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
+MIN_FOUND = 0.5
+"""Of all curves: with fewer it is another part, or most of it is hidden."""
+POOR_SHARE = 0.35
+"""With less no other turn of the part is tried."""
+PARAMS = FitParams(reach_px=(1.5,), min_support=0.15)
+ALONE_PARAMS = FitParams(reach_px=(2.0,), min_support=0.5)
+OUTLINE_POINTS = 24
+RIGID_PX = 0.08
+"""What a feature's taught place and size are worth: another light and view had moved its edges so far."""
+
+
+def curves_of(job: Job) -> list[Curve]:
+    """All features of a job as curves of its part frame, either sign."""
+    circles = [
+        Curve(
+            one.name,
+            "circle",
+            np.append(one.centre_mm[:2], one.radius_mm),
+            0,
+            height_mm=float(one.centre_mm[2]),
+        )
+        for one in job.circles
+    ]
+    return [
+        *circles,
+        *(edge_curve(edge, True) for edge in job.edges),
+        *(slot_curve(slot, True) for slot in job.slots),
+    ]
+
+
+def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+    """Measure a found part as one rigid whole; the reason when that is not possible.
+
+    Its pose comes from all curves together. Its sizes do not: each curve that has enough edges without rivals
+    is measured again, free, and the others are not measured.
+    """
+    locked = best_lock(images, job, match)
+    if locked is None:
+        return Reject.LEFT_RIGHT_MISMATCH
+    best, margin = locked
+    whole = fitted(images, job, best.pose)
+    if whole is None or whole.fit.rigid is None:
+        return Reject.FEW_EDGES
+    fit, rigid = whole.fit, whole.fit.rigid
+    target = target_of(images.rectification, job, match, fit)
+    reject = Reject.NONE
+    if margin < MIN_MARGIN or (match.ambiguous and not _rival_motions(job)):
+        reject |= Reject.AMBIGUOUS_ROTATION
+    if len(fit.fits) < MIN_FOUND * len(whole.curves):
+        reject |= Reject.FEW_EDGES
+    alone = whole.alone(images)
+    if alone is not None:
+        target = replace(target, circles=tuple(one.circle for one in circles_in_rig(alone)))
+        target = with_features(target, job, alone)
+    target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
+    by_edges = fit.by_edges() if job.calibration_id == images.rig.calibration_id else fit
+    assert by_edges.rigid is not None
+    place = target_of(images.rectification, job, match, by_edges)
+    evidence = Evidence(
+        _support(job, fit, best),
+        float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
+        fit.row_shift_px,
+        fit.row_sigma_px,
+        rigid.growth,
+        math.hypot(
+            math.sqrt(max(float(by_edges.rigid.covariance[6, 6]), 0.0)),
+            distance_share(place.position_mm, place.covariance[:3, :3]),
+        ),
+    )
+    return Measured(target, evidence, fit.fits)
+
+
+def _support(job: Job, fit: PlaneFit, locked: Lock) -> float:
+    """Share of the reference that the camera which sees less of it shows; of a corner, of all curves."""
+    if job.kind_of(job.reference) not in ("circle", "slot"):
+        return locked.share
+    reference = fit.fit_of(job.reference)
+    return 0.0 if reference is None else reference.least_support
+
+
+def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
+    """The pose that most of the part agrees with, and by which share more than with any other turn."""
+    curves = curves_of(job)
+    found: list[Lock] = []
+    for pose in _starts(images, job, match):
+        one = lock(images, curves, pose)
+        if one is not None:
+            found.append(one)
+            if one.share >= GOOD_SHARE:
+                break
+    best = max(found, key=lambda one: float(one.agreeing.sum()), default=None)
+    if best is None or best.share < POOR_SHARE:
+        return None
+    for motion in _rival_motions(job):
+        turned = best.pose @ motion
+        if glance(images, curves, turned) > float(best.agreeing.mean()) - RIVAL_SHARE:
+            one = lock(images, curves, turned, near=True)
+            found += [] if one is None else [one]
+    found.sort(key=lambda one: -float(one.agreeing.sum()))
+    best = found[0]
+    if best.share < LEAST_SHARE or float(best.agreeing.mean()) < MIN_SHARE:
+        return None
+    other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
+    return best, 1.0 if other is None else float(best.agreeing.mean() - other.agreeing.mean())
+
+
+def _rival_motions(job: Job) -> list[FloatArray]:
+    """Motions (4, 4) in the face that lay one feature of the part on the place of another one like it.
+
+    Those about its middle, more or less: beside it lies the next part.
+    """
+    places = np.array([curve.parameters[:2] for curve in curves_of(job)])
+    middle = np.append(0.5 * (places.min(axis=0) + places.max(axis=0)), 0.0)
+    aside_mm = ASIDE * float(np.linalg.norm(np.ptp(places, axis=0)))
+    motions = []
+    if job.circles:
+        centre = job.place_of(job.reference)
+        motions = [_about(turn, centre, centre) for turn in rival_turns(job)]
+    for one, other in itertools.product(job.edges, job.edges):
+        if abs(one.length_mm - other.length_mm) > LIKE * one.length_mm:
+            continue
+        turn = other.angle_rad - one.angle_rad
+        middles = 0.5 * (one.start_mm + one.end_mm), 0.5 * (other.start_mm + other.end_mm)
+        for half in (0.0, math.pi):
+            if abs(wrapped(turn + half)) > SAME_TURN:
+                motions.append(_about(turn + half, *middles))
+    near = [one for one in motions if float(np.linalg.norm(apply(one, middle) - middle)) <= aside_mm]
+    return near[:MAX_RIVALS]
+
+
+def _about(turn: float, source: FloatArray, to: FloatArray) -> FloatArray:
+    """The motion (4, 4) in the face that turns and lays one point on another."""
+    rotation = about_z(turn)
+    return transform(rotation, to - rotation @ source)
+
+
+def _turn_between(one: Lock, two: Lock) -> float:
+    between = one.pose[:3, :3].T @ two.pose[:3, :3]
+    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(between)) - 1.0))))
+
+
+def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> list[FloatArray]:
+    """Likely poses rig_from_part (4, 4) by the match alone."""
+    share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
+    level = float(job.place_of(job.reference)[2])
+    rings = [c.outline(share).points for c in curves_of(job) if abs(c.height_mm - level) < 0.2]
+    flat = np.concatenate(rings)
+    flat[:, 2] = 0.0
+    return poses_of_match(images, job, match, np.ascontiguousarray(flat))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Whole:
+    """All curves of a part fitted as one.
+
+    curves : with their signs.  clear : names of those of which enough has no rival.
+    """
+
+    fit: PlaneFit
+    curves: tuple[Curve, ...]
+    clear: frozenset[str]
+
+    def alone(self, images: StereoImages) -> PlaneFit | None:
+        """The curves that can be measured by themselves, each free; None where there is none."""
+        curves = [curve for curve in self.curves if curve.name in self.clear]
+        if not curves:
+            return None
+        return fit_plane(images.rig, images.raw, self.fit.face, curves, ALONE_PARAMS)
+
+
+def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
+    """All curves of the part measured together from a locked pose rig_from_part (4, 4)."""
+    curves, clear = _with_signs(images, curves_of(job), pose)
+    face = Face(pose[:3, 3], pose[:3, :3].T)
+    rigid_mm = RIGID_PX * float(pose[2, 3]) / images.rig.left.fx
+    fit = fit_plane(images.rig, images.raw, face, curves, PARAMS, rigid_mm=rigid_mm)
+    return None if fit is None else _Whole(fit, tuple(curves), clear)
+
+
+def _with_signs(
+    images: StereoImages, curves: Sequence[Curve], pose: FloatArray
+) -> tuple[list[Curve], frozenset[str]]:
+    """The curves with the sign of each stretch as both images show it at a pose rig_from_part (4, 4).
+
+    And the names of those with enough stretches that have no rival in either image: only these are used.
+    """
+    outline, starts = spread(images, curves, pose, SPACING_PX)
+    face = Face(pose[:3, 3], pose[:3, :3].T)
+    signs = np.zeros((len(curves), 2, STRETCHES), np.int64)
+    lone = np.zeros((len(curves), 2, STRETCHES), bool)
+    for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
+        seen = project_outline(images.rig, name, face, outline)
+        edges = candidates(image, seen, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
+        away = np.nan_to_num(np.abs(edges.offset_px), nan=np.inf)
+        own, rows = away.argmin(axis=1), np.arange(len(away))
+        sign = np.where(away[rows, own] < 2 * AGREE_PX, np.sign(edges.slope[rows, own]), 0.0)
+        gap = np.abs(edges.offset_px - edges.offset_px[rows, own][:, None])
+        gap[rows, own] = np.inf
+        single = ~(np.nan_to_num(gap, nan=np.inf) < RIVAL_PX).any(axis=1)
+        for k in range(len(curves)):
+            rows_of = slice(starts[k], starts[k + 1])
+            count = starts[k + 1] - starts[k]
+            stretch = ((np.arange(count) + 0.5) / count * STRETCHES).astype(np.int64)
+            many = np.bincount(stretch, minlength=STRETCHES)
+            total = np.bincount(stretch, sign[rows_of], STRETCHES)
+            signs[k, side] = np.where(np.abs(total) > 0.5 * many, np.sign(total), 0)
+            lone[k, side] = np.bincount(stretch, single[rows_of], STRETCHES) > 0.5 * many
+    lone &= signs != 0
+    found, clear = [], set()
+    for k, curve in enumerate(curves):
+        enough = lone[k].mean(axis=1) >= ENOUGH
+        mine = np.where(lone[k] | ~enough[:, None], signs[k], 0)
+        if enough.all():
+            clear.add(curve.name)
+        found.append(replace(curve, signs=mine, polarity=1 if mine.sum() >= 0 else -1))
+    return found, frozenset(clear)
+
+
+def target_of(rectification: Rectification, job: Job, match: ShapeMatch, fit: PlaneFit) -> Target:
+    """The part where a rigid fit puts it."""
+    assert fit.rigid is not None
+    face = fit.face
+    u, v, n = face.axes
+    x, y, z = job.place_of(job.reference)
+    lift = np.zeros((6, 7))  # by height, slopes, shift, turn, growth
+    lift[:3, 0] = n
+    lift[:3, 1], lift[:3, 2] = x * n - z * u, y * n - z * v
+    lift[:3, 3], lift[:3, 4], lift[:3, 5] = u, v, x * v - y * u
+    lift[:3, 6] = x * u + y * v
+    lift[3:, 1], lift[3:, 2], lift[3:, 5] = -v, u, n
+    return Target(
+        job=job.name,
+        match=match_in_raw(rectification, match),
+        rig_from_part=transform(face.axes.T, face.to_rig(np.array([[x, y, z]]))[0]),
+        covariance=lift @ fit.rigid.covariance @ lift.T,
+        circles=(),
+        epipolar_rms_px=math.nan,
+    )

@@ -1,0 +1,390 @@
+"""Parts of several heights, from one stereo pair: circles and edges on faces that are parallel to each other.
+
+Each circle is measured by itself, at its own distance. Those of one face then say together how it is turned
+better than any one of them, and all faces of the part are turned alike. The face that shows most edges is the
+one that the search looks for; the rest is measured with it, as one rigid part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray, Image
+from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import fit_circle, fit_plane
+from edged.vision.edges.contours import find_contours
+from edged.vision.edges.ellipses import ImageEllipse
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rigid import apply, invert, transform, unit, wrapped
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
+from edged.vision.part.initialplane import find_plane
+from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
+from edged.vision.part.pose import edge_curve, slot_curve
+from edged.vision.teaching.background import agreeing_with
+from edged.vision.teaching.features import FoundFeatures, TeachingView, find_features, part_frame
+
+APART_MM = 0.3
+"""Faces less far apart are one; edge breaks are smaller, too."""
+BREAK_MM = 1.0
+"""Two edges of one curve that differ by less in radius and height are those of a chamfer: one feature."""
+REACH = 1.5
+"""How far from the face other faces may be, in shares of the part's size."""
+MARGIN = 0.3
+"""How far beyond the outline of the part's edges a feature may lie, in shares of its size."""
+DOMINANT = 1.2
+"""By so much more edges another face must show than the reference circle's, to be searched for instead."""
+CIRCLE_PARAMS = FitParams(reach_px=(4.0, 3.0, 2.0))
+SAME_LINE_PX = 4.0
+BAND_PX = 15
+OUTLINE_POINTS = 200
+TOGETHER_PARAMS = FitParams(reach_px=(2.0,), min_support=0.5)
+ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """The circles of a part of several heights, in space, and the direction (3,) that all its faces have.
+
+    heights_mm : of the circles along the normal, those of one face equal.
+    """
+
+    circles: tuple[FoundCircle, ...]
+    normal: FloatArray
+    heights_mm: FloatArray
+
+    @property
+    def faces_mm(self) -> list[float]:
+        """The heights of the faces, nearest to the cameras first."""
+        return sorted({float(height) for height in self.heights_mm}, reverse=True)
+
+
+def find_levels(
+    images: StereoImages,
+    ellipses: Sequence[ImageEllipse],
+    face: Plane,
+    depth_mm: tuple[float, float],
+    is_clear: Callable[[CurveFit], bool],
+) -> Levels | None:
+    """Circles on several heights; None where all that are seen lie in one face.
+
+    face : of the largest one.  depth_mm : range of the rectified depth.
+    """
+    found: list[FoundCircle] = []
+    for ellipse in ellipses:
+        one = _measured(images, ellipse, face.normal, depth_mm)
+        if one is not None and is_clear(one.fit):
+            found.append(one)
+    found = _without_breaks(found, face.normal)
+    if not found:
+        return None
+    normal, heights = _turned_alike(found, face.normal)
+    if float(np.ptp(heights)) < APART_MM:
+        return None
+    again = [_anew(images, one, normal) for one in found]
+    kept = [one for one in again if one is not None]
+    normal, heights = _turned_alike(kept, normal)
+    return Levels(tuple(kept), normal, heights)
+
+
+def _measured(
+    images: StereoImages, ellipse: ImageEllipse, normal: FloatArray, depth_mm: tuple[float, float]
+) -> FoundCircle | None:
+    """One circle at its own distance."""
+    points, normals = ellipse.outline(240)
+    plane = find_plane(images, points, normals, ellipse.polarity, depth_mm)
+    if plane is None:
+        return None
+    middle = plane.meet(images.rays("left", points.mean(axis=0, keepdims=True)))[0]
+    if not np.isfinite(middle).all() or middle[2] <= 0:
+        return None
+    parallel = Plane(normal, float(normal @ middle))
+    ring = parallel.meet(images.rays("left", points))
+    if not np.isfinite(ring).all():
+        return None
+    centre = ring.mean(axis=0)
+    radius = float(np.linalg.norm(ring - centre, axis=1).mean())
+    fit = fit_circle(
+        images.rig, images.raw, centre, normal, radius, ellipse.polarity, CIRCLE_PARAMS, fixed_normal=True
+    )
+    return None if fit is None else circle_in_rig(fit, "circle")
+
+
+def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCircle | None:
+    """The same circle, with a better normal."""
+    circle = one.circle
+    fit = fit_circle(
+        images.rig,
+        images.raw,
+        circle.centre_mm,
+        normal,
+        circle.radius_mm,
+        one.fit.curve.polarity,
+        TOGETHER_PARAMS,
+        fixed_normal=True,
+    )
+    return None if fit is None else circle_in_rig(fit, "circle")
+
+
+def _without_breaks(found: Sequence[FoundCircle], normal: FloatArray) -> list[FoundCircle]:
+    """Of the two edges of a chamfer, and of what was found twice, the one nearer to the cameras."""
+    kept: list[FoundCircle] = []
+    for one in sorted(found, key=lambda one: -float(normal @ one.circle.centre_mm)):
+        if not any(_same(one, other, normal) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _same(one: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
+    gap = one.circle.centre_mm - other.circle.centre_mm
+    height = abs(float(normal @ gap))
+    aside = float(np.linalg.norm(gap - (normal @ gap) * normal))
+    apart = abs(one.circle.radius_mm - other.circle.radius_mm)
+    return (
+        aside < APART_MM
+        and height < BREAK_MM
+        and apart < BREAK_MM
+        and (height > 0.5 * apart or apart < APART_MM)
+    )
+
+
+def _turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The common normal (3,) of all faces, and the height of each circle's face along it."""
+    centres = np.array([one.circle.centre_mm for one in found])
+    sizes = np.array([one.circle.radius_mm for one in found])
+    heights = centres @ normal
+    for _ in range(ROUNDS):
+        faces = _grouped(centres @ normal)
+        normal = _tilted(centres, sizes, faces, normal)
+        along = centres @ normal
+        heights = np.array([np.average(along[faces == face]) for face in faces])
+    return normal, heights
+
+
+def _grouped(heights_mm: FloatArray) -> npt.NDArray[np.int64]:
+    """(N,) number of the face of each circle."""
+    order = np.argsort(heights_mm)
+    steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > APART_MM)])
+    faces = np.empty(len(heights_mm), np.int64)
+    faces[order] = steps
+    return faces
+
+
+def _tilted(
+    centres: FloatArray, sizes: FloatArray, faces: npt.NDArray[np.int64], normal: FloatArray
+) -> FloatArray:
+    """The normal under which the circles of each face lie level, held where only few say so.
+
+    A circle by itself knows its normal, too: about as if it were four points on its rim.
+    """
+    frame = part_frame(normal, centres.mean(axis=0))
+    x, y, z = ((centres - frame[:3, 3]) @ frame[:3, :3]).T
+    rows, values = [], []
+    for face in np.unique(faces):
+        mine = faces == face
+        rows += list(np.column_stack([x[mine] - x[mine].mean(), y[mine] - y[mine].mean()]))
+        values += list(z[mine] - z[mine].mean())
+    largest = 0.5 * float(sizes.max())
+    design, wanted = np.array([*rows, [largest, 0.0], [0.0, largest]]), np.array([*values, 0.0, 0.0])
+    slope = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    return unit(normal + frame[:3, :2] @ slope)
+
+
+# --- features of all faces -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolidFeatures:
+    """What a part of several heights consists of.
+
+    rig_from_part (4, 4) : its origin in the centre of the reference circle, z = 0 the face that is searched
+    for.  fits : circles, reference first, then by falling radius; edges and slots, those of that face first.
+    found : edges, slots and corners as features.
+    """
+
+    rig_from_part: FloatArray
+    circles: tuple[FoundCircle, ...]
+    found: FoundFeatures
+
+
+def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
+    """Edges and slots of all faces beside the circles, measured together; None where they do not fit."""
+    main_mm = dominant_face(view, levels)
+    order = sorted(
+        range(len(levels.circles)),
+        key=lambda k: (levels.heights_mm[k] != main_mm, -round(levels.circles[k].circle.radius_mm, 1)),
+    )
+    reference = levels.circles[order[0]].circle
+    above = main_mm - float(levels.normal @ reference.centre_mm)
+    frame = part_frame(levels.normal, reference.centre_mm + above * levels.normal)
+    circles = [
+        _laid(levels.circles[k], frame, f"c{n}", main_mm - float(levels.heights_mm[k]))
+        for n, k in enumerate(order)
+    ]
+    by_face = []
+    for face_mm in (main_mm, *(face for face in levels.faces_mm if face != main_mm)):
+        down = transform(np.eye(3), np.array([0.0, 0.0, main_mm - face_mm]))
+        same = [replace(one, height_mm=0.0) for one in circles if one.height_mm == main_mm - face_mm]
+        found, pose = find_features(view, frame @ down, same)
+        by_face.append(_carried(found, invert(frame) @ pose, main_mm - face_mm))
+    found = _merged(view, frame, by_face)
+    curves = [*circles, *(edge_curve(edge, True) for edge in found.edges)]
+    curves += [slot_curve(slot, True) for slot in found.slots]
+    images, face = view.images, Face(frame[:3, 3], frame[:3, :3].T)
+    fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
+    if fit is None or fit.fit_of("c0") is None:
+        return None
+    return _as_features(fit, found)
+
+
+def main_face_mask(view: TeachingView, solid: SolidFeatures) -> Image:
+    """(h, w) uint8: the rectified left image about the features of the face that is searched for.
+
+    Edges of other heights would lie elsewhere as soon as the part does.
+    """
+    into_part = invert(solid.rig_from_part)
+    curves = []
+    for one in solid.circles:
+        x, y, z = apply(into_part, one.circle.centre_mm)
+        parameters = np.array([x, y, one.circle.radius_mm])
+        curves.append(Curve(one.circle.name, "circle", parameters, 0, height_mm=float(z)))
+    curves += [edge_curve(edge, True) for edge in solid.found.edges]
+    curves += [slot_curve(slot, True) for slot in solid.found.slots]
+    face = Face(solid.rig_from_part[:3, 3], solid.rig_from_part[:3, :3].T)
+    mask = np.zeros_like(view.mask)
+    for curve in curves:
+        if abs(curve.height_mm) > APART_MM:
+            continue
+        line = curve.outline(np.linspace(0.0, 1.0, OUTLINE_POINTS)).points
+        raw = view.images.rig.left.project(face.to_rig(line))
+        pixels = np.rint(view.images.rectification.rectify_points("left", raw)).astype(np.int32)
+        cv2.polylines(mask, [pixels], curve.closed, 255, BAND_PX)
+    return np.asarray(np.minimum(mask, view.mask))
+
+
+def dominant_face(view: TeachingView, levels: Levels) -> float:
+    """The height of the face in which most of the edges lie that both cameras see."""
+    contours = find_contours(view.images.rectified_left, view.mask)
+    seen = {}
+    for face_mm in levels.faces_mm:
+        plane = Plane(levels.normal, face_mm)
+        seen[face_mm] = sum(np.count_nonzero(agreeing_with(view, plane, contour)) for contour in contours)
+    largest = max(range(len(levels.circles)), key=lambda k: levels.circles[k].circle.radius_mm)
+    own = float(levels.heights_mm[largest])
+    most = max(seen, key=lambda face_mm: seen[face_mm])
+    return most if seen[most] > DOMINANT * seen[own] else own
+
+
+def _laid(one: FoundCircle, frame: FloatArray, name: str, height_mm: float) -> Curve:
+    """A circle as a curve of the part's frame (4, 4), at the height of its face."""
+    x, y, _ = apply(invert(frame), one.circle.centre_mm)
+    parameters = np.array([x, y, one.circle.radius_mm])
+    return Curve(name, "circle", parameters, one.fit.curve.polarity, height_mm=height_mm)
+
+
+def _carried(found: FoundFeatures, part_from_face: FloatArray, height_mm: float) -> FoundFeatures:
+    """Features of one face in the part's frame, at the height of that face."""
+
+    def place(point: FloatArray) -> FloatArray:
+        x, y, _ = apply(part_from_face, point)
+        return np.array([x, y, height_mm])
+
+    turn = math.atan2(part_from_face[1, 0], part_from_face[0, 0])
+    return replace(
+        found,
+        edges=tuple(replace(e, start_mm=place(e.start_mm), end_mm=place(e.end_mm)) for e in found.edges),
+        slots=tuple(
+            replace(s, centre_mm=place(s.centre_mm), angle_rad=s.angle_rad + turn) for s in found.slots
+        ),
+    )
+
+
+def _merged(view: TeachingView, frame: FloatArray, by_face: Sequence[FoundFeatures]) -> FoundFeatures:
+    """The features of all faces under one list of names.
+
+    An edge along the rows fits any face. It belongs to the one in which it meets most other edges; where that
+    does not tell, it is left out.
+    """
+    seen = [[_in_picture(view, frame, edge) for edge in found.edges] for found in by_face]
+    meets = [[sum(edge.name in corner.edges for corner in found.corners) for edge in found.edges]
+             for found in by_face]  # fmt: skip
+    edges: list[EdgeFeature] = []
+    slots: list[SlotFeature] = []
+    corners: list[CornerFeature] = []
+    for f, found in enumerate(by_face):
+        names = {}
+        for k, edge in enumerate(found.edges):
+            rivals = [
+                meets[g][m]
+                for g in range(len(by_face))
+                for m in range(len(seen[g]))
+                if g != f and _one_line(seen[f][k], seen[g][m])
+            ]
+            if not rivals or meets[f][k] > max(rivals):
+                names[edge.name] = f"e{len(edges)}"
+                edges.append(replace(edge, name=names[edge.name]))
+        slots += [replace(slot, name=f"s{len(slots) + n}") for n, slot in enumerate(found.slots)]
+        corners += [
+            replace(
+                corner, name=f"k{len(corners) + n}", edges=(names[corner.edges[0]], names[corner.edges[1]])
+            )
+            for n, corner in enumerate(c for c in found.corners if all(e in names for e in c.edges))
+        ]
+    return FoundFeatures(tuple(edges), tuple(slots), tuple(corners))
+
+
+def _in_picture(view: TeachingView, frame: FloatArray, edge: EdgeFeature) -> FloatArray:
+    """(2, 2) both ends of an edge in the rectified left image."""
+    ends = apply(frame, np.stack([edge.start_mm, edge.end_mm]))
+    return view.images.rectification.rectify_points("left", view.images.rig.left.project(ends))
+
+
+def _one_line(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two edges are the same line in the picture, along some of their length."""
+    along = other[1] - other[0]
+    length = float(np.linalg.norm(along))
+    along = along / length
+    gaps = one - other[0]
+    across = np.abs(gaps[:, 0] * along[1] - gaps[:, 1] * along[0])
+    places = gaps @ along
+    return bool(across.max() < SAME_LINE_PX and places.max() > 0 and places.min() < length)
+
+
+def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:
+    """The fitted curves as features of a frame in the centre of the reference circle."""
+    circles = circles_in_rig(fit)
+    origin = fit.face.to_rig(np.append(fit.fits[0].curve.parameters[:2], 0.0)[None])[0]
+    shift = -np.append(fit.fits[0].curve.parameters[:2], 0.0)
+    curves = {one.name: one.curve for one in fit.fits}
+    edges, slots = [], []
+    for edge in found.edges:
+        if edge.name in curves:
+            curve = curves[edge.name]
+            middle = np.array([*curve.parameters[:2], curve.height_mm])
+            half = 0.5 * curve.length_mm * np.append(curve.direction, 0.0)
+            edges.append(replace(edge, start_mm=middle - half, end_mm=middle + half, polarity=curve.polarity))
+    for slot in found.slots:
+        if slot.name in curves:
+            x, y, angle, length, width = curves[slot.name].parameters
+            centre = np.array([x, y, curves[slot.name].height_mm])
+            slots.append(
+                replace(
+                    slot,
+                    centre_mm=centre,
+                    angle_rad=wrapped(float(angle), math.pi),
+                    length_mm=float(length),
+                    width_mm=float(width),
+                    polarity=curves[slot.name].polarity,
+                )
+            )
+    kept = {edge.name for edge in edges}
+    corners = tuple(corner for corner in found.corners if kept.issuperset(corner.edges))
+    features = FoundFeatures(tuple(edges), tuple(slots), corners).moved(shift)
+    return SolidFeatures(transform(fit.face.axes.T, origin), tuple(circles), features)

@@ -1,0 +1,158 @@
+"""Thick parts and parts of several heights: taught from one pair, measured as one rigid whole."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from flatparts import METAL, only
+from tilted import BELOW_MM, lying, stacked
+
+from edged.domain import FloatArray, Image, Outcome, Reject, Target
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.vision.geometry.rigid import apply, invert
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+STEP_MM = 4.0
+REFERENCE_MM = (10.0, -6.0)
+PLATE = Part(
+    "plate",
+    Polygon(((-14, -10), (14, -10), (14, 1), (2, 1), (2, 10), (-14, 10))),
+    METAL,
+    (
+        Hole("a", Disc(*REFERENCE_MM, 2.2)),
+        Hole("b", Disc(-10, 6, 1.6)),
+        Hole("c", Disc(-2, 6.5, 1.8)),
+        Hole("through", Disc(-6, -3, 2.3)),
+    ),
+)
+BOSS = Part("boss", Disc(-6, -3, 4.5), replace(METAL, seed=5), (Hole("bore", Disc(-6, -3, 2.0)),))
+DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
+
+
+def block(where: FloatArray, wall: Surface = DARK, boss: Part = BOSS) -> Scene:
+    """A plate 6 mm thick with a boss on it, bored through."""
+    layers = [*stacked(PLATE, where, 6.0, wall), *stacked(boss, where @ up(STEP_MM), STEP_MM, wall)]
+    return Scene(table(), tuple(layers))
+
+
+def up(height_mm: float) -> FloatArray:
+    """(4, 4) from a face of the part to one that lies so much nearer to the cameras."""
+    moved = np.eye(4)
+    moved[2, 3] = -height_mm
+    return moved
+
+
+def table() -> Table:
+    """Below every tilted part."""
+    return Table(TEXTURED, pose((8.0, 0.0, 205.0 + BELOW_MM)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """The block as it was taught."""
+
+    rig: PreparedRig
+    job: Job
+    part_from_job: FloatArray
+
+    def see(self, world: Scene, seed: int = 7) -> Outcome:
+        """What comes of a scene."""
+        job = replace(self.job, tilt_rad=math.radians(45.0))
+        left, right = pictures(self.rig.rig, world, seed)
+        return locate(frame_pair(left, right), job, self.rig)
+
+
+@functools.cache
+def taught() -> Taught:
+    """One job for all tests of a process."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    job = teach(*_pair(rig, block(where)), rig.rectification, None, "block")
+    return Taught(rig, job, invert(where) @ job.rig_from_part)
+
+
+def _pair(rig: PreparedRig, world: Scene) -> tuple[Image, Image]:
+    return pictures(rig.rig, world, 1)
+
+
+def error_mm(target: Target, where: FloatArray) -> FloatArray:
+    """Measured minus true place of the reference, the hole "a"."""
+    return target.position_mm - apply(where, np.array([*REFERENCE_MM, 0.0]))
+
+
+def test_teaching_finds_both_faces() -> None:
+    """Each circle is taught at its own height; the face with most edges is the one that z = 0 lies in."""
+    here = taught()
+    found = {
+        (round(float(circle.radius_mm), 1), round(float(apply(here.part_from_job, circle.centre_mm)[2]), 1))
+        for circle in here.job.circles
+    }
+    assert here.job.solid
+    assert found == {(2.2, 0.0), (1.6, 0.0), (1.8, 0.0), (2.0, -STEP_MM)}
+    assert abs(float(here.part_from_job[2, 3])) < 0.02
+    assert len(here.job.edges) >= 4
+
+
+@pytest.mark.parametrize(("tilt_deg", "side_deg", "turn_deg"), [
+    (0.0, 0.0, 120.0), (20.0, 80.0, 250.0), (35.0, 170.0, 40.0), (45.0, 260.0, 160.0), (45.0, 20.0, 300.0),
+])  # fmt: skip
+def test_a_block_is_measured_to_every_side(tilt_deg: float, side_deg: float, turn_deg: float) -> None:
+    """Within 20 µm and four sigmas on pixels of twice the size, normal within 0.1°, and not turned."""
+    here = taught()
+    where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
+    target = only(here.see(block(where)))
+    error = error_mm(target, where)
+    between = (where @ here.part_from_job)[:3, :3].T @ target.rig_from_part[:3, :3]
+    assert target.reject is Reject.NONE
+    assert np.abs(error).max() < 0.02
+    assert (np.abs(error) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
+    assert math.degrees(math.acos(min(1.0, float(target.rig_from_part[:3, 2] @ where[:3, 2])))) < 0.1
+    assert abs(math.degrees(math.atan2(between[1, 0], between[0, 0]))) < 0.1
+
+
+@pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0)])
+def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
+    """Dark or nearly as bright as the face: as right as ever. Just as bright: no result is good."""
+    here = taught()
+    where = lying(here.rig.rig, 30.0, 100.0, 70.0)
+    wall = Surface(albedo=albedo, contrast=0.1, feature_mm=0.5, seed=3)
+    good = [one for one in here.see(block(where, wall)).targets if one.reject is Reject.NONE]
+    assert len(good) == found
+    for target in good:
+        assert (np.abs(error_mm(target, where)) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
+
+
+def test_sizes_are_measured_not_taken_from_teaching() -> None:
+    """A bore that is 0.12 mm larger than taught is reported as large as it is."""
+    here = taught()
+    where = lying(here.rig.rig, 15.0, 40.0, 30.0)
+    larger = replace(BOSS, holes=(Hole("bore", Disc(-6, -3, 2.12)),))
+    target = only(here.see(block(where, boss=larger)))
+    bore = min(here.job.circles, key=lambda circle: abs(circle.radius_mm - 2.0))
+    seen = {circle.name: circle for circle in target.circles}[bore.name]
+    assert seen.radius_mm == pytest.approx(2.12, abs=0.02)
+
+
+def test_a_flat_job_is_not_solid() -> None:
+    """A plate without a boss is measured as it always was."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    layers = stacked(PLATE, where, 6.0, DARK)
+    job = teach(*_pair(rig, Scene(table(), tuple(layers))), rig.rectification, None, "plate")
+    assert not job.solid
+
+
+def test_another_part_is_not_taken_for_the_block() -> None:
+    """Of a plate without its boss no good result is given: half of what is asked for is not there."""
+    here = taught()
+    where = lying(here.rig.rig, 10.0, 40.0, 30.0)
+    turned = replace(PLATE, holes=(Hole("a", Disc(10, -6, 1.2)), Hole("d", Disc(-9, -4, 2.5))))
+    world = Scene(table(), tuple(stacked(turned, where, 6.0, DARK)))
+    assert [one for one in here.see(world).targets if one.reject is Reject.NONE] == []

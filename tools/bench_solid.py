@@ -1,0 +1,213 @@
+#!/usr/bin/env python3
+"""Measure how thick parts of several heights are found and measured, on rendered scenes with exact truth.
+
+    tools/bench solid DATASET [--tilt DEGREES] [--only NAME] [--overlays DIR] [--json]
+
+DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
+Each part is taught from its pair; of a scene, the motion from the taught to the found pose is compared with
+the true one, at the job's reference point. Good is a target that is accepted and right; wrong is one that is
+accepted and off by more than 0.1 mm, or turned by more than 3 degrees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+from cells import frame_pair
+from table3 import true_rig
+
+from edged.domain import FloatArray, Image, Outcome, Reject
+from edged.errors import EdgedError
+from edged.files.images import load_image
+from edged.pictures.overlay import draw_pair
+from edged.pipeline import PreparedRig, inspect, judge, prepare
+from edged.vision.geometry.rigid import apply, invert, transform
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+DEPTH_SHARE = 0.22
+"""By so much nearer and farther than at teaching parts lie in these scenes: a range as a person sets it."""
+WRONG_MM, WRONG_DEG = 0.1, 3.0
+NEAR_MM = 5.0
+"""A target nearer to a true part than this is meant to be it."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a scene shows of a part that is taught, and what came of it; lengths in µm, angles in degrees."""
+
+    scene: str
+    design: str
+    tilt_deg: float
+    verdict: str
+    error_um: FloatArray
+    normal_deg: float
+    turn_deg: float
+    chi2: float
+    circles: int
+
+    def to_json(self) -> dict[str, Any]:
+        """As one line of the table."""
+        found = bool(np.isfinite(self.error_um).all())
+        return {
+            "scene": self.scene,
+            "part": self.design,
+            "tilt_deg": self.tilt_deg,
+            "verdict": self.verdict,
+            "error_um": [round(float(value), 1) for value in self.error_um] if found else None,
+            "normal_deg": round(self.normal_deg, 4) if found else None,
+            "turn_deg": round(self.turn_deg, 4) if found else None,
+            "chi2": round(self.chi2, 2) if found else None,
+        }
+
+
+def pair_of(path: Path) -> tuple[Image, Image]:
+    """Left and right picture beside a scene's truth."""
+    return load_image(path.with_name(path.stem + "_left.png")), load_image(
+        path.with_name(path.stem + "_right.png")
+    )
+
+
+def pose_of(part: dict[str, Any]) -> FloatArray:
+    """(4, 4) rig_from_model of a part as the truth states it."""
+    return transform(np.array(part["R"]), np.array(part["t"]))
+
+
+def missed(scene: str, part: dict[str, Any], why: str) -> Part:
+    """A part of which nothing came."""
+    nothing = np.full(3, math.nan)
+    return Part(
+        scene, part["design"], part["tilt_bisector_deg"], why, nothing, math.nan, math.nan, math.nan, 0
+    )
+
+
+def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome) -> Part:
+    """What came of one true part."""
+    motion = pose_of(part) @ invert(taught)
+    place = apply(motion, apply(job.rig_from_part, job.place_of(job.reference)))
+    near = [one for one in outcome.targets if np.linalg.norm(one.position_mm - place) < NEAR_MM]
+    if not near:
+        lost = [one.reject.name or "?" for one in outcome.dismissed]
+        return missed(scene, part, "not found" + (f" ({', '.join(lost)})" if lost else ""))
+    target = near[0]
+    true = (motion @ job.rig_from_part)[:3, :3]
+    error = target.position_mm - place
+    between = true.T @ target.rig_from_part[:3, :3]
+    normal = math.degrees(math.acos(min(1.0, between[2, 2])))
+    turn = math.degrees(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    chi2 = float(error @ np.linalg.solve(target.covariance[:3, :3], error)) / 3
+    verdict = "good"
+    if target.reject is not Reject.NONE:
+        verdict = "refused: " + str(target.reject).removeprefix("Reject.")
+    elif np.linalg.norm(error) > WRONG_MM or max(abs(turn), normal) > WRONG_DEG:
+        verdict = "WRONG"
+    return Part(
+        scene, part["design"], part["tilt_bisector_deg"], verdict, 1e3 * error, normal, turn, chi2,
+        len(target.circles),
+    )  # fmt: skip
+
+
+def measure(
+    dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
+) -> tuple[list[Part], float]:
+    """All scenes with one part, and all without any; and the seconds that they took."""
+    pictured = dataset / "teach" / f"teach_{design}.json"
+    taught = pose_of(json.loads(pictured.read_text())["parts"][0])
+    scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
+    truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
+    try:
+        job = teach(*pair_of(pictured), rig.rectification, None, design)
+    except EdgedError as error:
+        here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
+        return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0
+    job = replace(
+        job,
+        tilt_rad=math.radians(options.tilt),
+        search=replace(job.search, scale_min=1 - DEPTH_SHARE, scale_max=1 + DEPTH_SHARE),
+        limits=replace(job.limits, depth_mm=(0.0, 1e4)),
+    )
+    if not options.json:
+        print(f"{design}: reference {job.reference}, {len(job.circles)} circles, {len(job.edges)} edges, "
+              f"{len(job.slots)} slots", flush=True)  # fmt: skip
+    rows, seconds = [], 0.0
+    for path, parts in truths.items():
+        here = [one for one in parts if one["design"] == design]
+        if parts and not here:
+            continue
+        start = time.process_time()
+        pair = frame_pair(*pair_of(path))
+        inspection = inspect(pair, job, rig)
+        outcome = judge(inspection)
+        seconds += time.process_time() - start
+        rows += [compared(path.stem, one, job, taught, outcome) for one in here]
+        accepted = [one for one in outcome.targets if one.reject is Reject.NONE]
+        for _ in accepted[len(here) :]:
+            rows.append(
+                missed(path.stem, {"design": design, "tilt_bisector_deg": math.nan}, "WRONG: invented")
+            )
+        if options.overlays is not None:
+            options.overlays.mkdir(parents=True, exist_ok=True)
+            picture = draw_pair(
+                *pair_of(path), rig.rig, job, inspection.measured, inspection.dismissed, outcome.status
+            )
+            cv2.imwrite(str(options.overlays / f"{path.stem}_{design}.png"), picture)
+    return rows, seconds
+
+
+def report(rows: list[Part]) -> None:
+    """The table, and the sum of it."""
+    print("\n| scene | part | tilt | | dX dY dZ µm | normal ° | turn ° | χ² |")
+    print("|---|---|---:|---|---|---:|---:|---:|")
+    for row in rows:
+        error = " ".join(f"{value:.1f}" for value in row.error_um)
+        print(f"| {row.scene} | {row.design} | {row.tilt_deg:.0f} | {row.verdict} | {error} "
+              f"| {row.normal_deg:.3f} | {row.turn_deg:.3f} | {row.chi2:.2f} |")  # fmt: skip
+    good = [row for row in rows if row.verdict == "good"]
+    wrong = sum(row.verdict.startswith("WRONG") for row in rows)
+    asked = sum(math.isfinite(row.tilt_deg) for row in rows)
+    errors = np.array([row.error_um for row in good]).reshape(-1, 3)
+    print(f"\n{len(good)} of {asked} good, {wrong} wrong; "
+          f"position rms {np.sqrt(np.mean(np.sum(errors**2, axis=1)) if len(good) else math.nan):.1f} µm, "
+          f"normal rms {np.sqrt(np.mean([row.normal_deg**2 for row in good])):.3f}°, "
+          f"χ² {np.mean([row.chi2 for row in good]):.2f}")  # fmt: skip
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--tilt", type=float, default=45.0, help="degrees, as edged teach has it")
+    parser.add_argument("--only", default="", help="scenes with this in their name")
+    parser.add_argument("--parts", default="", help="comma list; default: all")
+    parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rig = prepare(true_rig(options.dataset / "rig.json"))
+    names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
+    rows: list[Part] = []
+    for name in names:
+        if options.parts and name not in options.parts.split(","):
+            continue
+        rows += measure(options.dataset, rig, name, options)[0]
+    if options.json:
+        print(json.dumps([row.to_json() for row in rows]))
+    else:
+        report(rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
