@@ -151,15 +151,14 @@ def candidates(
     steps = np.arange(-round(3 * BLUR_PX / STEP_PX), round(3 * BLUR_PX / STEP_PX) + 1) * STEP_PX
     operator = steps * np.exp(-0.5 * (steps / BLUR_PX) ** 2)
     operator /= np.sum(operator * steps)  # a ramp of one grey value per px gives 1
-    inside = np.isfinite(smooth).all(axis=1)
+    inside: npt.NDArray[np.bool_] = np.isfinite(smooth).all(axis=1)
     slopes = cv2.filter2D(
         np.where(inside[:, None], smooth, 0.0), cv2.CV_64F, operator[None], borderType=cv2.BORDER_REPLICATE
     )
-    slopes = -slopes * -1.0
     size = np.abs(slopes)
-    within = np.asarray(np.abs(places) <= reach_px)
     peak = np.zeros(slopes.shape, bool)
-    peak[:, 1:-1] = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] > size[:, 2:]) & within[1:-1]
+    peak[:, 1:-1] = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] > size[:, 2:])
+    peak[:, np.abs(places) > reach_px] = False
     size = np.where(peak, size, 0.0)
     least = np.maximum(RIVAL_SHARE * size.max(axis=1, keepdims=True), MIN_SLOPE)
     size = np.where(size >= least, size, 0.0)
