@@ -31,7 +31,7 @@ from edged.files.rig import load_rig
 from edged.pipeline import prepare
 from edged.report.teaching import inspection_to_json, teaching_report
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.part.job import Job
+from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
