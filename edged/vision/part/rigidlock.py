@@ -151,7 +151,7 @@ def candidates(
     steps = np.arange(-round(3 * BLUR_PX / STEP_PX), round(3 * BLUR_PX / STEP_PX) + 1) * STEP_PX
     operator = steps * np.exp(-0.5 * (steps / BLUR_PX) ** 2)
     operator /= np.sum(operator * steps)  # a ramp of one grey value per px gives 1
-    inside: npt.NDArray[np.bool_] = np.isfinite(smooth).all(axis=1)
+    inside = np.asarray(np.isfinite(smooth).all(axis=1))
     slopes = cv2.filter2D(
         np.where(inside[:, None], smooth, 0.0), cv2.CV_64F, operator[None], borderType=cv2.BORDER_REPLICATE
     )
