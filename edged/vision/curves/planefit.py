@@ -17,20 +17,112 @@ are not five independent witnesses (see `systematic`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edged.domain import FloatArray, Image
-from edged.vision.curves.curvefit import DEFAULT_PARAMS, FitParams, PlaneFit
 from edged.vision.curves.outlineprojection import circle_axes
-from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planestate import State, Step
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.planestate import (
+    DEFAULT_PARAMS,
+    GROWTH_SIGMA,
+    RIGID_PARAMETERS,
+    FitParams,
+    State,
+    Step,
+)
 from edged.vision.geometry.camera import StereoRig
 
 COARSE_SPACING_PX = 3.0  # while the curves still move
 STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveFit:
+    """A fitted curve and how well it is supported.
+
+    support (2,), left and right : share of the samples with an edge that agrees.  rms_px : weighted,
+    of those.  mismatch_px : mean offset in the left image minus that in the right one.
+    points (2, N, 2) raw px, NaN where there is no edge; weights (2, N) in [0, 1].
+    """
+
+    curve: Curve
+    support: FloatArray
+    rms_px: float
+    mismatch_px: float
+    points: FloatArray
+    weights: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Of the curve."""
+        return self.curve.name
+
+    @property
+    def least_support(self) -> float:
+        """Of the camera that sees less of it."""
+        return float(self.support.min())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidMotion:
+    """What a rigid fit says of the part as a whole.
+
+    covariance, edge_covariance (7, 7) : of its plane (height, slopes), its shift along u and v (mm), its turn
+    about the normal (rad) and its growth (share).  growth : by which share it is larger than taught.
+    """
+
+    covariance: FloatArray
+    edge_covariance: FloatArray
+    growth: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneFit:
+    """A face and its curves.
+
+    fits : in the order asked for, without those that the images do not show.
+    covariance (P, P) : of the plane (height, slopes along u and v, see `Face.moved`), then of the parameters
+    of each fit's curve, mm and rad, correlations included.
+    edge_covariance (P, P) : what of it comes from the edges, not from the calibration.
+    row_shift_px, row_sigma_px : by which the right image shows all curves farther across the rows than the
+    left one, raw px; sigma with the calibration's; NaN where the curves were only laid where they are.
+    rigid : how well the pose of the whole is known, where the curves were fitted as one rigid part.
+    """
+
+    face: Face
+    fits: tuple[CurveFit, ...]
+    covariance: FloatArray
+    edge_covariance: FloatArray
+    row_shift_px: float
+    row_sigma_px: float
+    rigid: RigidMotion | None = None
+
+    def by_edges(self) -> PlaneFit:
+        """The same with the covariance that the edges alone give: against what the same rig measured."""
+        rigid = self.rigid and replace(self.rigid, covariance=self.rigid.edge_covariance)
+        return replace(self, covariance=self.edge_covariance, rigid=rigid)
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(P,) : 0 for the plane, then each curve's."""
+        return np.concatenate([np.zeros(PLANE_PARAMETERS), *(fit.curve.parameters for fit in self.fits)])
+
+    def place(self, name: str) -> slice | None:
+        """Where a curve's parameters are in `parameters` and `covariance`."""
+        first = PLANE_PARAMETERS
+        for fit in self.fits:
+            last = first + len(fit.curve.parameters)
+            if fit.name == name:
+                return slice(first, last)
+            first = last
+        return None
+
+    def fit_of(self, name: str) -> CurveFit | None:
+        """The fit of a curve; None when the images do not show it."""
+        return next((fit for fit in self.fits if fit.name == name), None)
 
 
 def fit_plane(
@@ -114,4 +206,95 @@ def _fitted(start: State) -> PlaneFit | None:
         state = moved
         if step.moved_px.max() < STILL_PX:
             break
-    return None if step is None else state.result(step)
+    return None if step is None else _result(state, step)
+
+
+def _result(state: State, step: Step) -> PlaneFit | None:
+    """What was measured; None for nothing."""
+    kept = step.supported(state.params.min_support)
+    if not kept:
+        return None
+    fits, support = [], step.support()
+    first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
+    for k in kept:
+        rows = slice(*step.starts[k : k + 2])
+        weights = step.weights[:, rows]
+        curve = state.curves[k]
+        if state.rigid_mm is not None:
+            own = state.rigid_mm * step.delta[first[k] : first[k + 1]]
+            curve = curve.moved(own) or curve
+        with np.errstate(invalid="ignore"):
+            means = np.nansum(step.offsets[:, rows] * weights, axis=1) / weights.sum(axis=1)
+        fits.append(
+            CurveFit(
+                curve,
+                support[:, k],
+                float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
+                float(means[0] - means[1]),
+                step.points[:, rows],
+                weights,
+            )
+        )
+    unknowns = np.concatenate([np.arange(state.shared), *(np.arange(*first[k : k + 2]) for k in kept)])
+    rigid = None
+    if state.rigid_mm is None:
+        lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(state.curves[k].lift() for k in kept)])
+    else:
+        lift = _rigid_lift(state, kept)
+        units = np.append(np.ones(state.shared - 1), GROWTH_SIGMA)
+        common = slice(state.shared)
+        rigid = RigidMotion(
+            step.covariance[common, common] * np.outer(units, units),
+            step.edge_covariance[common, common] * np.outer(units, units),
+            GROWTH_SIGMA * float(step.delta[state.shared - 1]),
+        )
+    whole, by_edges = (
+        np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
+        for inner in (step.covariance, step.edge_covariance)
+    )
+    return PlaneFit(state.face, tuple(fits), whole, by_edges, step.row_shift_px, step.row_sigma_px, rigid)
+
+
+def _rigid_lift(state: State, kept: Sequence[int]) -> FloatArray:
+    """(P, U) : plane and parameters of the kept curves by the unknowns of a rigid fit that are theirs."""
+    assert state.rigid_mm is not None
+    own = _block_diagonal([state.rigid_mm * state.curves[k].lift() for k in kept])
+    rows = []
+    for k in kept:
+        curve = state.curves[k]
+        x, y = curve.parameters[:2]
+        moved = np.zeros((len(curve.parameters), RIGID_PARAMETERS))
+        moved[:2] = [[1.0, 0.0, -y, GROWTH_SIGMA * x], [0.0, 1.0, x, GROWTH_SIGMA * y]]
+        if curve.kind != "circle":
+            moved[2, 2] = 1.0
+        sizes = slice(2, 3) if curve.kind == "circle" else slice(3, None)
+        moved[sizes, 3] = GROWTH_SIGMA * curve.parameters[sizes]
+        rows.append(moved)
+    lift = np.zeros((PLANE_PARAMETERS + len(own), state.shared + own.shape[1]))
+    lift[:PLANE_PARAMETERS, :PLANE_PARAMETERS] = np.eye(PLANE_PARAMETERS)
+    lift[PLANE_PARAMETERS:, PLANE_PARAMETERS : state.shared] = np.concatenate(rows)
+    lift[PLANE_PARAMETERS:, state.shared :] = own
+    return lift
+
+
+def _block_diagonal(blocks: list[FloatArray]) -> FloatArray:
+    result = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
+    row = column = 0
+    for block in blocks:
+        result[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return result
+
+
+def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Values (M,) of a function of `fit.parameters` and their covariance (M, M), to first order."""
+    parameters = fit.parameters
+    step = 1e-5  # mm and rad; curves are smooth over far more
+    jacobian = np.stack(
+        [
+            (function(parameters + step * unit) - function(parameters - step * unit)) / (2 * step)
+            for unit in np.eye(len(parameters))
+        ],
+        axis=-1,
+    )
+    return function(parameters), np.asarray(jacobian @ fit.covariance @ jacobian.T)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy.typing as npt
 from edged.domain import SIDES, FloatArray, Image
 from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
 from edged.vision.curves.commonmode import pair, samples_of
-from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit, RigidMotion
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlineprojection import (
     ProjectedOutline,
@@ -61,6 +59,26 @@ START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
 
 Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class FitParams:
+    """How curves are measured.
+
+    reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
+    stand still, `repeats` times at most; with 0 repeats the curves are only laid where they are.
+    spacing_px : of the samples. min_slope : grey values per px below which there is no edge. min_support :
+    share of its samples that a curve must show in each image.
+    """
+
+    reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
+    spacing_px: float = 1.0
+    min_slope: float = 1.5
+    min_support: float = 0.4
+    repeats: int = 4
+
+
+DEFAULT_PARAMS = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -436,72 +454,6 @@ class State:
             curves.append(curve if fresh is None else fresh)
         return replace(self, face=self.face.moved(plane), curves=tuple(curves))
 
-    def result(self, step: Step) -> PlaneFit | None:
-        """What was measured; None for nothing."""
-        kept = step.supported(self.params.min_support)
-        if not kept:
-            return None
-        fits, support = [], step.support()
-        first = np.cumsum([self.shared, *(curve.free for curve in self.curves)])
-        for k in kept:
-            rows = slice(*step.starts[k : k + 2])
-            weights = step.weights[:, rows]
-            curve = self.curves[k]
-            if self.rigid_mm is not None:
-                own = self.rigid_mm * step.delta[first[k] : first[k + 1]]
-                curve = curve.moved(own) or curve
-            with np.errstate(invalid="ignore"):
-                means = np.nansum(step.offsets[:, rows] * weights, axis=1) / weights.sum(axis=1)
-            fits.append(
-                CurveFit(
-                    curve,
-                    support[:, k],
-                    float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
-                    float(means[0] - means[1]),
-                    step.points[:, rows],
-                    weights,
-                )
-            )
-        unknowns = np.concatenate([np.arange(self.shared), *(np.arange(*first[k : k + 2]) for k in kept)])
-        rigid = None
-        if self.rigid_mm is None:
-            lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(self.curves[k].lift() for k in kept)])
-        else:
-            lift = self._rigid_lift(kept)
-            units = np.append(np.ones(self.shared - 1), GROWTH_SIGMA)
-            common = slice(self.shared)
-            rigid = RigidMotion(
-                step.covariance[common, common] * np.outer(units, units),
-                step.edge_covariance[common, common] * np.outer(units, units),
-                GROWTH_SIGMA * float(step.delta[self.shared - 1]),
-            )
-        whole, by_edges = (
-            np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
-            for inner in (step.covariance, step.edge_covariance)
-        )
-        return PlaneFit(self.face, tuple(fits), whole, by_edges, step.row_shift_px, step.row_sigma_px, rigid)
-
-    def _rigid_lift(self, kept: Sequence[int]) -> FloatArray:
-        """(P, U) : plane and parameters of the kept curves by the unknowns of a rigid fit that are theirs."""
-        assert self.rigid_mm is not None
-        own = _block_diagonal([self.rigid_mm * self.curves[k].lift() for k in kept])
-        rows = []
-        for k in kept:
-            curve = self.curves[k]
-            x, y = curve.parameters[:2]
-            moved = np.zeros((len(curve.parameters), RIGID_PARAMETERS))
-            moved[:2] = [[1.0, 0.0, -y, GROWTH_SIGMA * x], [0.0, 1.0, x, GROWTH_SIGMA * y]]
-            if curve.kind != "circle":
-                moved[2, 2] = 1.0
-            sizes = slice(2, 3) if curve.kind == "circle" else slice(3, None)
-            moved[sizes, 3] = GROWTH_SIGMA * curve.parameters[sizes]
-            rows.append(moved)
-        lift = np.zeros((PLANE_PARAMETERS + len(own), self.shared + own.shape[1]))
-        lift[:PLANE_PARAMETERS, :PLANE_PARAMETERS] = np.eye(PLANE_PARAMETERS)
-        lift[PLANE_PARAMETERS:, PLANE_PARAMETERS : self.shared] = np.concatenate(rows)
-        lift[PLANE_PARAMETERS:, self.shared :] = own
-        return lift
-
 
 def _half_waves(count: int) -> FloatArray:
     """(N, 5): half waves along a curve, each with a mean square of 1."""
@@ -509,12 +461,3 @@ def _half_waves(count: int) -> FloatArray:
     return np.column_stack(
         [np.ones(count), *(math.sqrt(2.0) * np.cos(m * np.pi * way) for m in range(1, WAVES))]
     )
-
-
-def _block_diagonal(blocks: list[FloatArray]) -> FloatArray:
-    result = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
-    row = column = 0
-    for block in blocks:
-        result[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return result

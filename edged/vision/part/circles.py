@@ -11,9 +11,9 @@ from statistics import median
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Reject, Target
-from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import fit_circle, fit_plane
+from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification

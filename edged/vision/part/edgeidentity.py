@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import SIDES, FloatArray
-from edged.vision.curves.curvefit import FitParams
 from edged.vision.curves.outlineprojection import project_circle
 from edged.vision.curves.planefit import fit_circle
+from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain import FloatArray, Reject, Target
-from edged.vision.curves.curvefit import FitParams, PlaneFit, derived
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
-from edged.vision.curves.planefit import fit_plane
+from edged.vision.curves.planefit import PlaneFit, derived, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages

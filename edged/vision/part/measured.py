@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from edged.domain import Target
-from edged.vision.curves.curvefit import CurveFit
+from edged.vision.curves.planefit import CurveFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

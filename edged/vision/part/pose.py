@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain import FloatArray
-from edged.vision.curves.curvefit import PlaneFit
 from edged.vision.curves.outlines import Curve
+from edged.vision.curves.planefit import PlaneFit
 from edged.vision.geometry.rigid import rotation_2d, wrapped
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import EdgeFeature, Job, SlotFeature

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Measurement
-from edged.vision.curves.curvefit import PlaneFit, derived
+from edged.vision.curves.planefit import PlaneFit, derived
 from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 
 Size = Callable[[FloatArray], float]

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edged.domain import SIDES, FloatArray, Reject, Target
-from edged.vision.curves.curvefit import FitParams, PlaneFit
 from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import fit_plane
+from edged.vision.curves.planefit import PlaneFit, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import fit_plane
+from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane

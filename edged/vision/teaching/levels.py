@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain import FloatArray, Image
-from edged.vision.curves.curvefit import CurveFit, FitParams, PlaneFit
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import fit_circle, fit_plane
+from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.plane import Plane

@@ -9,9 +9,9 @@ import numpy as np
 
 from edged.domain import Circle3D, FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.curves.curvefit import CurveFit, FitParams
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import fit_circle, fit_plane
+from edged.vision.curves.planefit import CurveFit, fit_circle, fit_plane
+from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
