@@ -1,7 +1,7 @@
 """A cell as files: its configuration, and the rig and the jobs that it names.
 
-`read_cell` finds every mistake in all of them. It needs neither cameras nor compiled code, so that a check is
-quick.
+`read_cell` finds every mistake in all of them; `read_any_cell` takes a cell without rig or jobs, too. Neither
+needs cameras nor compiled code, so that a check is quick.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edged.config import Config, config_of, read
+from edged.domain import SetupSource
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.jobs import job_folders, job_of, read_job
@@ -42,11 +43,33 @@ class CellFiles:
     contents: Mapping[str, bytes]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class UnfinishedCell:
+    """A cell without a rig, or without any job: it runs in SETUP. Otherwise as `CellFiles`.
+
+    lacks : what it needs first. missing : a line for each that is not there.
+    """
+
+    config: Config
+    fingerprint: str
+    contents: Mapping[str, bytes]
+    lacks: SetupSource
+    missing: tuple[str, ...]
+
+
 def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them.
 
     elsewhere : on a machine that it need not run on; certificates and keys may be missing.
     """
+    cell = read_any_cell(path, elsewhere=elsewhere)
+    if isinstance(cell, UnfinishedCell):
+        raise ConfigError(str(path), [*cell.missing])
+    return cell
+
+
+def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | UnfinishedCell:
+    """The same, but that there is no rig file, or no job at all, is no mistake: the cell is being set up."""
     # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
     text = read(path)
     try:
@@ -54,14 +77,38 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     except ConfigError as error:
         raise ConfigError(str(path), [*error.problems, *_problems_of_named_files(text, path)]) from error
     problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
-    files: dict[str, bytes] = {}
+    others, files = len(problems), dict[str, bytes]()
     rig, rectification = _load_rig(config.cell.rig, files, problems)
+    lacks_rig, of_rig = _is_missing(config.cell.rig), len(problems)
     jobs = _load_jobs(config.cell.jobs, config.cell.job, files, problems)
-    if rig is None or rectification is None or problems:
-        raise ConfigError(str(path), problems)
+    lacks_jobs = _is_missing(config.cell.jobs) or _is_empty(config.cell.jobs)
+    lacks = (lacks_rig, SetupSource.NO_CALIBRATION), (lacks_jobs, SetupSource.NO_JOB)
+    lacking = [source for is_missing, source in lacks if is_missing]
+    # a rig or a job that is there and cannot be used is a mistake as any other
+    wrong_rig, wrong_jobs = of_rig > others and not lacks_rig, len(problems) > of_rig and not lacks_jobs
     identity = fingerprint(config, files)
     contents = {**files, "cell.toml": without_secrets(text)}
+    if lacking and not (others or wrong_rig or wrong_jobs):
+        return UnfinishedCell(config, identity, contents, lacking[0], tuple(problems))
+    if rig is None or rectification is None or problems:
+        raise ConfigError(str(path), problems)
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
+
+
+def _is_missing(path: Path) -> bool:
+    """Whether nothing is there; False where that cannot be told."""
+    try:
+        return not path.exists()
+    except OSError:
+        return False
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether it holds no job, good or bad; False where that cannot be told, and for what is no folder."""
+    try:
+        return folder.is_dir() and not job_folders(folder)
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,10 @@
 """The loop: wait for a tick or a command, capture, locate, announce.
 
 Responsible for: order and exclusivity of cycles, the command queue, the active job, the daemon's
-state. Not responsible for: how images arrive (`capture`), what is measured (`pipeline`), who is
-told (`Publisher`s). An expected miss is a status, a fault of the cameras is a status, a bug in
-the pipeline propagates: systemd restarts the daemon.
+state, and SETUP, in which it works for whoever has the cell instead (`session` says who that is). Not
+responsible for: how images arrive (`capture`), what is measured (`pipeline`), who is told (`Publisher`s). An
+expected miss is a status, a fault of the cameras is a status, a bug in the pipeline propagates: systemd
+restarts the daemon.
 """
 
 from __future__ import annotations
@@ -37,15 +38,26 @@ from edged.domain import (
     Outcome,
     Picking,
     Reloaded,
+    SetupSource,
     Snapshot,
     Status,
 )
 from edged.drift import DriftLimits, DriftMonitor, refused
-from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError, CommandRefused
+from edged.errors import (
+    BeingSetUp,
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    CommandRefused,
+    EdgedError,
+    FrameTimeout,
+)
 from edged.logs import FaultLog, cycle_number, fields
 from edged.ports import Publisher
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, picked
+from edged.session import Request, SetupDesk
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +73,10 @@ TRY_ALL_S = 3.0
 FAULT_REST_S = 0.1
 """After a fault that nobody asked for, wait so long before the next try: known faults come at once, and each
 is announced, published and recorded."""
+
+
+LISTEN_S = 10.0
+"""In SETUP, wait so long for an exposure that others trigger."""
 
 
 class Head(Protocol):
@@ -101,11 +117,20 @@ class LoadedJob:
     picking: Picking = field(default_factory=Picking)
 
 
+def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+    raise RuntimeError("measured by a cell that has no job")
+
+
+NO_JOB = LoadedJob("", 0, _no_job)
+"""The active job of a cell that lacks calibration or jobs: it is in SETUP, and never measures."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """Everything that a reload may exchange between two cycles.
 
     jobs : by number. period_s : None means "only on command".
+    lacks : why a cell that has nothing to measure by is in SETUP; its jobs are none.
     listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : of robot_from_rig, or of flange_from_rig.
@@ -122,6 +147,23 @@ class Setup:
     flange_from_rig: FloatArray | None = None
     drift: DriftLimits = field(default_factory=DriftLimits)
     listens: bool = False
+    lacks: SetupSource = SetupSource.NONE
+
+
+class Notebook(Protocol):
+    """Where it is noted that a person has the cell, so that it is known after the daemon was killed."""
+
+    def is_taken(self) -> bool:
+        """Whether somebody has."""
+        ...
+
+    def note(self, name: str) -> None:
+        """Somebody has. Raises `OSError`; then SETUP is refused."""
+        ...
+
+    def clear(self) -> None:
+        """Nobody has. Raises `OSError`."""
+        ...
 
 
 class _Waiting:
@@ -147,12 +189,23 @@ class _Waiting:
 
 
 class Cycle:
-    """The measuring loop of one cell; also the `Commander` of its publishers."""
+    """The measuring loop of one cell; also the `Commander` of its publishers.
 
-    def __init__(self, head: Head, setup: Setup, utc_ns: Callable[[], int] = time.time_ns) -> None:
+    notebook : None: who has the cell is forgotten with this process.
+    """
+
+    def __init__(
+        self,
+        head: Head,
+        setup: Setup,
+        utc_ns: Callable[[], int] = time.time_ns,
+        *,
+        notebook: Notebook | None = None,
+    ) -> None:
         self._head = head
+        self._draft: Head | None = None  # what whoever sets the cell up tries instead
         self._setup = setup
-        self._active = setup.jobs[setup.active_job]
+        self._active = setup.jobs.get(setup.active_job, NO_JOB)
         self._utc_ns = utc_ns
         self._publishers: tuple[Publisher, ...] = ()
         self._commands = _Waiting()
@@ -166,6 +219,11 @@ class Cycle:
         self._misses = FaultLog(log, level=logging.INFO, kind="result")
         self._pending: tuple[Setup, Head | None] | None = None
         self._rests_until_s = 0.0
+        self._notebook = notebook
+        self._desk = SetupDesk(self._wake.set, taken=notebook is not None and notebook.is_taken())
+        self._in_setup = False
+        self._is_noted = self._desk.taken
+        self._cameras_up, self._cameras_ok = True, False  # in SETUP: may be open; by the last picture
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
     # --- used by app -----------------------------------------------------------------------
@@ -204,6 +262,8 @@ class Cycle:
         """Queue a command. Raises `CommandRefused` when stopping, full, or the job is unknown."""
         if self.stopping.is_set():
             raise CommandRefused("the daemon is stopping")
+        if self._setup_source is not SetupSource.NONE:
+            raise BeingSetUp("the cell is being set up")
         if problem := self._problem(command):
             raise CommandRefused(problem)
         try:
@@ -212,6 +272,10 @@ class Cycle:
             self._missed += 1
             raise
         self._wake.set()
+
+    def lock_setup(self, locked: bool) -> None:
+        """Let nobody take the cell for SETUP, and end it where a person has; or let them again."""
+        self._desk.lock(locked)
 
     def _problem(self, command: Command) -> str:
         """Why the present setup cannot carry a command out; "" when it can."""
@@ -227,17 +291,190 @@ class Cycle:
             return "the robot carries the cameras: LOCATE needs the pose of the flange"
         return ""
 
+    # --- setting up ------------------------------------------------------------------------
+
+    async def enter_setup(self, name: str) -> str:
+        """Take the cell after the running cycle; returns a token when every client is told.
+
+        It lapses unless `renew_setup` is called every minute; the cell stays in SETUP all the same.
+        Raises `SetupRefused`.
+        """
+        token = self._desk.enter(name)
+
+        async def begun() -> None:
+            pass
+
+        await self._desk.ask(token, begun)
+        return token
+
+    def take_setup_over(self, name: str) -> str:
+        """Take the cell from whoever has it. Raises `SetupRefused`."""
+        return self._desk.take_over(name)
+
+    def renew_setup(self, token: str) -> None:
+        """The sign of life of whoever has the cell. Raises `SetupRefused`."""
+        self._desk.renew(token)
+
+    def leave_setup(self, token: str) -> None:
+        """Give the cell back. Raises `SetupRefused`."""
+        self._desk.leave(token)
+
+    def end_setup(self, name: str) -> None:
+        """Somebody at the cell says that it is free, whoever had it."""
+        self._desk.end(f"{name} has ended SETUP")
+
+    async def capture(self, token: str) -> FramePair:
+        """One exposure for whoever has the cell; nobody else hears of it.
+
+        Raises `SetupRefused`, `CaptureError`.
+        """
+        return await self._desk.ask(token, self._captured)
+
+    async def try_job(self, token: str, locate: Locate) -> tuple[FramePair, Outcome]:
+        """One exposure, measured by a draft. Raises `SetupRefused`, and what `locate` raises on purpose."""
+
+        async def tried() -> tuple[FramePair, Outcome]:
+            pair = await self._captured()
+            loop = asyncio.get_running_loop()
+            return pair, await loop.run_in_executor(self._vision, locate, pair, lambda _stage: None)
+
+        return await self._desk.ask(token, tried)
+
+    async def try_head(self, token: str, head: Head) -> None:
+        """Cameras with other settings, until SETUP ends. Raises `SetupRefused`, `CaptureError`."""
+
+        async def exchanged() -> None:
+            before, self._draft = self._draft or self._head, head
+            await before.close()
+            self._cameras_up = True
+            await head.open()
+
+        await self._desk.ask(token, exchanged)
+
+    @property
+    def _setup_source(self) -> SetupSource:
+        return SetupSource.PERSON if self._desk.taken else self._setup.lacks
+
+    async def _set_up(self) -> None:
+        """Do one thing for whoever has the cell, or wait a moment."""
+        self._wake.clear()
+        if not self._in_setup:
+            self._begin_setup()
+        self._tell_state(CellPhase.SETUP)
+        await self._keep_note()
+        if not self._desk.taken:
+            await self._put_cameras_down()
+        request = self._desk.take()
+        if request is not None:
+            await self._carry_out(request)
+            self._announce(Idle())  # whoever asks again and again must not look like a loop that hangs
+            return
+        try:
+            await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S)
+        except TimeoutError:
+            self._announce(Idle())
+
+    def _begin_setup(self) -> None:
+        self._cameras_ok = False
+        self._tell_state(CellPhase.SETUP)  # first: in one answer nothing is ready, valid or open any more
+        self._in_setup = True
+        log.warning("SETUP: %s", "" if self._state is None else self._state.why)
+        while self._commands:
+            self._announce(CommandFailed(self._commands.take(), "the cell is being set up"))
+
+    async def _end_setup(self) -> None:
+        """Cameras as they are configured, one test pair, and then for clients again."""
+        await self._keep_note()
+        await self._put_cameras_down()
+        self._in_setup, self._cameras_up = False, True
+        try:
+            await self._head.open()
+            if not self._setup.listens:
+                await self._head.capture()
+        except CaptureError as error:
+            self._tell_state(CellPhase.FAULT, error=str(error), code=error.code)
+            return
+        log.info("READY: SETUP has ended, job %d (%s)", self._active.number, self._active.name)
+        self._tell_state(CellPhase.READY)
+
+    async def _keep_note(self) -> None:
+        """Note that a person has the cell, or has it no longer. SETUP that cannot be noted ends."""
+        if self._notebook is None or self._desk.taken == self._is_noted:
+            return
+        try:
+            if self._desk.taken:
+                await asyncio.to_thread(self._notebook.note, self._desk.name)
+            else:
+                await asyncio.to_thread(self._notebook.clear)
+        except OSError as error:
+            if self._desk.taken:
+                self._desk.end(f"it cannot be noted who has the cell: {error}")
+                return
+            log.exception("SETUP has ended, but that cannot be noted: after a restart it begins again")
+        self._is_noted = self._desk.taken
+
+    async def _put_cameras_down(self) -> None:
+        """Nobody uses them: other programs on this machine may."""
+        if not self._cameras_up:
+            return
+        for head in (self._draft, self._head):
+            if head is not None:
+                await head.close()
+        self._draft, self._cameras_up, self._cameras_ok = None, False, False
+
+    async def _carry_out(self, request: Request) -> None:
+        try:
+            answer = await request.work()
+        except EdgedError as error:
+            if not request.answer.done():
+                request.answer.set_exception(error)
+        except BaseException:
+            request.answer.cancel()
+            raise
+        else:
+            if not request.answer.done():
+                request.answer.set_result(answer)
+
+    async def _captured(self) -> FramePair:
+        head = self._draft or self._head
+        self._cameras_up, self._cameras_ok = True, False
+        await head.open()
+        pair = await (self._heard(head) if self._setup.listens else head.capture())
+        self._cameras_ok = True
+        return pair
+
+    async def _heard(self, head: Head) -> FramePair:
+        """The next exposure that others trigger. Raises `FrameTimeout` when there is none."""
+        heard = asyncio.ensure_future(head.listen())
+        try:
+            for _ in range(round(LISTEN_S / IDLE_CHECK_S)):
+                await asyncio.wait({heard}, timeout=IDLE_CHECK_S)
+                if heard.done():
+                    return heard.result()
+                self._announce(Idle())
+                if not self._desk.taken or self.stopping.is_set():
+                    break
+        finally:
+            await cancel_and_await(heard)
+        raise FrameTimeout("both", f"nobody triggered them within {LISTEN_S:g} s")
+
     # --- the loop --------------------------------------------------------------------------
 
     async def run(self) -> None:
         """Measure until `stop`; every accepted command has been answered when this returns."""
         self._tell_state(CellPhase.STARTING)
         try:
-            await self._check_cameras()
+            if self._setup_source is SetupSource.NONE:
+                await self._check_cameras()
             due_s = time.monotonic()
             while not self.stopping.is_set():
                 if self._pending is not None:
                     await self._apply(*self._pending)
+                elif self._setup_source is not SetupSource.NONE:
+                    await self._set_up()
+                elif self._in_setup:
+                    await self._end_setup()
+                    due_s = time.monotonic()
                 elif self._commands:
                     await self._serve(self._commands.take())
                 elif self._setup.listens:
@@ -248,7 +485,9 @@ class Cycle:
             self._tell_state(CellPhase.STOPPING)
             while self._commands:
                 self._announce(CommandFailed(self._commands.take(), "the daemon is stopping"))
-            await self._head.close()
+            self._desk.stop()
+            self._cameras_up = True
+            await self._put_cameras_down()
             self._vision.shutdown()
 
     async def _check_cameras(self) -> None:
@@ -274,12 +513,14 @@ class Cycle:
         self._setup = setup
         self._announce(Reloaded())
         gone = self._active if self._active.number not in setup.jobs else None
-        self._active = setup.jobs[setup.active_job if gone is not None else self._active.number]
+        number = setup.active_job if gone is not None else self._active.number
+        self._active = setup.jobs.get(number, NO_JOB)
         self._check_waiting(gone)
         if head is not None:
             await self._head.close()
             self._head = head
-        await self._check_cameras()
+        if not self._in_setup:
+            await self._check_cameras()
 
     def _check_waiting(self, gone: LoadedJob | None) -> None:
         """Fail the waiting commands that this setup cannot carry out. gone : the job that was active."""
@@ -489,16 +730,19 @@ class Cycle:
         if keep_error and self._state is not None:
             error, code = self._state.error, self._state.error_code
         able = state in (CellPhase.READY, CellPhase.BUSY) and not error
+        in_setup = state is CellPhase.SETUP
         new = CellState(
             state=state,
             ready=able,
-            cameras_ok=able,
+            cameras_ok=self._cameras_ok if in_setup else able,
             job=self._active.name,
             job_number=self._active.number,
             missed_triggers=self._missed,
             error=error,
             error_code=code,
             calibrated=self._drift.state().verdict,
+            setup=self._setup_source if in_setup else SetupSource.NONE,
+            setup_by=self._desk.name if in_setup else "",
         )
         if error and not keep_error:
             self._faults.failed(error, code)

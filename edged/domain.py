@@ -586,11 +586,28 @@ class CellPhase(enum.StrEnum):
     BUSY = "BUSY"
     FAULT = "FAULT"
     STOPPING = "STOPPING"
+    SETUP = "SETUP"
+
+
+class SetupSource(enum.IntEnum):
+    """Why the cell is in SETUP."""
+
+    NONE = 0
+    """It is not."""
+    PERSON = 1
+    """Somebody has it, to calibrate, teach or look."""
+    NO_CALIBRATION = 2
+    """There is no rig file yet."""
+    NO_JOB = 3
+    """There is no job yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """The daemon's own state, published on change."""
+    """The daemon's own state, published on change.
+
+    setup : why it is in SETUP. setup_by : who has it; "" for nobody: unattended, or nothing to measure by.
+    """
 
     state: CellPhase
     ready: bool
@@ -601,6 +618,21 @@ class CellState:
     error: str = ""
     error_code: int = 0
     calibrated: Calibrated = Calibrated.HOLDS
+    setup: SetupSource = SetupSource.NONE
+    setup_by: str = ""
+
+    @property
+    def why(self) -> str:
+        """Why the cell does not measure, in words for people; "" when it does, or nothing is wrong."""
+        match self.setup:
+            case SetupSource.NONE:
+                return self.error
+            case SetupSource.NO_CALIBRATION:
+                return "setup: no calibration yet"
+            case SetupSource.NO_JOB:
+                return "setup: no job yet"
+            case SetupSource.PERSON:
+                return f"setup by {self.setup_by}" if self.setup_by else "setup, and nobody looks after it"
 
 
 @dataclass(frozen=True, slots=True)

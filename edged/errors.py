@@ -21,6 +21,8 @@
     │       ├── FrameFrozen       a new number, and the same picture in every pixel
     │       └── FrameUnpaired     one camera exposed, the other did not
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
+    │   └── BeingSetUp            the cell is in SETUP: nobody is served
+    ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
     └── ListenError               a port or socket that cannot be opened
 
 An expected miss (no target, low quality) is a `domain.Status`, never an exception.
@@ -154,6 +156,14 @@ class StreamStalled(FrameTimeout):
 
 class CommandRefused(EdgedError):
     """A command that cannot be accepted now; the reason is the message."""
+
+
+class BeingSetUp(CommandRefused):
+    """The cell is in SETUP."""
+
+
+class SetupRefused(EdgedError):
+    """SETUP cannot be entered now, or has ended; the reason is the message."""
 
 
 class ListenError(EdgedError):

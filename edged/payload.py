@@ -30,6 +30,7 @@ from edged.domain import (
     NotMeasured,
     Outcome,
     Reject,
+    SetupSource,
     Slot3D,
     Snapshot,
     Status,
@@ -142,6 +143,9 @@ def state_to_json(state: CellState) -> Json:
         "error": state.error,
         "error_code": state.error_code,
         "calibrated": state.calibrated.name,
+        "setup": None
+        if state.setup is SetupSource.NONE
+        else {"source": state.setup.name, "by": state.setup_by},
     }
 
 

@@ -61,3 +61,7 @@ class Commander(Protocol):
         a `JobChanged` or a `CommandFailed`.
         """
         ...
+
+    def lock_setup(self, locked: bool) -> None:
+        """Forbid that people take the cell for SETUP, and end it where one has; or allow it again."""
+        ...

@@ -1,23 +1,28 @@
-"""A stereo head that plays what a test tells it, and an ear for what the cycle says."""
+"""A stereo head that plays what a test tells it, jobs for it, and an ear for what the cycle says."""
 
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from edged.cycle import LoadedJob, Setup
 from edged.domain import (
     CellPhase,
     CellState,
     Command,
     CommandFailed,
+    CommandKind,
     Event,
     Frame,
     FramePair,
     JobChanged,
+    Outcome,
     Snapshot,
+    Status,
 )
 from edged.errors import FrameTimeout
 
@@ -86,3 +91,33 @@ async def until(condition: Callable[[], object], timeout_s: float = 5.0) -> None
     while not condition():
         assert time.monotonic() < deadline_s, "condition not met in time"
         await asyncio.sleep(0.001)
+
+
+def found_nothing(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+    """A pipeline that never finds anything."""
+    lap("find")
+    return Outcome(Status.NO_TARGET)
+
+
+def make_setup(
+    period_s: float | None = None, locate=found_nothing, numbers: tuple[int, ...] = (1, 2)
+) -> Setup:
+    """Jobs "job1", "job2", ... with the given pipeline."""
+    jobs = {number: LoadedJob(f"job{number}", number, locate) for number in numbers}
+    return Setup(jobs, numbers[0], period_s, "cal", "f00d", simulated=False, robot_from_rig=None)
+
+
+def locate_command(sequence: int, job: int = 0) -> Command:
+    """A request to measure."""
+    return Command(CommandKind.LOCATE, "test", sequence, job)
+
+
+def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]], Outcome]]:
+    """A measurement that finds nothing, and only ends after the event."""
+    release = threading.Event()
+
+    def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        release.wait(5)
+        return Outcome(Status.NO_TARGET)
+
+    return release, slow

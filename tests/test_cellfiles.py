@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
 from edged import cellfiles
-from edged.cellfiles import read_cell
+from edged.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain import SetupSource
 from edged.errors import ConfigError
 from edged.files.jobs import job_of
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -91,6 +92,75 @@ def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
     job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1"))
 
     assert read_cell(folder / "cell.toml").fingerprint != before
+
+
+@pytest.mark.parametrize(
+    "gone, lacks, named",
+    [
+        (["rig.json"], SetupSource.NO_CALIBRATION, ["cell.rig"]),
+        (["jobs"], SetupSource.NO_JOB, ["cell.jobs"]),
+        (["jobs/flange", "jobs/flange.old"], SetupSource.NO_JOB, ["cell.job"]),
+        (["jobs/flange"], SetupSource.NO_JOB, ["cell.job"]),
+        (["rig.json", "jobs"], SetupSource.NO_CALIBRATION, ["cell.rig", "cell.jobs"]),
+    ],
+)
+def test_a_cell_without_rig_or_jobs_is_not_finished(
+    folder: Path, gone: list[str], lacks: SetupSource, named: list[str]
+) -> None:
+    """What it lacks first is said, and what is missing line by line: the lines that a check says."""
+    for name in gone:
+        path = folder / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    cell = read_any_cell(folder / "cell.toml")
+    with pytest.raises(ConfigError) as caught:
+        read_cell(folder / "cell.toml")
+
+    assert isinstance(cell, UnfinishedCell)
+    assert (lacks, caught.value.problems) == (cell.lacks, [*cell.missing])
+    assert set(named) == {line.partition(":")[0] for line in cell.missing}
+    assert "rig.json" not in cell.contents or "rig.json" not in gone
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda folder: (folder / "rig.json").write_text("{"),
+        lambda folder: (folder / "jobs" / "flange" / "shape.npz").write_bytes(b"no zip"),
+        lambda folder: (folder / "jobs" / "flange").rename(folder / "jobs" / "lid"),
+        lambda folder: (shutil.rmtree(folder / "jobs"), (folder / "jobs").write_text("a file")),
+        lambda folder: (
+            (folder / "rig.json").unlink(),
+            (folder / "jobs" / "flange" / "shape.npz").unlink(),
+        ),
+        lambda folder: (
+            (folder / "rig.json").unlink(),
+            (folder / "cell.toml").write_text(
+                (folder / "cell.toml").read_text() + '\n[web]\ncertificate = "none.pem"\nkey = "none.pem"\n'
+            ),
+        ),
+        lambda folder: (
+            (folder / "rig.json").unlink(),
+            (folder / "cell.toml").write_text(
+                (folder / "cell.toml").read_text().replace("[cycle]", "[cycle]\nperoid_s = 1")
+            ),
+        ),
+    ],
+    ids=["rig", "shape", "other job", "jobs is a file", "half a job", "certificate", "key"],
+)
+def test_any_other_mistake_is_one_in_a_cell_that_is_not_finished_too(folder: Path, spoil: Callable) -> None:
+    """A damaged file is no missing one: it is named, and the daemon does not start."""
+    spoil(folder)
+    if (folder / "jobs" / "lid").is_dir():
+        text = (folder / "jobs" / "lid" / "job.toml").read_text()
+        (folder / "jobs" / "lid" / "job.toml").write_text(text.replace('name = "flange"', 'name = "lid"'))
+
+    with pytest.raises(ConfigError) as caught:
+        read_any_cell(folder / "cell.toml")
+
+    with pytest.raises(ConfigError) as strict:
+        read_cell(folder / "cell.toml")
+    assert strict.value.problems == caught.value.problems
 
 
 def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:

@@ -6,13 +6,12 @@ import asyncio
 import dataclasses
 import functools
 import logging
-import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scriptedhead import Ear, Head, until
+from scriptedhead import Ear, Head, held, locate_command, make_setup, until
 from snapshots import make_target, make_transform
 
 from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
@@ -40,20 +39,6 @@ from edged.domain import (
 from edged.errors import CameraUnreachable, CommandRefused, FrameUnpaired
 
 
-def found_nothing(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
-    """A pipeline that never finds anything."""
-    lap("find")
-    return Outcome(Status.NO_TARGET)
-
-
-def make_setup(
-    period_s: float | None = None, locate=found_nothing, numbers: tuple[int, ...] = (1, 2)
-) -> Setup:
-    """Jobs "job1", "job2", ... with the given pipeline."""
-    jobs = {number: LoadedJob(f"job{number}", number, locate) for number in numbers}
-    return Setup(jobs, numbers[0], period_s, "cal", "f00d", simulated=False, robot_from_rig=None)
-
-
 def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
     """Run a cycle beside `script(cycle, ear, head)`, then stop it."""
     head, ear = head or Head(), Ear()
@@ -70,11 +55,6 @@ def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
 
     asyncio.run(main())
     return ear, head
-
-
-def locate_command(sequence: int, job: int = 0) -> Command:
-    """A request to measure."""
-    return Command(CommandKind.LOCATE, "test", sequence, job)
 
 
 def test_every_accepted_command_gets_exactly_one_answer() -> None:
@@ -224,17 +204,6 @@ def test_exposure_done_comes_before_the_result() -> None:
 
     order = [type(event) for event in ear.events if isinstance(event, ExposureDone | Snapshot)]
     assert [ExposureDone, Snapshot] == order
-
-
-def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]], Outcome]]:
-    """A measurement that finds nothing, and only ends after the event."""
-    release = threading.Event()
-
-    def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
-        release.wait(5)
-        return Outcome(Status.NO_TARGET)
-
-    return release, slow
 
 
 def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:

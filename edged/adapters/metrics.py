@@ -19,7 +19,7 @@ from prometheus_client import (
 from prometheus_client.core import GaugeMetricFamily, Metric
 
 from edged import __version__
-from edged.domain import CellState, CommandFailed, Event, Reject, Snapshot, Status
+from edged.domain import CellPhase, CellState, CommandFailed, Event, Reject, Snapshot, Status
 from edged.errors import CaptureError
 from edged.payload import reject_names
 
@@ -65,6 +65,7 @@ class MetricsPublisher:
         gauges = {
             "ready": ("1 when the cell measures on demand", ""),
             "cameras_ok": ("1 when both cameras deliver", ""),
+            "setup": ("1 while somebody sets the cell up, or it lacks calibration or jobs", ""),
             "missed_triggers": ("triggers that came while nothing more could be queued", ""),
             "last_result_timestamp": (
                 "exposure of the newest good result, since 1970 UTC",
@@ -93,6 +94,7 @@ class MetricsPublisher:
         elif isinstance(event, CellState):
             self._gauges["ready"].set(event.ready)
             self._gauges["cameras_ok"].set(event.cameras_ok)
+            self._gauges["setup"].set(event.state is CellPhase.SETUP)
             self._gauges["missed_triggers"].set(event.missed_triggers)
 
     def _count(self, snapshot: Snapshot) -> None:

@@ -3,7 +3,8 @@
 The watchdog is fed by events of the measuring loop and by nothing else: no timer, no thread. When
 the loop hangs, in a camera, in the vision or in a bug, the feeding ends and systemd restarts the
 daemon. Until the cameras are there the same events extend the start-up time: a cell whose cameras
-boot slowly waits for them with its PLC server up, and a start that hangs is still killed.
+boot slowly waits for them with its PLC server up, and a start that hangs is still killed. A cell in SETUP has
+started.
 
 Outside of systemd (no NOTIFY_SOCKET) nothing happens.
 """
@@ -67,7 +68,7 @@ class SystemdNotifier:
             self._state = event
         if self._state is not None and self._state.state is CellPhase.STOPPING:
             self._tell_stopping()
-        elif not self._is_ready and self._state is not None and self._state.ready:
+        elif not self._is_ready and self._state is not None and _has_started(self._state):
             self._is_ready = self._tell("READY=1", "WATCHDOG=1", *self._changed_status())
         elif self._monotonic_s() - self._told_s >= self._feed_s:
             extension = () if self._is_ready else (f"EXTEND_TIMEOUT_USEC={START_EXTENSION_S * 1e6:.0f}",)
@@ -99,8 +100,9 @@ class SystemdNotifier:
         state = self._state
         if state is None:
             return ()
-        what = state.error or f"job {state.job}"
-        status = f"{state.state}: {what}; {self._cycles} cycles"
+        what = state.why or f"job {state.job}"
+        word = "" if state.state is CellPhase.SETUP else f"{state.state}: "
+        status = f"{word}{what}; {self._cycles} cycles"
         if status == self._status:
             return ()
         self._status = status
@@ -119,6 +121,11 @@ class SystemdNotifier:
             return False
         self._told_s = self._monotonic_s()
         return True
+
+
+def _has_started(state: CellState) -> bool:
+    """Also in SETUP, which may last for weeks: a start that waited for its end would never be one."""
+    return state.ready or state.state is CellPhase.SETUP
 
 
 def _address(path: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.cellfiles import CellFiles, read_cell
+from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
@@ -23,16 +23,41 @@ ROOMS = tuple(f"edged.vision.{room}" for room in ("shape", "edges", "curves", "p
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedCell:
-    """A cell's files and what they become: the rig with its maps, and what the loop measures by."""
+    """A cell's files and what they become: the rig with its maps, and what the loop measures by.
 
-    cell: CellFiles
-    rig: PreparedRig
+    rig : None for a cell that is not finished, whose setup says what it lacks.
+    """
+
+    cell: CellFiles | UnfinishedCell
+    rig: PreparedRig | None
     setup: Setup
+
+
+def load_any_cell(path: Path) -> LoadedCell:
+    """Get a cell ready to measure, or to be set up. Raises `ConfigError` with every mistake in its files."""
+    cell = read_any_cell(path)
+    if isinstance(cell, CellFiles):
+        return _loaded(cell)
+    setup = Setup(
+        jobs={},
+        active_job=0,
+        period_s=None,
+        calibration_id="",
+        fingerprint=cell.fingerprint,
+        simulated=cell.config.cameras.source.startswith("virtual"),
+        robot_from_rig=None,
+        listens=cell.config.cycle.mode == "external",
+        lacks=cell.lacks,
+    )
+    return LoadedCell(cell, None, setup)
 
 
 def load_cell(path: Path) -> LoadedCell:
     """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
-    cell = read_cell(path)
+    return _loaded(read_cell(path))
+
+
+def _loaded(cell: CellFiles) -> LoadedCell:
     config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
     jobs = [
         LoadedJob(
@@ -65,8 +90,10 @@ def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], No
 
 def warm_up(loaded: LoadedCell) -> None:
     """Load the kernels that a cycle calls; run every job once on an empty pair: buffers are allocated."""
+    if loaded.rig is None:
+        return
     load_called(*ROOMS)
-    camera = loaded.cell.rig.left, loaded.cell.rig.right
+    camera = loaded.rig.rig.left, loaded.rig.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
     pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
     for job in loaded.setup.jobs.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,13 +13,14 @@ from typing import TYPE_CHECKING
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import head_of
-from edged.app.cell import LoadedCell, load_cell, warm_up
+from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up
 from edged.app.servers import Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import exposed_secrets
 from edged.cycle import Cycle
 from edged.errors import EdgedError
+from edged.files.setupnote import SetupNote
 from edged.logs import fields
 from edged.ports import Publisher
 
@@ -32,14 +34,22 @@ STOP_GRACE_S = 1.0
 
 
 def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:
-    """The stereo head of a loaded configuration, which insists on images as they were calibrated."""
-    rig = loaded.cell.rig
+    """The stereo head of a loaded configuration; it insists on images as they were calibrated."""
+    rig = None if loaded.rig is None else loaded.rig.rig
     return head_of(
         loaded.cell.config.cameras,
         world,
         external=loaded.setup.listens,
-        calibrated=((rig.left.width, rig.left.height), (rig.right.width, rig.right.height)),
+        calibrated=None
+        if rig is None
+        else ((rig.left.width, rig.left.height), (rig.right.width, rig.right.height)),
     )
+
+
+def _setup_note(config: Path) -> SetupNote:
+    """In the service's state directory; without a service manager beside the configuration."""
+    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    return SetupNote(Path(state) / "setup" if state else config.resolve().parent / f".{config.stem}.setup")
 
 
 def _other_cameras(new: LoadedCell, old: LoadedCell) -> bool:
@@ -70,7 +80,7 @@ class Daemon:
         self._loaded = loaded
         self._world = world
         self._head = head_for(loaded, world)
-        self._cycle = Cycle(self._head, loaded.setup)
+        self._cycle = Cycle(self._head, loaded.setup, notebook=_setup_note(path))
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
@@ -107,7 +117,9 @@ class Daemon:
         async with self._reloading:
             self._notifier.reloading()
             try:
-                loaded = await asyncio.to_thread(load_cell, self._path)
+                # a cell that measures keeps what it measures by; one that cannot may get it piece by piece
+                load = load_cell if self._loaded.rig is not None else load_any_cell
+                loaded = await asyncio.to_thread(load, self._path)
                 await asyncio.to_thread(warm_up, loaded)
                 head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
                 await self._servers.exchange(loaded.cell.config)

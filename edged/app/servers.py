@@ -24,11 +24,13 @@ from edged.adapters.modbus import (
     server_context,
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
+from edged.app.cell import LoadedCell
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
 from edged.config import Config, ModbusSection, OpcUaSection, RecorderSection, WebSection, ZenohSection
 from edged.errors import EdgedError, ListenError
 from edged.ports import Commander, Publisher
 from edged.robot.orientations import Brand, Convention
+from edged.vision.geometry.rectification import Rectification
 
 if TYPE_CHECKING:
     from edged.adapters.zenoh import ZenohSettings
@@ -236,7 +238,7 @@ class Servers:
                 from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
 
                 sources = Sources(
-                    rectification=lambda: running().loaded.rig.rectification,
+                    rectification=lambda: _rectification(running().loaded),
                     jobs=lambda: job_list(running().loaded),
                     facts=lambda: facts(running()),
                     registers=lambda: register_rows(self._started.get("modbus")),
@@ -277,6 +279,13 @@ class Servers:
     def _registers(self) -> ModbusPublisher | None:
         served = self._started.get("modbus")
         return served if isinstance(served, ModbusPublisher) else None
+
+
+def _rectification(loaded: LoadedCell) -> Rectification:
+    """Of the pictures on the page, which are of cycles: a cell without a rig has measured none."""
+    if loaded.rig is None:
+        raise LookupError("a cell without a rig has no pictures")
+    return loaded.rig.rectification
 
 
 def _lie_apart(one: Wanted, other: Wanted) -> bool:

@@ -44,7 +44,7 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
     groups: dict[str, dict[str, Any]] = {
         "Software": {"version": __version__, "configuration": setup.fingerprint},
         "Calibration": {
-            "id": setup.calibration_id,
+            "id": setup.calibration_id or "none yet",
             "registered to the robot": registered,
             **_drift_facts(running),
         },

@@ -6,20 +6,21 @@ import json
 import sys
 from pathlib import Path
 
-from edged.cellfiles import exposed_secrets, read_cell
+from edged.cellfiles import UnfinishedCell, exposed_secrets, read_any_cell
 from edged.errors import ConfigError
 
 
 def check(path: Path, *, as_json: bool) -> int:
-    """Print what was found; 0 when the daemon would start with it, 2 when not."""
+    """Print what was found; 0 when the cell would measure, 2 when not.
+
+    Without a rig or any job, and without any mistake, the daemon starts all the same, in SETUP.
+    """
     try:
-        cell = read_cell(path)
+        cell = read_any_cell(path)
     except ConfigError as error:
-        if as_json:
-            print(json.dumps({"ok": False, "file": str(path), "problems": error.problems}))
-        else:
-            sys.stderr.write(f"edged: {error}\n")
-        return 2
+        return _refused(path, error, as_json=as_json)
+    if isinstance(cell, UnfinishedCell):
+        return _refused(path, ConfigError(str(path), [*cell.missing]), as_json=as_json, starts_in_setup=True)
     config, rig = cell.config, cell.rig
     warnings = [str(secret) for secret in exposed_secrets(path, config)]
     jobs = [{"number": job.number, "name": job.name} for job in cell.jobs]
@@ -56,3 +57,14 @@ def check(path: Path, *, as_json: bool) -> int:
     for warning in warnings:
         print(f"  warning      {warning}")
     return 0
+
+
+def _refused(path: Path, error: ConfigError, *, as_json: bool, starts_in_setup: bool = False) -> int:
+    if as_json:
+        document = {"ok": False, "file": str(path), "problems": error.problems, "setup": starts_in_setup}
+        print(json.dumps(document))
+        return 2
+    sys.stderr.write(f"edged: {error}\n")
+    if starts_in_setup:
+        sys.stderr.write("nothing else is wrong: the daemon would start, in SETUP, and measure nothing\n")
+    return 2

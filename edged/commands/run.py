@@ -8,7 +8,7 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from edged.app.cell import load_cell, warm_up
+from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import log_as, serve, set_up_process
 from edged.app.servers import import_servers
@@ -20,7 +20,7 @@ def run(path: Path) -> int:
     """Run the daemon of a configuration file until SIGTERM or SIGINT."""
     set_up_process()
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
-    loaded = load_cell(path)
+    loaded = load_any_cell(path)
     log_as(loaded.cell.config.cell.name)
     with ThreadPoolExecutor(1) as other:
         importing = other.submit(import_servers, loaded.cell.config)
@@ -30,7 +30,7 @@ def run(path: Path) -> int:
         "cell %s, fingerprint %s, %d job(s)",
         loaded.cell.config.cell.name,
         loaded.setup.fingerprint,
-        len(loaded.cell.jobs),
+        len(loaded.setup.jobs),
     )
     source = loaded.cell.config.cameras.source
     if source.startswith("virtual"):

@@ -60,10 +60,18 @@ def _fetch(url: str, password: str) -> dict[str, Any]:
     return document
 
 
+def _in_words(state: dict[str, Any]) -> str:
+    word, setup = str(state.get("state", "starting")), state.get("setup")
+    if not setup:
+        return word
+    reason = str(setup["source"]).lower().replace("_", " ")
+    return f"{word}: {setup['by'] or 'nobody looks after it' if reason == 'person' else reason}"
+
+
 def _print(document: dict[str, Any], console: Console) -> None:
     state, result = document.get("state") or {}, document.get("result")
     table = Table(show_header=False, title=f"cell {document['cell']}", title_justify="left")
-    table.add_row("state", state.get("error") or state.get("state", "starting"))
+    table.add_row("state", state.get("error") or _in_words(state))
     table.add_row("job", f"{state.get('job_number', '')} {state.get('job', '')}")
     if result:
         table.add_row("last cycle", f"{result['cycle']}: {result['status']}")

@@ -37,12 +37,19 @@ LOOK_S = 1.0
 TABLE_LINES = 6
 """Of the screen, beside rows and troubles: the table's head, what is left out, and the cursor's line."""
 MAX_TEXT = 200
-STYLES = {"OK": "green", "READY": "green", "BUSY": "green", "CAPTURE_FAULT": "bold red", "FAULT": "bold red"}
+STYLES = {
+    "OK": "green",
+    "READY": "green",
+    "BUSY": "green",
+    "SETUP": "yellow",
+    "CAPTURE_FAULT": "bold red",
+    "FAULT": "bold red",
+}
 GONE = "GONE"
 WIDE = 100
 """Columns for everything that is known of a cell in one line."""
 MAX_NAME = 24
-STATES = ("FAULT", GONE, "STARTING", "STOPPING", "?", "BUSY", "READY")
+STATES = ("FAULT", GONE, "SETUP", "STARTING", "STOPPING", "?", "BUSY", "READY")
 """As they are counted in the summary: what needs somebody first."""
 
 
@@ -52,6 +59,7 @@ class CellView:
 
     state: str = "?"
     error: str = ""
+    setup: str = ""
     rate_hz: float | None = None
     target: Document = field(default_factory=dict)
     age_at_arrival_s: float = 0.0
@@ -66,6 +74,7 @@ class CellView:
             self.state = GONE if not document["alive"] else ("?" if self.state == GONE else self.state)
         elif news.kind == "state":
             self.state, self.error = _text(document, "state"), _text(document, "error")
+            self.setup = _setup(document.get("setup"))
         elif news.kind == "health":
             self.rate_hz = _number(document.get("rate_hz"))
         elif news.kind == "target":
@@ -302,7 +311,7 @@ def _urgency(cell: CellView) -> int:
     """0 needs somebody now, 3 is well."""
     if cell.error or cell.state in (GONE, "FAULT"):
         return 0
-    if _drift(cell.target):
+    if cell.setup or _drift(cell.target):
         return 1
     return 2 if _text(cell.target, "status") not in ("", "OK") else 3
 
@@ -310,7 +319,17 @@ def _urgency(cell: CellView) -> int:
 def _troubles(cell: CellView) -> list[str]:
     drift = _drift(cell.target)
     error = cell.error or _text(cell.target, "error")
-    return [text for text in (error, _drift_text(drift) if drift else "") if text]
+    return [text for text in (error, cell.setup, _drift_text(drift) if drift else "") if text]
+
+
+def _setup(document: object) -> str:
+    """Why a cell is in SETUP."""
+    if not isinstance(document, dict):
+        return ""
+    source = _text(document, "source").lower().replace("_", " ")
+    if source == "person":
+        return f"setup by {_text(document, 'by') or 'nobody: it was never ended'}"
+    return f"setup: {source} yet"
 
 
 def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool, narrow: bool) -> Table:

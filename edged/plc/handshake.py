@@ -24,7 +24,9 @@ The rules:
 - A measurement that finds several good parts leaves a list of the others. NEXT_PART shows the next one under
   its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
   as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
-  a client that is lost, the validity time-out and a reload. Without one NEXT_PART is a NACK.
+  a client that is lost, the validity time-out, a reload and SETUP. Without one NEXT_PART is a NACK.
+- While the cell is set up (`Suspended` to `Resumed`) nothing is open, shown or valid: what was open ends in
+  NACK, SETUP, and so does each command that is written.
 - At most `Limits.queue` commands are open; one more is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
@@ -69,6 +71,8 @@ class Reason(enum.IntEnum):
     """Accepted, and then it could not be carried out: the log says why."""
     CAPTURE_FAULT = 6
     """The cameras gave no pair of images: ERROR says why."""
+    SETUP = 7
+    """Somebody has the cell for setting it up, or it lacks calibration or jobs: SETUP_SOURCE says which."""
     BASELINE = 8
     """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
     NO_LIST = 9
@@ -138,6 +142,7 @@ class Handshake(Generic[Payload]):
 
     parts : None where there is no list; one at its end is none.
     synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
+    suspended : the cell is set up.
     """
 
     limits: Limits
@@ -156,6 +161,7 @@ class Handshake(Generic[Payload]):
     heartbeat: int = 0
     heartbeat_due_s: float | None = None
     client_lost: bool = False
+    suspended: bool = False
     owner: int | None = None
     owner_until_s: float = 0.0
 
@@ -199,6 +205,7 @@ class Declined:
     """The cycle did not take the command that was submitted."""
 
     ticket: int
+    reason: Reason = Reason.REFUSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +273,16 @@ class Reloaded:
 
 
 @dataclass(frozen=True, slots=True)
+class Suspended:
+    """The cell is set up from now on: its cameras, its rig or its jobs may change."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resumed:
+    """The cell works for clients again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Only time has passed."""
 
@@ -283,6 +300,8 @@ Event = (
     | Released
     | Barred
     | Reloaded
+    | Suspended
+    | Resumed
     | Tick
 )
 
@@ -375,8 +394,8 @@ def _take(
             return _command(state, event, now_s)
         case Finished():
             return _finish(state, event)
-        case Declined(ticket):
-            return _end(state, ticket, Answer.NACK, Reason.REFUSED)
+        case Declined(ticket, reason):
+            return _end(state, ticket, Answer.NACK, reason)
         case Failed(ticket):
             return _end(state, ticket, Answer.NACK, Reason.FAILED)
         case AckWritten(sequence):
@@ -388,7 +407,7 @@ def _take(
             # already down when the write is answered
             return (replace(state, exposure_done=False) if state.command_sequence == 0 else state), ()
         case Exposed(ticket):
-            mine = state.command_sequence == 0 or ticket == state.ticket
+            mine = (state.command_sequence == 0 or ticket == state.ticket) and not state.suspended
             return (replace(state, exposure_done=True) if mine else state), ()
         case ClaimedBy(client):
             return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
@@ -399,8 +418,20 @@ def _take(
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Reloaded():
             return replace(state, parts=None), ()
+        case Suspended():
+            return _suspend(state)
+        case Resumed():
+            return replace(state, suspended=False), ()
         case Tick():
             return state, ()
+
+
+def _suspend(state: Handshake[Payload]) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    effects: tuple[Effect, ...] = ()
+    for command in state.open:
+        state, ended = _end(state, command.ticket, Answer.NACK, Reason.SETUP)
+        effects += ended
+    return replace(state, suspended=True, result=None, parts=None, exposure_done=False), effects
 
 
 def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
@@ -434,6 +465,8 @@ def _command(
         ticket += SEQUENCE_MASK + 1
     # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
     state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
+    if state.suspended:
+        return _refuse(state, Reason.SETUP)
     if is_baseline:
         return _refuse(state, Reason.BASELINE)
     if not event.known:
@@ -495,7 +528,7 @@ def _finish(
     state: Handshake[Payload], event: Finished[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     if event.ticket is None:
-        if state.command_sequence == 0 and event.payload is not None:
+        if state.command_sequence == 0 and event.payload is not None and not state.suspended:
             shown = Result(free_sequence(event.cycle), event.verdict, event.exposed_s, event.payload)
             return replace(state, result=shown), ()
         return state, ()

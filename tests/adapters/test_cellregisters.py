@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from snapshots import make_snapshot
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.domain import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
+from edged.domain import (
+    CellPhase,
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    ExposureDone,
+    JobChanged,
+    SetupSource,
+)
+from edged.errors import BeingSetUp
 from edged.plc import registers as reg
+from edged.plc.handshake import Reason
 
 
 class Queue:
@@ -15,6 +28,10 @@ class Queue:
 
     def __init__(self) -> None:
         self.commands: list[Command] = []
+        self.locks: list[bool] = []
+
+    def lock_setup(self, locked: bool) -> None:
+        self.locks.append(locked)
 
     def submit(self, command: Command) -> None:
         self.commands.append(command)
@@ -82,3 +99,44 @@ def test_what_comes_after_the_time_out_is_not_shown_as_a_free_running_cycle_eith
     cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
     cell.take(make_snapshot(1, command=queue.commands[0]))
     assert (0, reg.INT32_MIN) == shown(cell)
+
+
+def test_auto_lock_is_told_when_it_changes_and_falls_with_its_connection() -> None:
+    """A PLC that writes its whole block for ever says it once; another client's end is nothing to it."""
+    queue = Queue()
+    cell = registers(queue)
+    for _ in range(3):
+        cell.write(1, reg.ADDRESS["AUTO_LOCK"], [1, 0, 0])
+    cell.gone(2)
+    assert [True] == queue.locks
+    cell.gone(1)
+    assert [True, False] == queue.locks
+    words = cell.read(reg.COMMAND.address, reg.COMMAND.words)
+    assert 0 == reg.decode(reg.COMMAND, words)["AUTO_LOCK"]
+    for value in (0, 7, 0):
+        cell.write(1, reg.ADDRESS["AUTO_LOCK"], [value])
+    assert [True, False, True, False] == queue.locks
+
+
+def test_a_command_that_the_cell_refuses_for_setup_says_so() -> None:
+    """Also before the state has been told: between a start, or a reload, and its first event."""
+
+    class Busy(Queue):
+        def submit(self, command: Command) -> None:
+            raise BeingSetUp("the cell is being set up")
+
+    cell = registers(Busy())
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
+    assert (1, Reason.SETUP) == tuple(status(cell)[name] for name in ("DONE_SEQ", "NACK_REASON"))
+
+
+def test_a_stop_in_setup_makes_nothing_ready() -> None:
+    """STOPPING, and a command that comes now, is as in SETUP."""
+    queue = Queue()
+    cell = registers(queue)
+    setup = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
+    cell.take(setup)
+    cell.take(replace(setup, state=CellPhase.STOPPING, setup=SetupSource.NONE))
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
+    assert [] == queue.commands
+    assert (4, Reason.SETUP) == tuple(status(cell)[name] for name in ("STATE", "NACK_REASON"))

@@ -9,7 +9,16 @@ from prometheus_client.parser import text_string_to_metric_families
 from snapshots import make_snapshot, make_target
 
 from edged.adapters.metrics import MetricsPublisher
-from edged.domain import CellPhase, CellState, Command, CommandFailed, CommandKind, Reject, Status
+from edged.domain import (
+    CellPhase,
+    CellState,
+    Command,
+    CommandFailed,
+    CommandKind,
+    Reject,
+    SetupSource,
+    Status,
+)
 
 
 def samples(metrics: MetricsPublisher) -> dict[tuple[str, tuple[str, ...]], float]:
@@ -76,6 +85,15 @@ def test_state_and_failures_are_shown() -> None:
     assert found["edged_missed_triggers", ()] == 7
     assert found["edged_failed_commands_total", ()] == 1
     assert found["edged_recordings", ()] == 4
+
+
+def test_setup_is_told_apart_from_a_fault() -> None:
+    """Alarms of a cell that somebody has on purpose would teach people to ignore them."""
+    metrics = MetricsPublisher("cell1")
+    setup = CellState(CellPhase.SETUP, False, False, "flange", 1, 0, setup=SetupSource.PERSON)
+    for state, expected in ((setup, 1), (replace(setup, state=CellPhase.READY), 0)):
+        metrics.announce(state)
+        assert expected == samples(metrics)["edged_setup", ()]
 
 
 def test_every_figure_has_a_help_text() -> None:

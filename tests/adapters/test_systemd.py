@@ -19,7 +19,7 @@ from edged.adapters.web import server
 from edged.adapters.zenoh import session
 from edged.app.process import DESCRIPTORS
 from edged.config import ModbusSection
-from edged.domain import CellPhase, CellState, Event, Idle
+from edged.domain import CellPhase, CellState, Event, Idle, SetupSource
 
 UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
@@ -87,6 +87,18 @@ def test_ready_comes_with_the_cameras_and_only_once(manager):
     assert any(line.startswith("EXTEND_TIMEOUT_USEC=") for line in before), "waiting extends the start"
     bench.announce(READY, READY, BUSY, READY)
     assert 1 == manager.told().count("READY=1")
+    bench.close()
+
+
+def test_a_cell_in_setup_has_started(manager):
+    """A start that waited until somebody has calibrated would run into its time-out; the reason is shown."""
+    setup = CellState(CellPhase.SETUP, False, False, "", 0, 0, setup=SetupSource.NO_CALIBRATION)
+    bench = Bench(manager.address)
+    bench.announce(setup, Idle())
+    told = manager.told()
+    assert 1 == told.count("READY=1")
+    assert "STATUS=setup: no calibration yet; 0 cycles" in told
+    assert not any(line.startswith("EXTEND_TIMEOUT_USEC=") for line in told)
     bench.close()
 
 

@@ -180,11 +180,15 @@ CASES: dict[str, Bad] = {
     ),
     "rig that is not there": Bad(
         CHECK,
-        "edged: cell.toml: 1 problem\ncell.rig: ~/rigs.json: cannot read a rig: No such file or directory",
+        "edged: cell.toml: 1 problem\ncell.rig: ~/rigs.json: cannot read a rig: No such file or directory\n"
+        "nothing else is wrong: the daemon would start, in SETUP, and measure nothing",
         {"cell.toml": ('"rig.json"', '"rigs.json"')},
     ),
     "jobs that are not there": Bad(
-        CHECK, "edged: cell.toml: 1 problem\ncell.jobs: ~/jobs: no such folder", {"jobs": remove}
+        CHECK,
+        "edged: cell.toml: 1 problem\ncell.jobs: ~/jobs: no such folder\n"
+        "nothing else is wrong: the daemon would start, in SETUP, and measure nothing",
+        {"jobs": remove},
     ),
     # --- jobs ---
     "job: not TOML": Bad(
@@ -595,7 +599,7 @@ CASES: dict[str, Bad] = {
     ),
     "watch: state": Bad(
         "watch --state BROKEN",
-        "edged: --state 'BROKEN': expected one of FAULT, GONE, STARTING, STOPPING, ?, BUSY, READY",
+        "edged: --state 'BROKEN': expected one of FAULT, GONE, SETUP, STARTING, STOPPING, ?, BUSY, READY",
     ),
     "watch: name": Bad(
         "watch --cell a/b",

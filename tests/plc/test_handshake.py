@@ -346,18 +346,20 @@ OTHERS = {
     "no command": hs.SequenceWritten(0),
     "another client": hs.SequenceWritten(2, client=5, once=True),
     "a reload": hs.Reloaded(),
+    "SETUP": hs.Suspended(),
     "the connection's end": hs.Released(0, gone=True),
 }
 
 
 @pytest.mark.parametrize("what", OTHERS)
 def test_whatever_else_happens_ends_the_list(what: str) -> None:
-    """A trigger, accepted or not, CMD_SEQ 0, another client, a reload, a connection that ends."""
+    """A trigger, accepted or not, CMD_SEQ 0, another client, a reload, SETUP, a connection that ends."""
     run = Run()
     run.tell(hs.SequenceWritten(1))
     run.good(1, 1, "a", "b")
     run.tell(OTHERS[what])
     assert 0 == hs.remaining(run.state)
+    run.tell(hs.Resumed())
     run.tell(hs.Finished(2, 2, Verdict.BAD, run.now_s, "bad"))
     assert "" == run.next_part(3, once=True)
 
@@ -406,6 +408,53 @@ def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
     assert "" == run.next_part(3)
 
 
+def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
+    """Two open commands: NACK, SETUP each; the newest answer is on display; the old result is gone."""
+    run = Run()
+    run.tell(hs.SequenceWritten(1))
+    run.good(1)
+    assert run.valid
+    run.tell(hs.SequenceWritten(2))
+    run.tell(hs.SequenceWritten(3))
+    run.tell(hs.Exposed(3))
+    ended = run.tell(hs.Suspended())
+    assert {2: Reason.SETUP, 3: Reason.SETUP} == {effect.ticket: effect.reason for effect in ended}
+    assert (3, Answer.NACK, Reason.SETUP) == (run.state.done_sequence, run.state.answer, run.state.reason)
+    run.good(3)
+    assert (None, (), False) == (run.state.result, run.state.open, run.state.exposure_done)
+
+
+def test_in_setup_each_command_ends_so_and_free_cycles_are_not_shown() -> None:
+    """First of a connection or not, known or not; after it the next number runs, the same one does not."""
+    run = Run(synchronised=None)
+    run.tell(hs.Suspended())
+    assert () == run.tell(hs.Suspended()), "it is set up already"
+    for sequence, known in ((7, True), (8, False), (9, True)):
+        (answered,) = run.tell(hs.SequenceWritten(sequence, known))
+        assert hs.Answered(sequence, Answer.NACK, Reason.SETUP) == answered
+        assert sequence == run.state.done_sequence
+    assert () == run.tell(hs.SequenceWritten(0))
+    run.good(None)
+    assert run.state.result is None
+    run.tell(hs.SequenceWritten(10))
+    assert () == run.tell(hs.Resumed())
+    assert () == run.tell(hs.SequenceWritten(10)), "a PLC that repeats its number repeats no command"
+    assert (hs.Submit(11),) == run.tell(hs.SequenceWritten(11))
+    run.good(11)
+    assert run.valid
+
+
+def test_a_result_of_before_is_not_valid_after_setup() -> None:
+    """Young enough by the clock, and measured by what may have been exchanged."""
+    run = Run()
+    run.good(None)
+    run.tell(hs.Suspended())
+    run.tell(hs.Resumed())
+    assert not run.valid
+    run.good(None, cycle=2)
+    assert run.valid
+
+
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
@@ -425,6 +474,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.list_client, self.list_job, self.list_until_s = 0, 0, 0.0
         self.given: set[str] = set()  # parts that were shown
         self.shown = ""  # the part that is on display, where NEXT_PART showed it
+        self.is_set_up = False  # somebody has the cell for setting it up
 
     @rule(
         sequence=st.sampled_from([0, 1, 2, 3, 4, 65534, 65535]),
@@ -443,11 +493,16 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         timeout_s = 0.5 if quick else None
         effects = self.run.tell(hs.SequenceWritten(sequence, known, timeout_s, client, once, next_of))
         if changed:
-            self.check_next_part(effects, sequence, client, next_of, asked=known and not begins)
+            self.check_next_part(
+                effects, sequence, client, next_of, asked=known and not begins and not self.is_set_up
+            )
         if next_of is not None:
             assert not any(isinstance(effect, hs.Submit) for effect in effects), "NEXT_PART made an exposure"
         submitted = [effect.ticket for effect in effects if isinstance(effect, hs.Submit)]
-        assert len(submitted) <= int(changed and sequence != 0 and known and not begins)
+        may_run = changed and sequence != 0 and known and not begins and not self.is_set_up
+        assert len(submitted) <= int(may_run)
+        if changed and sequence != 0 and self.is_set_up:
+            assert effects[-1:] == (hs.Answered(self.run.state.ticket, Answer.NACK, Reason.SETUP),)
         self.accepted += submitted
         self.in_cell += submitted
         if changed:
@@ -547,6 +602,34 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if result is not None and sequence == result.sequence:
             assert not self.run.valid
 
+    @rule(late=st.booleans())
+    def is_taken_for_setup(self, late: bool) -> None:
+        """All that is open ends at once; what the cell still finishes of it, late, changes nothing."""
+        still_open = {command.ticket for command in self.run.state.open}
+        effects = self.run.tell(hs.Suspended())
+        ended = {e.ticket: e.reason for e in effects if isinstance(e, hs.Answered)}
+        assert still_open == set(ended)
+        assert set(ended.values()) <= {Reason.SETUP, Reason.TIMEOUT}
+        assert self.run.state.result is None
+        assert not self.run.state.exposure_done
+        self.is_set_up, self.list = True, []
+        if not late:
+            self.in_cell = []
+
+    @rule()
+    def is_given_back(self) -> None:
+        """Nothing appears by that alone, and nothing runs."""
+        was_valid = self.run.valid
+        assert not any(isinstance(effect, hs.Submit) for effect in self.run.tell(hs.Resumed()))
+        assert was_valid or not self.run.valid
+        self.is_set_up = False
+
+    @rule(ticket_back=st.integers(0, 3))
+    def exposure(self, ticket_back: int) -> None:
+        """Of a command, of none, or of one that has ended."""
+        self.run.tell(hs.Exposed(None if ticket_back == 0 else self.run.state.ticket - ticket_back + 1))
+        assert not (self.is_set_up and self.run.state.exposure_done)
+
     @rule(value=st.integers(0, 3))
     def beat(self, value: int) -> None:
         self.run.tell(hs.HeartbeatWritten(value))
@@ -562,6 +645,14 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         elif may_write(self.run.state, client, self.run.now_s):
             self.run.tell(hs.ClaimedBy(client))
             assert not any(may_write(self.run.state, other, self.run.now_s) for other in {1, 2, 3} - {client})
+
+    @invariant()
+    def nothing_is_valid_open_or_shown_while_it_is_set_up(self) -> None:
+        if hasattr(self, "run") and self.is_set_up:
+            state = self.run.state
+            assert (None, (), False) == (state.result, state.open, state.exposure_done)
+            assert 0 == hs.remaining(state)
+            assert not self.run.valid
 
     @invariant()
     def never_valid_with_an_old_sequence(self) -> None:

@@ -40,6 +40,7 @@ from edged.domain import (
     NearMiss,
     NotMeasured,
     Reject,
+    SetupSource,
     Snapshot,
     Status,
 )
@@ -55,6 +56,7 @@ PASSWORD = "correct horse"
 HASH = hash_password(PASSWORD)
 RECTIFICATION = make_rectification(demo_rig())
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
+SETUP = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
 
 
 def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
@@ -509,12 +511,13 @@ def test_ready_tells_a_load_balancer_and_a_person() -> None:
         async with served() as (web, session):
             for state, expected in (
                 (CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "cable", 104), 503),
+                (replace(SETUP, setup_by="Anna"), 503),
                 (READY, 200),
             ):
                 web.announce(state)
                 async with session.get("/ready") as answer:
                     assert answer.status == expected
-                    assert (await answer.json())["error"] == state.error
+                    assert (await answer.json())["error"] == state.why
                 async with session.get("/health") as answer:
                     assert (answer.status, (await answer.json())["state"]) == (200, state.state)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 
-from edged.domain import CommandKind, Reject
+from edged.domain import CommandKind, Reject, SetupSource
 from edged.pictures.captions import REASONS
 from edged.plc.handshake import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
@@ -17,6 +17,7 @@ CODES: dict[str, type[enum.IntEnum]] = {
     "RESULT": ResultCode,
     "NACK_REASON": Reason,
     "POSE_CONVENTION": Convention,
+    "SETUP_SOURCE": SetupSource,
 }
 BITS: dict[str, type[enum.IntFlag]] = {
     "STATUS_BITS": StatusBit,

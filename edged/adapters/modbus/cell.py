@@ -28,9 +28,10 @@ from edged.domain import (
     FloatArray,
     JobChanged,
     Reloaded,
+    SetupSource,
     Snapshot,
 )
-from edged.errors import CommandRefused
+from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
@@ -46,6 +47,7 @@ STATES = {
     CellPhase.BUSY: 2,
     CellPhase.FAULT: 3,
     CellPhase.STOPPING: 4,
+    CellPhase.SETUP: 5,
 }
 
 VERDICTS = {
@@ -100,6 +102,7 @@ class CellRegisters:
         self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
+        self._locked_by: int | None = None  # the client whose AUTO_LOCK holds
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
@@ -203,12 +206,14 @@ class CellRegisters:
             "WRITE_OWNER": int(state.owner is not None),
             "LAST_SEQ": state.ticket & hs.SEQUENCE_MASK,
             "START_EPOCH": self._epoch,
+            "SETUP_SOURCE": cell.setup if cell is not None else SetupSource.NONE,
         }
 
     def _warnings(self) -> reg.Warn:
         lost = reg.Warn.CLIENT_LOST if self._state.client_lost else reg.Warn(0)
         unknown = reg.Warn.UNSYNCHRONISED if self._state.synchronised is None else reg.Warn(0)
-        return lost | unknown
+        set_up = reg.Warn.SETUP if self._state.suspended else reg.Warn(0)
+        return lost | set_up | unknown
 
     def _status_bits(self, now_s: float, valid: bool) -> int:
         state, cell = self._state, self._cell
@@ -266,6 +271,8 @@ class CellRegisters:
             self._step(hs.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
         if _offset("ACK_SEQ") in written:
             self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
+        if _offset("AUTO_LOCK") in written:
+            self._lock(client if new[_offset("AUTO_LOCK")] else None)
         if _offset("CMD_SEQ") in written:
             self._trigger(client, now_s, reg.Option(options))
         if options & reg.Option.RELEASE:
@@ -283,6 +290,9 @@ class CellRegisters:
 
     def gone(self, client: int) -> None:
         """A connection has ended."""
+        if self._locked_by == client:
+            self._command[_offset("AUTO_LOCK")] = 0
+            self._lock(None)
         self._step(hs.Released(client, gone=True), self._clock_s())
         self.changed()
 
@@ -303,6 +313,12 @@ class CellRegisters:
             if isinstance(effect, hs.Submit):
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
                 self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all))
+
+    def _lock(self, client: int | None) -> None:
+        """Tell the cell when the plant begins or ceases to forbid SETUP. client : who wrote it last."""
+        was_locked, self._locked_by = self._locked_by is not None, client
+        if self._commander is not None and was_locked != (client is not None):
+            self._commander.lock_setup(client is not None)
 
     def _taken_flange(self) -> FloatArray | None:
         """Pose of the flange, which serves one command: the next must not measure with an old one.
@@ -326,7 +342,8 @@ class CellRegisters:
             self._commander.submit(command)
         except CommandRefused as refused:
             self._refusals.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
-            self._step(hs.Declined(command.sequence), self._clock_s())
+            reason = hs.Reason.SETUP if isinstance(refused, BeingSetUp) else hs.Reason.REFUSED
+            self._step(hs.Declined(command.sequence, reason), self._clock_s())
 
     # --- events of the cell --------------------------------------------------------------------
 
@@ -357,6 +374,10 @@ class CellRegisters:
                 ):
                     self._step(hs.CycleBegun(), now_s)
                 self._cell = event
+                if event.state is CellPhase.SETUP:
+                    self._step(hs.Suspended(), now_s)
+                elif self._state.suspended and event.state is not CellPhase.STOPPING:
+                    self._step(hs.Resumed(), now_s)
             case _:
                 pass
         self.changed()

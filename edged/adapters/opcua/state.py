@@ -20,6 +20,7 @@ class CellStates(enum.IntEnum):
     BUSY = 2
     FAULT = 3
     STOPPING = 4
+    SETUP = 5
 
 
 class Top(enum.Enum):
@@ -51,7 +52,7 @@ class VisionState:
 def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionState:
     """The state that registers stand for. free_running : the cell measures without being asked."""
     state, bits = int(values["STATE"]), int(values["STATUS_BITS"])
-    if state == CellStates.STARTING:
+    if state in (CellStates.STARTING, CellStates.SETUP):  # started, and people have to do something first
         return VisionState(Top.PREOPERATIONAL, None)
     if state == CellStates.STOPPING:
         return VisionState(Top.HALTED, None)

@@ -379,7 +379,7 @@ class WebPublisher:
         """200 when a trigger would be carried out, else 503 with the reason."""
         state = self._page.state
         ready = state is not None and state.ready
-        reason = "" if state is None else state.error
+        reason = "" if state is None else state.why
         return web.json_response({"ready": ready, "error": reason}, status=200 if ready else 503)
 
     async def _cycle(self, request: web.Request) -> web.Response:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from edged.domain import CommandKind, Reject
+from edged.domain import CommandKind, Reject, SetupSource
 from edged.plc.registers.schema import (
     JOB_ROWS,
     NAME_WORDS,
@@ -89,7 +89,13 @@ COMMAND = make_block(
             for axis in AXES
         ),
         ("TIMEOUT", _U16, "ms", "time-out of the command, NACK after it; 0: none"),
-        ("RESERVED_119", _U16, "", "write 0"),
+        (
+            "AUTO_LOCK",
+            _U16,
+            "",
+            "1: the plant runs; nobody may take the cell for SETUP, and who has it loses it. 0: they may; so "
+            "it is without the connection that wrote 1",
+        ),
         ("RESERVED_120", _U16, "", "write 0"),
         ("RESERVED_121", _U16, "", "write 0"),
     ],
@@ -100,7 +106,7 @@ STATUS = make_block(
     "status",
     200,
     [
-        ("STATE", _U16, "", "0 STARTING, 1 READY, 2 BUSY, 3 FAULT, 4 STOPPING"),
+        ("STATE", _U16, "", "0 STARTING, 1 READY, 2 BUSY, 3 FAULT, 4 STOPPING, 5 SETUP"),
         (
             "STATUS_BITS",
             _U16,
@@ -133,8 +139,8 @@ STATUS = make_block(
             _U16,
             "",
             "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
-            "8 first CMD_SEQ of a connection, or after a start or another client's: nothing ran, 9 no next "
-            "part",
+            "7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another client's: "
+            "nothing ran, 9 no next part",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
         (
@@ -144,6 +150,7 @@ STATUS = make_block(
             "the newest CMD_SEQ other than 0 since the start: a program that begins goes on after it",
         ),
         ("START_EPOCH", _U32, "", "another number after each start of the daemon or of this server; never 0"),
+        ("SETUP_SOURCE", _U16, "", f"why the cell is in SETUP: {list_codes(SetupSource)}"),
     ],
 )
 

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from edged.domain import Reject
+from edged.domain import Reject, SetupSource
 from edged.plc.registers.schema import (
     INT32_MIN,
     Flag,
@@ -29,7 +29,10 @@ BITS: Mapping[str, type[enum.IntFlag]] = {
     "WARNING": Warn,
     "REJECT": Reject,
 }
-CODES: Mapping[str, type[enum.IntEnum]] = dict.fromkeys(("RESULT", "UR_RESULT", "F_RESULT"), ResultCode)
+CODES: Mapping[str, type[enum.IntEnum]] = {
+    **dict.fromkeys(("RESULT", "UR_RESULT", "F_RESULT"), ResultCode),
+    "SETUP_SOURCE": SetupSource,
+}
 MAX_NS = 253_402_300_799 * 10**9
 """The year 9999, where calendars end."""
 

@@ -126,6 +126,8 @@ class Warn(enum.IntFlag):
 
     CLIENT_LOST = 1 << 0
     """The client's heartbeat has stopped: its result is withdrawn."""
+    SETUP = 1 << 1
+    """The cell is in SETUP: commands end in NACK 7. SETUP_SOURCE says why."""
     UNSYNCHRONISED = 1 << 2
     """No client's CMD_SEQ is known: the next one runs nothing."""
 
