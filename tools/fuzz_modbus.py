@@ -41,9 +41,13 @@ logging.basicConfig(level=logging.INFO)
 from edged.adapters.modbus import ModbusSettings, SerialSettings
 from livecell import LiveCell
 serial = SerialSettings(sys.argv[1], parity="none", gap_s=0.004)
+from snapshots import make_target
+from livecell import GRASPS
 settings = ModbusSettings(port=0, serial=serial, idle_s=float(sys.argv[2]), max_clients=int(sys.argv[3]),
                           reserved={ip_address(sys.argv[4]): 2})
-with LiveCell(settings, period_s=0.05) as cell:
+cell = LiveCell(settings, period_s=0.05).pick(GRASPS)
+cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+with cell:
     print(cell.port, flush=True)
     sys.stdin.read()
 """
@@ -143,6 +147,8 @@ def requests() -> list[bytes]:
         struct.pack(">BHHB3H", 16, 100, 3, 6, 1, 0, 7),
         struct.pack(">BHHB3H", 16, 100, 3, 6, 2, 2, 8),
         struct.pack(">BHHHHB3H", 23, 200, 16, 100, 3, 6, 3, 0, 9),
+        *(struct.pack(">BHHB6H", 16, 100, 6, 12, 5, 0, 10 + i, 0, 0, i) for i in range(8)),
+        *(struct.pack(">BHH", 3, address, words) for address, words in ((400, 52), (540, 35), (1000, 125))),
         bytes((0x2B, 0x0E, 1, 0)),
         bytes((8, 0, 0, 0, 0)),
     ]

@@ -267,6 +267,40 @@ def locate(
     )
 
 
+grasp = typer.Typer(help="How a tool takes a part.", no_args_is_help=True)
+app.add_typer(grasp, name="grasp")
+
+
+@grasp.command("touch")
+def grasp_touch(
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job folder, written by `edged teach`; the grasp is added to it")],
+    pose: Annotated[
+        str, typer.Option(help="of the tool's tip at the part, as the robot shows it: numbers with commas")
+    ],
+    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki or doosan")],
+    name: Annotated[str, typer.Option(help="of the grasp")],
+    left: Annotated[Path, typer.Argument(help="left image of the part as it lies there")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    approach_mm: Annotated[float, typer.Option(min=0, help="from where the tool comes, along its z")] = 50.0,
+    retreat_mm: Annotated[
+        float | None, typer.Option(min=0, help="how far it goes back; left out: as the approach")
+    ] = None,
+    symmetry: Annotated[
+        int, typer.Option(min=0, help="ways to take the part alike, turned about its z; 0: any")
+    ] = 1,
+) -> None:
+    """From where the robot stands when it takes the part. 0: added to the job; 1: the part is not good."""
+    from rich.console import Console
+
+    from edged.commands.grasp import Touch
+    from edged.commands.grasp import touch as command
+
+    retreat = approach_mm if retreat_mm is None else retreat_mm
+    asked = Touch(pose, brand, name, approach_mm, retreat, symmetry)
+    raise typer.Exit(command(rig, job, left, right, asked, Console()))
+
+
 register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
 app.add_typer(register, name="register")
 PosesOption = Annotated[

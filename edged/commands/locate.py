@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import FloatArray, Frame, FramePair, Image, Outcome, Status, Target
+from edged.domain import FloatArray, Frame, FramePair, GraspPose, Image, Outcome, Status, Target
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.images import load_image
@@ -129,6 +131,8 @@ def _print(outcome: Outcome, rig: StereoRig, convention: Convention, console: Co
         frame = frame_name(rig.robot_from_rig)
         console.print(f"as the PLC reads it: in the {frame}'s frame, A, B, C {convention.name.lower()}")
         console.print(_as_read(target, rig, convention))
+        if target.grasp is not None:
+            console.print(_taken(target.grasp, rig), markup=False)
         if target.measurements:
             console.print(_measurements(target))
         if target.free_axis is not None:
@@ -157,6 +161,17 @@ def _as_read(target: Target, rig: StereoRig, convention: Convention) -> Table:
         for name, value, sigma in zip(names, values, sigmas, strict=True):
             table.add_row(name, f"{value:.3f}{unit}", f"{sigma:.4f}")
     return table
+
+
+def _taken(grasp: GraspPose, rig: StereoRig) -> str:
+    """Where the tool takes the part, in the frame of the pose above."""
+    frame_from_rig = np.eye(4) if rig.robot_from_rig is None else rig.robot_from_rig
+    tip, start = (
+        " ".join(f"{value:.3f}" for value in (frame_from_rig @ pose)[:3, 3])
+        for pose in (grasp.rig_from_tcp, grasp.rig_from_approach)
+    )
+    turn = math.degrees(grasp.turn_rad)
+    return f"  grasp {grasp.number} ({grasp.name}), turned by {turn:.1f}°: tip at {tip} mm, from {start} mm"
 
 
 def _measurements(target: Target) -> Table:

@@ -282,7 +282,25 @@ def test_what_is_no_request_is_answered_so(line: str) -> None:
 
 
 WORDS = st.sampled_from(
-    ["7", "LOCATE", "NEXT", "ACK", "0", "-1", "1e400", "nan", "inf", "1_0", " ", "\u0661", "9" * 90]
+    [
+        "7",
+        "LOCATE",
+        "NEXT",
+        "NEXT_PART",
+        "GRASP",
+        "APPROACH",
+        "ACK",
+        "*",
+        "0",
+        "-1",
+        "1e400",
+        "nan",
+        "inf",
+        "1_0",
+        " ",
+        "\u0661",
+        "9" * 90,
+    ]
 )
 
 
