@@ -658,11 +658,14 @@ class Config(_Section):
         return found
 
     def missing_files(self) -> list[str]:
-        """A line for each named file that is not there; rig and jobs are read, and judged, elsewhere."""
+        """A line for each file or folder that is named and not there; rig and jobs are judged elsewhere."""
         named = self.machine_files()
         if self.zenoh.enabled and self.zenoh.config_file is not None:
             named["zenoh.config_file"] = self.zenoh.config_file
-        return [f"{place}: {file}: no such file" for place, file in named.items() if not file.is_file()]
+        missing = [f"{place}: {file}: no such file" for place, file in named.items() if not file.is_file()]
+        if self.opcua is not None and self.opcua.trusted is not None and not self.opcua.trusted.is_dir():
+            missing.append(f"opcua.trusted: {self.opcua.trusted}: no such folder")
+        return missing
 
 
 EXPECTED = {

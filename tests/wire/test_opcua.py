@@ -334,6 +334,26 @@ def test_an_acknowledged_result_falls_everywhere_in_one_write(cell: OpcUaCell, s
     asyncio.run(run())
 
 
+def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
+    cell: OpcUaCell, secure: OpcUaSettings
+) -> None:
+    """It was valid and acknowledged between two messages: the next one says BadNoData, and no coordinate."""
+
+    async def run() -> list[int]:
+        async with connected(cell, secure) as client:
+            notes = Notes()
+            subscription = await client.create_subscription(1000, notes)
+            await subscription.subscribe_data_change(client.get_node(X), queuesize=10)
+            await until(lambda: notes.changes)
+            sequence, _ = await command(client, 1)
+            await until(lambda: has_x(client))
+            await client.get_node("ns=3;s=Handshake").call_method("3:Acknowledge", ua.Variant(sequence, U16))
+            await until(lambda: len(notes.changes) > 1)
+        return [code for _, _, code in notes.changes]
+
+    assert {NO_DATA} == set(asyncio.run(run()))
+
+
 def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
     """Validity is a promise in time: after it no read gives a coordinate, and subscribers are told."""
 

@@ -18,7 +18,6 @@ from typing import Any
 
 import asyncua
 from asyncua import ua
-from asyncua.common.callback import CallbackType
 from asyncua.crypto import security_policies
 from asyncua.server.address_space import AttributeValue
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -152,7 +151,7 @@ class ServerThread:
         space.build()
         Methods(server, space, self._handshake).install()
         policies = self._policies(server)
-        server.subscribe_server_callback(CallbackType.PreRead, self._before_read)
+        server.refresh = self._before_read
         self._door = door = Door(
             "opcua",
             functools.partial(self._connect, server, policies, trust),
@@ -312,7 +311,7 @@ class ServerThread:
             await space.fall()
             self._fallen()
 
-    async def _before_read(self, *_arguments: object) -> None:
+    async def _before_read(self) -> None:
         """A read that comes before the timer's turn must not see what has fallen."""
         if self._space is not None and self._space.is_overdue:
             await self._space.fall()

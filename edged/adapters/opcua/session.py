@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextvars
 import secrets
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from asyncua import ua
@@ -24,7 +24,7 @@ MAX_NODES = 1000
 """Nodes in one request; the registers are half of it."""
 MAX_SUBSCRIPTIONS, MAX_ITEMS = 4, 2000
 """Of one session."""
-MIN_PUBLISHING_MS, MAX_PUBLISHING_MS = 20.0, 60_000.0
+MIN_PUBLISHING_MS, MAX_PUBLISHING_MS = 10.0, 60_000.0
 MAX_QUEUE, MAX_UNACKNOWLEDGED = 100, 16
 SESSION_MS = 60_000.0
 
@@ -72,6 +72,10 @@ caller: contextvars.ContextVar[Session | None] = contextvars.ContextVar("opcua_c
 """The session whose method runs."""
 
 
+async def _nothing() -> None:
+    pass
+
+
 class Server(InternalServer):
     """asyncua's server without its socket. max_sessions : at a time. gone : told of each that has ended."""
 
@@ -85,6 +89,7 @@ class Server(InternalServer):
         self.max_sessions = max_sessions
         self.gone = gone
         self.sessions: dict[ua.NodeId, Session] = {}
+        self.refresh: Callable[[], Awaitable[None]] = _nothing  # before values are looked at
         self.max_session_timeout_ms = SESSION_MS
         self.max_unacked_messages_per_subscription = MAX_UNACKNOWLEDGED
         self.max_monitored_item_queue_size = MAX_QUEUE
@@ -134,6 +139,8 @@ class Session(InternalSession):
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Values of nodes."""
         _limit(params.NodesToRead)
+        if isinstance(self.iserver, Server):
+            await self.iserver.refresh()
         return await super().read(params)
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
@@ -173,6 +180,12 @@ class Session(InternalSession):
         """Items of one of its subscriptions."""
         self._check(params.SubscriptionId)
         _limit(params.ItemsToCreate)
+        for item in params.ItemsToCreate:
+            if item.ItemToMonitor.AttributeId == ua.AttributeIds.Value:
+                # a coordinate that waits in a queue while another follows it has fallen meanwhile
+                item.RequestedParameters.QueueSize = 1
+        if isinstance(self.iserver, Server):
+            await self.iserver.refresh()
         # asyncua has no other way to say how many there are
         held = sum(len(sub.monitored_item_srv._monitored_items) for sub in self._own())  # noqa: SLF001  # as said
         if held + len(params.ItemsToCreate) > MAX_ITEMS:
@@ -182,9 +195,12 @@ class Session(InternalSession):
     async def modify_monitored_items(
         self, params: ua.ModifyMonitoredItemsParameters
     ) -> list[ua.MonitoredItemModifyResult]:
-        """Items of one of its subscriptions."""
+        """Items of one of its subscriptions; a value's queue stays as short as it is."""
         self._check(params.SubscriptionId)
         _limit(params.ItemsToModify)
+        for item in params.ItemsToModify:
+            if not isinstance(item.RequestedParameters.Filter, ua.EventFilter):
+                item.RequestedParameters.QueueSize = 1
         return await super().modify_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
