@@ -64,7 +64,8 @@ OPTIONAL = frozenset(
     }
 )
 """What a cell has of the specification's optional parts."""
-RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.FLOAT, *reg.TABLE)
+LASTING_BLOCKS = (reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS, *reg.JOBS)
+"""Every other one shows a result, and is hidden when that falls."""
 VARIANTS = {
     reg.Kind.U16: ua.VariantType.UInt16,
     reg.Kind.I32: ua.VariantType.Int32,
@@ -168,7 +169,7 @@ class Space:
                     base(VARIANTS[register.kind].value),
                     description=register.help,
                 )
-                self._registers[register.address] = (register, node, block in RESULT_BLOCKS)
+                self._registers[register.address] = (register, node, block not in LASTING_BLOCKS)
                 if register.unit and register.unit != "bits":
                     self._nodes.variable(
                         f"{place}.EngineeringUnits",
@@ -236,7 +237,7 @@ class Space:
         self, picture: Picture
     ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
         for address, (register, node, is_result) in self._registers.items():
-            value = picture.numbers[address]
+            value = picture.numbers.get(address, 0)  # rows of jobs that are empty are left out
             unknown = is_result and is_unknown(register, value)
             yield node, None if unknown else value, BAD if unknown else GOOD, VARIANTS[register.kind]
 
