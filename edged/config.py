@@ -508,6 +508,9 @@ class WebSection(_Section):
     )
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
     key: FilePath | None = Field(None, description="PEM; private key of the certificate")
+    commissioning: bool = Field(
+        False, description="who has the password may take the cell for SETUP, over /api/v1"
+    )
 
     @model_validator(mode="after")
     def _protected(self) -> WebSection:
@@ -519,6 +522,13 @@ class WebSection(_Section):
         if not hashed and not _is_loopback(self.host):
             raise ValueError(
                 f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
+            )
+        if self.commissioning and not hashed:
+            raise ValueError("commissioning: password_hash is missing (`edged password`)")
+        if self.commissioning and self.certificate is None and not _is_loopback(self.host):
+            raise ValueError(
+                f"commissioning: host {self.host!r} is seen from other machines: certificate and key are "
+                "missing"
             )
         return self
 

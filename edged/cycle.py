@@ -189,7 +189,7 @@ class _Waiting:
 
 
 class Cycle:
-    """The measuring loop of one cell; also the `Commander` of its publishers.
+    """The measuring loop of one cell; also the `Commander` of its publishers, and the `Commissioner`.
 
     notebook : None: who has the cell is forgotten with this process.
     """
@@ -293,23 +293,20 @@ class Cycle:
 
     # --- setting up ------------------------------------------------------------------------
 
-    async def enter_setup(self, name: str) -> str:
+    async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
         """Take the cell after the running cycle; returns a token when every client is told.
 
         It lapses unless `renew_setup` is called every minute; the cell stays in SETUP all the same.
-        Raises `SetupRefused`.
+        take_over : also from whoever has it. Raises `SetupRefused`.
         """
-        token = self._desk.enter(name)
+        has_it = take_over and self._desk.taken
+        token = self._desk.take_over(name) if has_it else self._desk.enter(name)
 
         async def begun() -> None:
             pass
 
         await self._desk.ask(token, begun)
         return token
-
-    def take_setup_over(self, name: str) -> str:
-        """Take the cell from whoever has it. Raises `SetupRefused`."""
-        return self._desk.take_over(name)
 
     def renew_setup(self, token: str) -> None:
         """The sign of life of whoever has the cell. Raises `SetupRefused`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from edged.domain import Command, Event, Frame
+from edged.domain import Command, Event, Frame, FramePair
 
 
 class Camera(Protocol):
@@ -64,4 +64,28 @@ class Commander(Protocol):
 
     def lock_setup(self, locked: bool) -> None:
         """Forbid that people take the cell for SETUP, and end it where one has; or allow it again."""
+        ...
+
+
+class Commissioner(Protocol):
+    """Where people take the cell for SETUP. Every method raises `SetupRefused` for what cannot be now."""
+
+    async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
+        """Take the cell after the running cycle, also from whoever has it; returns the token of a lease."""
+        ...
+
+    def renew_setup(self, token: str) -> None:
+        """Say once a minute at least that somebody still looks after the cell."""
+        ...
+
+    def leave_setup(self, token: str) -> None:
+        """Give the cell back."""
+        ...
+
+    def end_setup(self, name: str) -> None:
+        """End it for whoever has the cell, or had it and never gave it back."""
+        ...
+
+    async def capture(self, token: str) -> FramePair:
+        """One exposure, of which nobody else hears. Raises `CaptureError`, too."""
         ...

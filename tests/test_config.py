@@ -329,3 +329,25 @@ def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> Non
     assert found.startswith(
         "(file): opcua serves the registers of modbus, which is off: modbus.enabled = true"
     )
+
+
+@pytest.mark.parametrize(
+    "section, problem",
+    [
+        ("", "commissioning: password_hash is missing"),
+        ("host = '0.0.0.0'\npassword_hash = '$argon2id$x'\n", "certificate and key are missing"),
+        ("password_hash = '$argon2id$x'\n", ""),
+    ],
+)
+def test_nobody_takes_the_cell_without_a_password_or_in_the_clear(
+    tmp_path: Path, section: str, problem: str
+) -> None:
+    """Also on this machine a password; from others only over TLS."""
+    text = GOOD + "[web]\ncommissioning = true\n" + section
+    if problem:
+        (said,) = problems(tmp_path, text)
+        assert problem in said
+    else:
+        config = load(write(tmp_path, text))
+        assert config.web is not None
+        assert config.web.commissioning

@@ -84,7 +84,13 @@ class Daemon:
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
-        self._servers = Servers(self._cycle, lambda: self._running, self._metrics.render, self._tell_cycle)
+        self._servers = Servers(
+            self._cycle,
+            lambda: self._running,
+            self._metrics.render,
+            self._tell_cycle,
+            commissioner=self._cycle,
+        )
         self._reloading = asyncio.Lock()
 
     async def run(self) -> None:

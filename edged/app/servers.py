@@ -28,7 +28,7 @@ from edged.app.cell import LoadedCell
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
 from edged.config import Config, ModbusSection, OpcUaSection, RecorderSection, WebSection, ZenohSection
 from edged.errors import EdgedError, ListenError
-from edged.ports import Commander, Publisher
+from edged.ports import Commander, Commissioner, Publisher
 from edged.robot.orientations import Brand, Convention
 from edged.vision.geometry.rectification import Rectification
 
@@ -119,6 +119,7 @@ class Servers:
 
     commander : carries their clients' commands out. running : the cell, for what they tell of it.
     metrics : Prometheus' text. changed : called whenever others run than before an exchange.
+    commissioner : where people take the cell for SETUP.
     """
 
     def __init__(
@@ -127,8 +128,10 @@ class Servers:
         running: Callable[[], Running],
         metrics: Callable[[], bytes],
         changed: Callable[[], None],
+        commissioner: Commissioner | None = None,
     ) -> None:
         self._commander = commander
+        self._commissioner = commissioner
         self._running = running
         self._metrics = metrics
         self._changed = changed
@@ -248,7 +251,9 @@ class Servers:
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
                 tls = page_context(web)
-                return lambda: WebPublisher(wanted.cell, web, sources, context=tls)
+                return lambda: WebPublisher(
+                    wanted.cell, web, sources, context=tls, commissioner=self._commissioner
+                )
 
     def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:
         try:

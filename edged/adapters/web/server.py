@@ -1,7 +1,8 @@
 """HTTP for the status page, the manual, /metrics, /health and /ready: aiohttp in the daemon's loop.
 
 A viewer never delays a cycle: `announce` only sets a flag for each viewer, who is served in its own task;
-a slow one gets the newest state, not all of them. Nothing here changes the cell.
+a slow one gets the newest state, not all of them. Nothing here changes the cell; what does is in `setup`, and
+only where it is configured.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ from aiohttp.http_exceptions import HttpProcessingError
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
+from edged.adapters.web.setup import SetupApi
 from edged.domain import Event, Nearest, Side
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.payload import Json
+from edged.ports import Commissioner
 from edged.report.page import render
 
 log = logging.getLogger(__name__)
@@ -79,6 +82,7 @@ class WebSettings:
     """Where and for whom.
 
     password_hash : Argon2; "" is for loopback only.  certificate, key : PEM, both or none.
+    commissioning : people with the password may take the cell.
     """
 
     host: str = "127.0.0.1"
@@ -86,6 +90,7 @@ class WebSettings:
     password_hash: str = ""
     certificate: Path | None = None
     key: Path | None = None
+    commissioning: bool = False
 
 
 @dataclass(eq=False, slots=True)
@@ -119,6 +124,7 @@ class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
+    commissioner : where people take the cell, if the settings let them.
     """
 
     def __init__(
@@ -129,9 +135,11 @@ class WebPublisher:
         *,
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
+        commissioner: Commissioner | None = None,
     ) -> None:
         self._settings = settings
         self._context = context
+        self._commissioner = commissioner
         self._page = Page(cell, sources)
         self._access = Access(settings.password_hash)
         self._manual_folder = manual
@@ -177,6 +185,8 @@ class WebPublisher:
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/health", self._health)
         app.router.add_get("/ready", self._ready)
+        if settings.commissioning and self._commissioner is not None:
+            SetupApi(self._commissioner, self._has_session, self._drawer).add_to(app.router)
         self._runner = runner = web.AppRunner(
             app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
         )
@@ -292,10 +302,14 @@ class WebPublisher:
     async def _may_see(self, request: web.Request) -> bool:
         if self._access.is_open or request.path in FREE:
             return True
-        if self._access.has_session(request.cookies.get(COOKIE, "")):
+        if self._has_session(request):
             return True
         header = request.headers.get("Authorization", "")
         return bool(header) and await self._access.has_basic(request.remote or "", header)
+
+    def _has_session(self, request: web.Request) -> bool:
+        """Whether it comes of somebody who logged in on the page."""
+        return not self._access.is_open and self._access.has_session(request.cookies.get(COOKIE, ""))
 
     # --- pages -------------------------------------------------------------------------------
 
