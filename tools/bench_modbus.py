@@ -4,7 +4,8 @@
 Run it with the project's Python: `.venv/bin/python tools/bench_modbus.py`. The daemon measures in this
 process as fast as it can; clients are another process. Reading: N connections, each reads 48 words every
 20 ms as a PLC does; edged and a plain pymodbus server, in the same process and run. Trigger: from writing
-CMD_SEQ to reading RESULT_VALID, polled every millisecond, without the duration of the cycle itself. In ms.
+CMD_SEQ to reading RESULT_VALID, polled every millisecond, without the duration of the cycle itself; once more
+with all that a cell may have beside it: a recorder, a page with a viewer, eight clients that read. In ms.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from multiprocessing.queues import Queue
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from benchcell import BenchCell, free_port
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -30,6 +32,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from edged.plc.registers import ADDRESS, Flag
 
 PERIOD_S = 0.02
+READERS = 8
 READ_RESULT = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 300, 48)
 ANSWER_BYTES = 9 + 96
 
@@ -90,6 +93,20 @@ def trigger_all(port: int, count: int, results: Queue[list[float]]) -> None:
     results.put(times_ms)
 
 
+def view(port: int, seconds: float, results: Queue[list[float]]) -> None:
+    """Watch the page; report when each update came, in ms."""
+    with socket.create_connection(("127.0.0.1", port)) as line:
+        line.sendall(f"GET /events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        begin_s, came_ms = time.perf_counter(), list[float]()
+        line.settimeout(1.0)
+        while (now_s := time.perf_counter()) < begin_s + seconds:
+            try:
+                came_ms += [(now_s - begin_s) * 1e3] * line.recv(65536).count(b"event: ")
+            except TimeoutError:
+                continue
+    results.put(came_ms)
+
+
 async def in_process(target: object, *arguments: object) -> list[float]:
     """Run a client in another process."""
     context = mp.get_context("spawn")
@@ -129,18 +146,50 @@ async def bench_trigger(folder: Path, count: int) -> None:
     cell = BenchCell(folder, mode="command")
     async with cell.running():
         times_ms = np.array(await in_process(trigger_all, cell.modbus_port, count))
-    cycles_ms = np.array([snapshot.timing_ms["total"] for snapshot in cell.listener.snapshots])
-    for name, values in (("trigger to RESULT_VALID", times_ms), ("without the cycle", times_ms - cycles_ms)):
+    show_triggers("", times_ms, cell)
+
+
+async def bench_full_house(folder: Path, count: int) -> None:
+    """The same beside a recorder, a viewer of the page, and eight clients that read all the time."""
+    cell, web_port = BenchCell(folder, mode="command"), free_port()
+    with cell.config.open("a") as config:
+        config.write(f'\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n\n[web]\nport = {web_port}\n')
+    async with cell.running():
+        seconds = count * 0.1 + 5.0
+        readers = asyncio.create_task(in_process(read_all, cell.modbus_port, READERS, seconds))
+        viewer = asyncio.create_task(in_process(view, web_port, seconds))
+        times_ms = np.array(await in_process(trigger_all, cell.modbus_port, count))
+        readings_ms, updates = await readers, await viewer
+    show_triggers(" among all", times_ms, cell)
+    p50, p99 = np.percentile(readings_ms, (50, 99))
+    print(
+        f"beside it: {READERS} clients, p50 {p50:.2f} p99 {p99:.2f}; the page was sent {len(updates)} times"
+    )
+
+
+def show_triggers(where: str, times_ms: npt.NDArray[np.float64], cell: BenchCell) -> None:
+    """Times of all triggers, those of the cycles, and what is left without them and without the capture."""
+    timings = [snapshot.timing_ms for snapshot in cell.listener.snapshots]
+    total_ms, capture_ms = (np.array([one[stage] for one in timings]) for stage in ("total", "capture"))
+    for name, values in (
+        ("trigger to RESULT_VALID", times_ms),
+        ("... minus the capture", times_ms - capture_ms),
+        ("cycle without capture", total_ms - capture_ms),
+        ("without the cycle", times_ms - total_ms),
+    ):
         p50, p99 = np.percentile(values, (50, 99))
-        print(f"{name:24} p50 {p50:6.2f}   p99 {p99:6.2f}   ({count} triggers)", flush=True)
+        print(f"{name + where:34} p50 {p50:6.2f}   p99 {p99:6.2f}   ({len(values)} triggers)", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=5.0, help="for each line")
     parser.add_argument("--triggers", type=int, default=300)
+    parser.add_argument("--only-triggers", action="store_true")
     given = parser.parse_args()
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps its traffic when a client hangs up
     with tempfile.TemporaryDirectory() as place:
-        asyncio.run(bench_reading(Path(place) / "free", given.seconds))
+        if not given.only_triggers:
+            asyncio.run(bench_reading(Path(place) / "free", given.seconds))
         asyncio.run(bench_trigger(Path(place) / "command", given.triggers))
+        asyncio.run(bench_full_house(Path(place) / "full", given.triggers))
