@@ -6,8 +6,9 @@
 The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
 the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
 (pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed:
-what else the machine does slows down both. A search is also timed on parts and scenes of `tools/bench shape`,
-with what a taught job asks for. --large: the demo's part in images of 5 and 12 megapixels.
+what else the machine does slows down both, and on one core it is the processor's time that counts. A search
+is also timed on parts and scenes of `tools/bench shape`, with what a taught job asks for.
+--large: the demo's part in images of 5 and 12 megapixels.
 --growth: how the time grows with pixels, parts, jobs, points of the model, and the ranges of angle and size,
 with the exponent.
 --flame: where the time goes, drawn by py-spy.
@@ -151,11 +152,11 @@ def timed(
     name: str,
     works: list[tuple[Callable[[], object], Callable[[], object]]],
     rounds: int,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = time.process_time,
 ) -> Row:
     """Time each work beside its floor, all of them in turn, `rounds` times.
 
-    clock : `time.thread_time` for what runs in one thread: others on the machine do not count.
+    clock : of processor time, where others on the machine do not count, or of the time that passes.
     """
     times = np.empty((rounds, len(works), 2))
     for work, floor in works:
@@ -172,14 +173,14 @@ def timed(
     return Row(what, name, ratio, 1e3 * median, float(np.percentile(own, 99)) / median, len(own))
 
 
-def cycle_row(what: str, cell: Bench, rounds: int) -> Row:
+def cycle_row(what: str, cell: Bench, rounds: int, clock: Callable[[], float] = time.process_time) -> Row:
     """Whole cycles."""
     frames = [as_frames(pair) for pair in cell.pairs]
     works = [
         (lambda one=one: inspect(one, cell.job, cell.rig), lambda pair=pair: cycle_floor(cell.rig, pair))
         for one, pair in zip(frames, cell.pairs, strict=True)
     ]
-    return timed(what, "F", works, rounds)
+    return timed(what, "F", works, rounds, clock)
 
 
 def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
@@ -206,7 +207,7 @@ def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
             )
         )
     return [
-        timed(f"find{label}", "f", finding, rounds, time.thread_time),
+        timed(f"find{label}", "f", finding, rounds),
         timed(f"measure, {len(cell.job.circles)} circles{label}", "F", measuring, rounds),
     ]
 
@@ -254,7 +255,7 @@ def search_rows(search_params: SearchParams, rounds: int, number: int) -> list[R
             if len(find()) < scene.parts and not scene.look.occlusion:
                 raise SystemExit(f"{scene.what}: a part is not found")
             works.append((find, lambda image=image: search_floor(image)))
-        rows.append(timed(f"find: {scene.what}", "f", works, rounds, time.thread_time))
+        rows.append(timed(f"find: {scene.what}", "f", works, rounds))
     return rows
 
 
@@ -344,10 +345,10 @@ def _warmed(cell: Bench, count: int) -> float:
     blank = tuple(np.zeros((one.height, one.width), np.uint8) for one in (rig.left, rig.right))
     for _ in range(3):
         jobs = [replace(cell.job, shape=replace(cell.job.shape)) for _ in range(count)]  # nobody knows them
-        start = time.perf_counter()
+        start = time.process_time()
         for job in jobs:
             locate(as_frames(blank), job, cell.rig)
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return 1e3 * float(np.median(times))
 
 
@@ -362,7 +363,7 @@ def _searched(cell: Bench, rounds: int, job: Job) -> float:
                 find_shapes(image, job.shape, job.search, valid, work)
 
         works.append((find, lambda image=image: search_floor(image)))
-    return timed("", "f", works, rounds, time.thread_time).median_ms
+    return timed("", "f", works, rounds).median_ms
 
 
 @contextlib.contextmanager
@@ -437,7 +438,7 @@ def main() -> int:
         return 0
     if os.cpu_count() != 1:
         with on_cores(2):
-            rows.append(cycle_row("cycle, two cores", cell, options.rounds))
+            rows.append(cycle_row("cycle, two cores", cell, options.rounds, time.perf_counter))
     with on_cores(1):
         rows += stage_rows(cell, options.rounds)
         four = bench(4, parts=4)
@@ -461,7 +462,8 @@ def main() -> int:
     print("|---|---:|")
     for what, count in work.items():
         print(f"| {what} | {count:.1f} |")
-    growth = growth_rows(max(options.rounds // 4, 3)) if options.growth else []
+    with on_cores(1):
+        growth = growth_rows(max(options.rounds // 4, 3)) if options.growth else []
     if growth:
         print("\n| what grows | at | ms | exponent |")
         print("|---|---|---|---:|")

@@ -23,6 +23,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from array import array
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -286,6 +287,24 @@ def starting(folder: Path, runs: int) -> None:
         print(f"| {name} | {min(values):.2f} | {statistics.median(values):.2f} | {max(values):.2f} |")
 
 
+def lasting(folder: Path, seconds: float) -> None:
+    """Resident memory of `edged run` at full speed, with recorder and page, from its start on."""
+    cell = SmallCell(folder, period_s=0.0, recordings=folder / "recordings")
+    daemon = DaemonProcess(cell.config)
+    print("\n| seconds | cycles | memory MiB |\n|---:|---:|---:|")
+    try:
+        daemon.wait_ready()
+        begin_s = time.monotonic()
+        for share in (0.01, 0.1, 0.25, 0.5, 0.75, 1.0):
+            time.sleep(max(begin_s + share * seconds - time.monotonic(), 0.0))
+            page = f"http://127.0.0.1:{cell.web_port}/status.json"
+            with urllib.request.urlopen(page, timeout=10) as answer:
+                cycle = json.load(answer)["result"]["cycle"]
+            print(f"| {share * seconds:.0f} | {cycle} | {daemon.memory_mib():.1f} |", flush=True)
+    finally:
+        daemon.stop()
+
+
 def _imports_s() -> float:
     """Processor time of what others wrote: the part of a start that is not ours to shorten."""
     modules = "numpy, cv2, numba.core.registry, pydantic, aiohttp.web, pymodbus.pdu, zenoh, typer"
@@ -294,7 +313,7 @@ def _imports_s() -> float:
     return float(run.stdout)
 
 
-PARTS = ("start", "endurance", "kill", "power", "faults", "page")
+PARTS = ("start", "memory", "endurance", "kill", "power", "faults", "page")
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -305,7 +324,10 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1, help="of the moments of kills and power cuts")
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument(
-        "--seconds", type=float, default=6.0, help="for each fault, and each phase of the page"
+        "--seconds",
+        type=float,
+        default=6.0,
+        help="for each fault and phase of the page; a twentieth of memory",
     )
     given = parser.parse_args()
     enter_namespace()
@@ -313,6 +335,7 @@ if __name__ == "__main__":
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     work: dict[str, Callable[[Path], None]] = {
         "start": lambda folder: starting(folder, given.starts),
+        "memory": lambda folder: lasting(folder, 20 * given.seconds),
         "endurance": lambda folder: endurance(folder, given.cycles),
         "kill": lambda folder: killing(folder, given.kills, given.seed),
         "power": lambda folder: cutting(folder, given.cuts, given.seed),
