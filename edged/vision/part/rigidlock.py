@@ -45,6 +45,9 @@ MIN_SLOPE = 2.0
 """Grey values per px."""
 RIVAL_SHARE = 0.35
 """Of the strongest slope of a profile, from which another extremum is a candidate, too."""
+ODD_PX, ODD_SHARE = 2.0, 0.5
+"""An edge of the other sign than taught is taken only if it is nearer by so much, and counts less: light and
+walls turn some signs round, but most remain."""
 MOST = 5
 """Candidates of one profile."""
 AGREE_PX = 1.0
@@ -97,7 +100,7 @@ def lock(
         outline, starts = spread(images, curves, pose, spacing_px)
         together = max(1, round(ALONG_PX / spacing_px))
         for reach in reaches:
-            found = _step(images, outline, starts, pose, reach, together)
+            found = _step(images, curves, outline, starts, pose, reach, together)
             if found is None:
                 return None
             pose = found.pose
@@ -111,7 +114,7 @@ def glance(images: StereoImages, curves: Sequence[Curve], pose: FloatArray) -> f
     if pose[2, 3] <= 0:
         return 0.0
     outline, starts = spread(images, curves, pose, FAR_SPACING_PX)
-    seen = _step(images, outline, starts, pose, GLANCE_PX, round(ALONG_PX / FAR_SPACING_PX))
+    seen = _step(images, curves, outline, starts, pose, GLANCE_PX, round(ALONG_PX / FAR_SPACING_PX))
     return 0.0 if seen is None else float(seen.agreeing.mean())
 
 
@@ -177,6 +180,7 @@ def candidates(
 
 def _step(
     images: StereoImages,
+    curves: Sequence[Curve],
     outline: Outline,
     starts: npt.NDArray[np.int64],
     pose: FloatArray,
@@ -185,28 +189,34 @@ def _step(
 ) -> Lock | None:
     """The pose that fits the edges within reach best, and how many agree with it."""
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    designs, offsets = [], []
+    expected = np.repeat([curve.polarity for curve in curves], np.diff(starts))
+    designs, offsets, signs = [], [], []
     for side, image in zip(SIDES, images.raw, strict=True):
         with np.errstate(invalid="ignore", divide="ignore"):
             seen = project_outline(images.rig, side, face, outline)
         if not np.isfinite(seen.design).all():
             return None
-        offsets.append(candidates(image, seen, starts, reach, together).offset_px)
+        edges = candidates(image, seen, starts, reach, together)
+        offsets.append(edges.offset_px)
+        signs.append(np.sign(edges.slope) * expected[:, None])
         designs.append(seen.design)
-    design, offset = np.concatenate(designs), np.concatenate(offsets)
+    design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(signs) < 0
     many = np.isfinite(offset).sum(axis=1)
     known = many > 0
     if known.sum() < FEWEST:
         return None
-    rows, choices = design[known], offset[known]
+    rows, choices, odd = design[known], offset[known], odd[known]
     trust = 1.0 / many[known] ** 2
+    penalty = np.where(odd, ODD_PX, 0.0)
     delta, values = np.zeros(design.shape[1]), np.zeros(len(rows))
     every = np.arange(len(rows))
     for _ in range(ROUNDS):
         ahead = rows @ delta
-        values = choices[every, np.nanargmin(np.abs(choices - ahead[:, None]), axis=1)]
+        chosen = np.nanargmin(np.abs(choices - ahead[:, None]) + penalty, axis=1)
+        values = choices[every, chosen]
         residuals = values - ahead
         weights = trust * tukey_weights(residuals, max(mad_sigma(residuals), LEAST_SIGMA_PX))
+        weights *= np.where(odd[every, chosen], ODD_SHARE, 1.0)
         normal = rows.T @ (rows * weights[:, None])
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > CONDITION:

@@ -76,21 +76,21 @@ RIGID_PX = 0.08
 
 
 def curves_of(job: Job) -> list[Curve]:
-    """All features of a job as curves of its part frame, either sign."""
+    """All features of a job as curves of its part frame."""
     circles = [
         Curve(
             one.name,
             "circle",
             np.append(one.centre_mm[:2], one.radius_mm),
-            0,
+            one.polarity,
             height_mm=float(one.centre_mm[2]),
         )
         for one in job.circles
     ]
     return [
         *circles,
-        *(edge_curve(edge, True) for edge in job.edges),
-        *(slot_curve(slot, True) for slot in job.slots),
+        *(edge_curve(edge, free_polarity=False) for edge in job.edges),
+        *(slot_curve(slot, free_polarity=False) for slot in job.slots),
     ]
 
 
