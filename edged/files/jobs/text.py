@@ -188,6 +188,9 @@ def _measurements_to_toml(job: Job) -> list[str]:
         kinds["width"] = kinds["length"] = (job.slots[0].name,)
     if job.corners:
         kinds["angle"] = job.corners[0].edges
+    heights = sorted(job.circles, key=lambda c: -float(c.centre_mm[2]))
+    if job.solid and len(heights) > 1:
+        kinds["height"] = (heights[0].name, heights[-1].name)
     kinds["flatness"] = ()
     lines = ["", "# What to measure; a part out of tolerance is not good. Take out the # of what you want:"]
     for kind, of in kinds.items():

@@ -85,13 +85,14 @@ SOLID_MM = 0.25
 DEPTH_SHARE = 0.12
 """Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 
-MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "flatness"]
+MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "height", "flatness"]
 MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
     "radius": (("circle",),),
     "distance": (("circle", "slot", "corner", "edge"), ("circle", "slot", "corner", "edge")),
     "angle": (("edge", "slot"), ("edge", "slot")),
     "width": (("slot",),),
     "length": (("slot",),),
+    "height": (("circle",), ("circle",)),
     "flatness": (),
 }
 """What each measurement is taken of."""
@@ -262,6 +263,8 @@ def crossing(one: EdgeFeature, two: EdgeFeature) -> FloatArray:
 
 def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
     """The size that the taught features of a job have: mm, of an angle rad; 0 for the flatness."""
+    if kind == "height":
+        return float(job.place_of(of[0])[2] - job.place_of(of[1])[2])
     if kind == "flatness":
         return 0.0
     circles = {circle.name: circle.radius_mm for circle in job.circles}

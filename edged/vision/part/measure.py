@@ -24,12 +24,13 @@ from edged.vision.part.circles import measure
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import lifted, with_features
+from edged.vision.part.heights import with_heights
 from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import is_contradicted, match_in_raw
-from edged.vision.part.sizes import measure_sizes, place
+from edged.vision.part.sizes import APART, measure_sizes, place
 from edged.vision.part.solid import measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
@@ -69,12 +70,19 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
         result = _from_edges(images, job, match)
     if isinstance(result, Reject):
         return result
-    if any(spec.kind == "flatness" for spec in job.measurements):
-        result = with_flatness(result, images, job)
+    result = _with_sizes_apart(result, images, job)
     target = judged(job, images.rectification, result.target, result.evidence)
     if target.reject is Reject.NONE and is_contradicted(images, job, match, target):
         target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
     return replace(result, target=target)
+
+
+def _with_sizes_apart(measured: Measured, images: StereoImages, job: Job) -> Measured:
+    """A part with its heights and its flatness, if they are asked for."""
+    kinds = {spec.kind for spec in job.measurements}
+    if "height" in kinds:
+        measured = with_heights(measured, images, job)
+    return with_flatness(measured, images, job) if "flatness" in kinds else measured
 
 
 def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
@@ -82,6 +90,7 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
         return result
+    result = _with_sizes_apart(result, images, job)
     target = judged(job, images.rectification, _with_free_axis(job, result.target), result.evidence)
     return replace(result, target=target)
 
@@ -124,7 +133,7 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
 def _sizes_need_all(job: Job) -> bool:
     """Whether something is asked for that the circles by themselves do not give."""
     kinds = {spec.kind for spec in job.measurements}
-    return bool(kinds - {"radius", "flatness"}) or job.kind_of(job.reference) != "circle"
+    return bool(kinds - {"radius", *APART}) or job.kind_of(job.reference) != "circle"
 
 
 def _fit_beside(images: StereoImages, job: Job, measured: Measured) -> PlaneFit | None:

@@ -13,13 +13,15 @@ from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 
 Size = Callable[[FloatArray], float]
 """Of the parameters of a `PlaneFit`."""
+APART = ("height", "flatness")
+"""What is measured by itself, not from the curves together."""
 Place = Callable[[FloatArray], FloatArray]
 
 
 def measure_sizes(job: Job, fit: PlaneFit | None, circles: Sequence[Circle3D]) -> tuple[Measurement, ...]:
-    """Every measurement of a job but the flatness, in its order; NaN where its features were not seen."""
+    """Every measurement of a job but those `APART`, in its order; NaN where its features were not seen."""
     by_name = {circle.name: circle for circle in circles}
-    return tuple(_measured(job, spec, fit, by_name) for spec in job.measurements if spec.kind != "flatness")
+    return tuple(_measured(job, spec, fit, by_name) for spec in job.measurements if spec.kind not in APART)
 
 
 def as_measurement(spec: MeasurementSpec, value: float, sigma: float) -> Measurement:

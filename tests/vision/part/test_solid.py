@@ -16,7 +16,7 @@ from edged.domain import FloatArray, Image, Outcome, Reject, Target
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.part.job import Job
+from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.teaching.pair import teach
 
 STEP_MM = 4.0
@@ -156,3 +156,23 @@ def test_another_part_is_not_taken_for_the_block() -> None:
     turned = replace(PLATE, holes=(Hole("a", Disc(10, -6, 1.2)), Hole("d", Disc(-9, -4, 2.5))))
     world = Scene(table(), tuple(stacked(turned, where, 6.0, DARK)))
     assert [one for one in here.see(world).targets if one.reject is Reject.NONE] == []
+
+
+@pytest.mark.parametrize("taller_mm", [0.0, 0.08])
+def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
+    """A boss that is taller than the taught one is reported as high as it is, within four of its sigmas."""
+    here = taught()
+    floor = next(circle.name for circle in here.job.circles if circle.radius_mm < 1.7)
+    bore = min(here.job.circles, key=lambda circle: abs(circle.radius_mm - 2.0))
+    spec = MeasurementSpec("boss", "height", (floor, bore.name), STEP_MM, 0.5)
+    job = replace(here.job, measurements=(spec,), tilt_rad=math.radians(45.0), witness=None)
+    where = lying(here.rig.rig, 20.0, 40.0, 30.0)
+    layers = [
+        *stacked(PLATE, where, 6.0, DARK),
+        *stacked(BOSS, where @ up(STEP_MM + taller_mm), STEP_MM, DARK),
+    ]
+    left, right = pictures(here.rig.rig, Scene(table(), tuple(layers)), 5)
+    (height,) = only(locate(frame_pair(left, right), job, here.rig)).measurements
+    assert abs(height.value - STEP_MM - taller_mm) < 4 * height.sigma
+    assert height.sigma < 0.03
+    assert height.ok

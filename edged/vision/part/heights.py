@@ -1,0 +1,67 @@
+"""How high one circle of a part stands over another one: each measured by itself, at its own distance.
+
+Everything else of a part is laid as one whole onto the pictures, with the heights that were taught. A height
+that is asked for must not come from there: each of both circles is fitted alone, free to lie nearer or farther,
+in the direction that the part is known to face.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain import Measurement
+from edged.vision.curves.outlines import Face
+from edged.vision.curves.planefit import CurveFit, fit_plane
+from edged.vision.curves.planestate import FitParams
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.frames import FoundCircle, circle_in_rig
+from edged.vision.part.job import Job, MeasurementSpec
+from edged.vision.part.measured import Measured
+from edged.vision.part.sizes import as_measurement
+
+PARAMS = FitParams(reach_px=(3.0, 2.0), min_support=0.3)
+
+
+def with_heights(measured: Measured, images: StereoImages, job: Job) -> Measured:
+    """A measured part with each height that the job asks for, NaN where a circle is not seen by itself."""
+    by_name = {one.name: one for one in measured.target.measurements}
+    fits = {fit.name: fit for fit in measured.fits}
+    sizes = tuple(
+        _height(measured, images, job, spec, fits) if spec.kind == "height" else by_name[spec.name]
+        for spec in job.measurements
+        if spec.kind == "height" or spec.name in by_name
+    )
+    return replace(measured, target=replace(measured.target, measurements=sizes))
+
+
+def _height(
+    measured: Measured, images: StereoImages, job: Job, spec: MeasurementSpec, fits: dict[str, CurveFit]
+) -> Measurement:
+    normal = -measured.target.rig_from_part[:3, 2]
+    heights, variances = [], []
+    for name in spec.of:
+        found = _circle_alone(measured, images, job, fits[name]) if name in fits else None
+        if found is None:
+            return as_measurement(spec, math.nan, math.nan)
+        heights.append(float(normal @ found.circle.centre_mm))
+        variances.append(float(normal @ found.circle.covariance[:3, :3] @ normal))
+    # the normal is known with the pose: what it is off by, the farther circle is wrongly high
+    arm = np.subtract(*(job.place_of(name)[:2] for name in spec.of))
+    axes = measured.target.rig_from_part[:3, :2]
+    across = axes @ np.array([-arm[1], arm[0]])
+    variances.append(float(across @ measured.target.covariance[3:, 3:] @ across))
+    return as_measurement(spec, heights[1] - heights[0], math.sqrt(max(sum(variances), 0.0)))
+
+
+def _circle_alone(measured: Measured, images: StereoImages, job: Job, fit: CurveFit) -> FoundCircle | None:
+    """One circle of a measured part, free to lie at any height; None where the pictures do not show it."""
+    pose = measured.target.rig_from_part
+    taught = job.place_of(fit.name) - job.place_of(job.reference)
+    curve = replace(fit.curve, parameters=np.array([0.0, 0.0, fit.curve.parameters[2]]), height_mm=0.0)
+    face = Face(apply(pose, taught), pose[:3, :3].T)
+    found = fit_plane(images.rig, images.raw, face, [curve], PARAMS, fixed_normal=True)
+    return None if found is None else circle_in_rig(found, fit.name)
