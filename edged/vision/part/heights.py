@@ -1,8 +1,8 @@
 """How high one circle of a part stands over another one: each measured by itself, at its own distance.
 
 Everything else of a part is laid as one whole onto the pictures, with the heights that were taught. A height
-that is asked for must not come from there: each of both circles is fitted alone, free to lie nearer or farther,
-in the direction that the part is known to face.
+that is asked for must not come from there: each of both circles is fitted alone, free to lie nearer or
+farther, in the direction that the part is known to face.
 """
 
 from __future__ import annotations
