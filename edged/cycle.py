@@ -51,13 +51,13 @@ from edged.errors import (
     CaptureError,
     CommandRefused,
     EdgedError,
-    FrameTimeout,
 )
 from edged.logs import FaultLog, cycle_number, fields
-from edged.ports import Publisher
+from edged.ports import Head, Publisher
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, picked
-from edged.session import Request, SetupDesk
+from edged.session.cameras import SetupCameras
+from edged.session.desk import Request, SetupDesk
 
 log = logging.getLogger(__name__)
 
@@ -73,30 +73,6 @@ TRY_ALL_S = 3.0
 FAULT_REST_S = 0.1
 """After a fault that nobody asked for, wait so long before the next try: known faults come at once, and each
 is announced, published and recorded."""
-
-
-LISTEN_S = 10.0
-"""In SETUP, wait so long for an exposure that others trigger."""
-
-
-class Head(Protocol):
-    """What the loop needs of the stereo head."""
-
-    async def open(self) -> None:
-        """Connect both cameras; nothing to do for those that are connected and well."""
-        ...
-
-    async def capture(self) -> FramePair:
-        """One exposure of both cameras, bounded in time; raises `CaptureError`."""
-        ...
-
-    async def listen(self) -> FramePair:
-        """The next exposure that others trigger; may be cancelled and called again, and none is lost."""
-        ...
-
-    async def close(self) -> None:
-        """Release both cameras."""
-        ...
 
 
 Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
@@ -203,7 +179,6 @@ class Cycle:
         notebook: Notebook | None = None,
     ) -> None:
         self._head = head
-        self._draft: Head | None = None  # what whoever sets the cell up tries instead
         self._setup = setup
         self._active = setup.jobs.get(setup.active_job, NO_JOB)
         self._utc_ns = utc_ns
@@ -223,7 +198,7 @@ class Cycle:
         self._desk = SetupDesk(self._wake.set, taken=notebook is not None and notebook.is_taken())
         self._in_setup = False
         self._is_noted = self._desk.taken
-        self._cameras_up, self._cameras_ok = True, False  # in SETUP: may be open; by the last picture
+        self._cameras = SetupCameras(self._is_still_asked)
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
 
     # --- used by app -----------------------------------------------------------------------
@@ -325,13 +300,15 @@ class Cycle:
 
         Raises `SetupRefused`, `CaptureError`.
         """
-        return await self._desk.ask(token, self._captured)
+        return await self._desk.ask(
+            token, lambda: self._cameras.capture(self._head, listens=self._setup.listens)
+        )
 
     async def try_job(self, token: str, locate: Locate) -> tuple[FramePair, Outcome]:
         """One exposure, measured by a draft. Raises `SetupRefused`, and what `locate` raises on purpose."""
 
         async def tried() -> tuple[FramePair, Outcome]:
-            pair = await self._captured()
+            pair = await self._cameras.capture(self._head, listens=self._setup.listens)
             loop = asyncio.get_running_loop()
             return pair, await loop.run_in_executor(self._vision, locate, pair, lambda _stage: None)
 
@@ -340,13 +317,7 @@ class Cycle:
     async def try_head(self, token: str, head: Head) -> None:
         """Cameras with other settings, until SETUP ends. Raises `SetupRefused`, `CaptureError`."""
 
-        async def exchanged() -> None:
-            before, self._draft = self._draft or self._head, head
-            await before.close()
-            self._cameras_up = True
-            await head.open()
-
-        await self._desk.ask(token, exchanged)
+        await self._desk.ask(token, lambda: self._cameras.exchange(self._head, head))
 
     @property
     def _setup_source(self) -> SetupSource:
@@ -360,7 +331,7 @@ class Cycle:
         self._tell_state(CellPhase.SETUP)
         await self._keep_note()
         if not self._desk.taken:
-            await self._put_cameras_down()
+            await self._cameras.put_down(self._head)
         request = self._desk.take()
         if request is not None:
             await self._carry_out(request)
@@ -372,7 +343,6 @@ class Cycle:
             self._announce(Idle())
 
     def _begin_setup(self) -> None:
-        self._cameras_ok = False
         self._tell_state(CellPhase.SETUP)  # first: in one answer nothing is ready, valid or open any more
         self._in_setup = True
         log.warning("SETUP: %s", "" if self._state is None else self._state.why)
@@ -382,8 +352,9 @@ class Cycle:
     async def _end_setup(self) -> None:
         """Cameras as they are configured, one test pair, and then for clients again."""
         await self._keep_note()
-        await self._put_cameras_down()
-        self._in_setup, self._cameras_up = False, True
+        await self._cameras.put_down(self._head)
+        self._cameras.hand_back()
+        self._in_setup = False
         try:
             await self._head.open()
             if not self._setup.listens:
@@ -393,6 +364,11 @@ class Cycle:
             return
         log.info("READY: SETUP has ended, job %d (%s)", self._active.number, self._active.name)
         self._tell_state(CellPhase.READY)
+
+    def _is_still_asked(self) -> bool:
+        """Whether somebody waits for a picture; a sign of life of the loop, which waits for it, too."""
+        self._announce(Idle())
+        return self._desk.taken and not self.stopping.is_set()
 
     async def _keep_note(self) -> None:
         """Note that a person has the cell, or has it no longer. SETUP that cannot be noted ends."""
@@ -410,15 +386,6 @@ class Cycle:
             log.exception("SETUP has ended, but that cannot be noted: after a restart it begins again")
         self._is_noted = self._desk.taken
 
-    async def _put_cameras_down(self) -> None:
-        """Nobody uses them: other programs on this machine may."""
-        if not self._cameras_up:
-            return
-        for head in (self._draft, self._head):
-            if head is not None:
-                await head.close()
-        self._draft, self._cameras_up, self._cameras_ok = None, False, False
-
     async def _carry_out(self, request: Request) -> None:
         try:
             answer = await request.work()
@@ -431,29 +398,6 @@ class Cycle:
         else:
             if not request.answer.done():
                 request.answer.set_result(answer)
-
-    async def _captured(self) -> FramePair:
-        head = self._draft or self._head
-        self._cameras_up, self._cameras_ok = True, False
-        await head.open()
-        pair = await (self._heard(head) if self._setup.listens else head.capture())
-        self._cameras_ok = True
-        return pair
-
-    async def _heard(self, head: Head) -> FramePair:
-        """The next exposure that others trigger. Raises `FrameTimeout` when there is none."""
-        heard = asyncio.ensure_future(head.listen())
-        try:
-            for _ in range(round(LISTEN_S / IDLE_CHECK_S)):
-                await asyncio.wait({heard}, timeout=IDLE_CHECK_S)
-                if heard.done():
-                    return heard.result()
-                self._announce(Idle())
-                if not self._desk.taken or self.stopping.is_set():
-                    break
-        finally:
-            await cancel_and_await(heard)
-        raise FrameTimeout("both", f"nobody triggered them within {LISTEN_S:g} s")
 
     # --- the loop --------------------------------------------------------------------------
 
@@ -483,8 +427,8 @@ class Cycle:
             while self._commands:
                 self._announce(CommandFailed(self._commands.take(), "the daemon is stopping"))
             self._desk.stop()
-            self._cameras_up = True
-            await self._put_cameras_down()
+            self._cameras.hand_back()
+            await self._cameras.put_down(self._head)
             self._vision.shutdown()
 
     async def _check_cameras(self) -> None:
@@ -731,7 +675,7 @@ class Cycle:
         new = CellState(
             state=state,
             ready=able,
-            cameras_ok=self._cameras_ok if in_setup else able,
+            cameras_ok=self._cameras.are_well if in_setup else able,
             job=self._active.name,
             job_number=self._active.number,
             missed_triggers=self._missed,

@@ -35,6 +35,26 @@ class Camera(Protocol):
         ...
 
 
+class Head(Protocol):
+    """Two cameras that answer as one: what the loop needs of them."""
+
+    async def open(self) -> None:
+        """Connect both cameras; nothing to do for those that are connected and well."""
+        ...
+
+    async def capture(self) -> FramePair:
+        """One exposure of both cameras, bounded in time; raises `CaptureError`."""
+        ...
+
+    async def listen(self) -> FramePair:
+        """The next exposure that others trigger; may be cancelled and called again, and none is lost."""
+        ...
+
+    async def close(self) -> None:
+        """Release both cameras."""
+        ...
+
+
 class Publisher(Protocol):
     """Somewhere results go."""
 

@@ -26,7 +26,7 @@ from edged.domain import (
 )
 from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
 from edged.files.setupnote import SetupNote
-from edged.session import LEASE_S, SetupDesk
+from edged.session.desk import LEASE_S, SetupDesk
 
 LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)
 
@@ -318,8 +318,8 @@ def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
 
 def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """And when nobody does, that is said, and the next request is served."""
-    monkeypatch.setattr("edged.cycle.IDLE_CHECK_S", 0.01)
-    monkeypatch.setattr("edged.cycle.LISTEN_S", 0.03)
+    monkeypatch.setattr("edged.session.cameras.LOOK_S", 0.01)
+    monkeypatch.setattr("edged.session.cameras.LISTEN_S", 0.03)
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         token = await cycle.enter_setup("Anna")

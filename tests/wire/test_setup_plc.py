@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import http.cookiejar
 import json
 import shutil
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import threading
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,11 +25,13 @@ from smallcell import DaemonProcess, SmallCell
 from edged.adapters.modbus import ModbusSettings
 from edged.domain import CommandKind, SetupSource
 from edged.errors import SetupRefused
+from edged.passwords import hash_password
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason
 from edged.plc.registers import StatusBit, Warn
 
 WAIT_S = 30.0  # what a loaded machine may need; nothing here sleeps for it
+PASSWORD = "correct horse"
 LEAVE = StatusBit.READY | StatusBit.RESULT_VALID | StatusBit.OK | StatusBit.EXPOSURE_DONE
 """What lets a robot move, or a PLC command."""
 
@@ -278,3 +282,64 @@ def _ready(port: int) -> tuple[int, str]:
             return answer.status, json.load(answer)["error"]
     except urllib.error.HTTPError as error:
         return error.code, json.load(error)["error"]
+
+
+@pytest.mark.slow
+def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: Path) -> None:
+    """kill -9, twice: SETUP again with nobody's name, NACK 7, never READY; a person ends it, and only then.
+
+    What a client reads meanwhile has no READY, and nothing VALID.
+    """
+    small = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
+    web = f"password_hash = '{hash_password(PASSWORD)}'\ncommissioning = true\n"
+    small.config.write_text(small.config.read_text().replace("[web]\n", f"[web]\n{web}"))
+    daemon = DaemonProcess(small.config)
+    try:
+        daemon.wait_ready()
+        browser = Browser(small.web_port)
+        token = browser.ask("POST", "setup", {"name": "Anna"})["token"]
+        with Plc(small.modbus_port) as plc:
+            assert SetupSource.PERSON == plc.read(reg.STATUS)["SETUP_SOURCE"]
+        browser.ask("POST", "captures", {"token": token})
+        for _ in range(2):
+            daemon.kill()
+            daemon = DaemonProcess(small.config)
+            daemon.wait_ready()
+            with Plc(small.modbus_port) as plc:
+                status = plc.until(lambda status: status["STATE"] != 0)
+                assert SetupSource.PERSON == status["SETUP_SOURCE"]
+                assert Reason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
+            assert (503, "setup, and nobody looks after it") == _ready(small.web_port)
+        browser = Browser(small.web_port)
+        with Plc(small.modbus_port) as plc:
+            seen = [plc.read(reg.STATUS) for _ in range(20)]
+            assert [] == [status for status in seen if status["STATUS_BITS"] & LEAVE]
+            browser.ask("DELETE", "setup", {"name": "Ben"})
+            plc.until(lambda status: bool(status["STATUS_BITS"] & StatusBit.READY))
+            assert plc.command(CommandKind.LOCATE)["STATUS_BITS"] & StatusBit.RESULT_VALID
+        daemon.stop()
+        daemon = DaemonProcess(small.config)
+        daemon.wait_ready()
+        assert (200, "") == _ready(small.web_port)
+    finally:
+        daemon.kill()
+
+
+class Browser:
+    """Somebody who has logged in on the page."""
+
+    def __init__(self, port: int) -> None:
+        self._host = f"http://127.0.0.1:{port}"
+        keeping = urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar())
+        self._opener = urllib.request.build_opener(keeping)
+        form = urllib.parse.urlencode({"password": PASSWORD}).encode()
+        self._opener.open(f"{self._host}/login", form, timeout=WAIT_S).close()
+
+    def ask(self, method: str, path: str, document: dict[str, str]) -> Any:
+        """The answer's object; None for one without."""
+        headers = {"Origin": self._host, "Content-Type": "application/json"}
+        url, data = f"{self._host}/api/v1/{path}", json.dumps(document).encode()
+        request = urllib.request.Request(url, data, headers, method=method)
+        with self._opener.open(request, timeout=WAIT_S) as answer:
+            text = answer.read()
+        return json.loads(text) if text else None

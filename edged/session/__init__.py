@@ -1,0 +1,1 @@
+"""SETUP: who has the cell, and its cameras meanwhile."""
