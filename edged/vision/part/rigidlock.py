@@ -31,8 +31,8 @@ NEAR_PX = (5.0, 4.0, 3.0, 2.5, *(2.0,) * 10)
 """The last one is repeated until the pose stands still."""
 STILL_PX = 0.1
 GLANCE_PX = 4.0
-FAR_SPACING_PX = 4.0
-SPACING_PX = 1.5
+FAR_SPACING_PX = 5.0
+SPACING_PX = 2.5
 HOPELESS = 0.25
 """Share of the curves that after the far steps either camera must agree with."""
 STEP_PX = 0.5
