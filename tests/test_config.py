@@ -351,3 +351,17 @@ def test_nobody_takes_the_cell_without_a_password_or_in_the_clear(
         config = load(write(tmp_path, text))
         assert config.web is not None
         assert config.web.commissioning
+
+
+def test_files_and_folders_of_opcua_that_are_not_there_are_named(tmp_path: Path) -> None:
+    """Before the server would say that nobody is trusted."""
+    section = "[opcua]\nanonymous = true\ncertificate = 'c.pem'\nkey = 'k.pem'\ntrusted = 'clients'\n"
+    config = load(write(tmp_path, GOOD + section))
+
+    missing = config.missing_files()
+    (tmp_path / "clients").mkdir()
+    for name in ("c.pem", "k.pem"):
+        (tmp_path / name).write_text("")
+
+    assert ["opcua.certificate", "opcua.key", "opcua.trusted"] == [line.split(":")[0] for line in missing]
+    assert [] == config.missing_files()
