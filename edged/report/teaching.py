@@ -204,18 +204,22 @@ def _drawing(job: Job) -> Markup:
 
 
 def _features(job: Job) -> Table:
-    rows = []
+    def place(point: FloatArray) -> str:
+        x, y, down = point
+        return f"{x:.3f}, {y:.3f}" + (f", {-down:+.3f}" if job.solid else "")
+
+    rows: list[tuple[str, ...]] = []
     for circle in job.circles:
-        x, y, _ = circle.centre_mm
         kind = "hole" if circle.polarity > 0 else "disc"
-        rows.append((circle.name, kind, f"{x:.3f}, {y:.3f}", f"radius {circle.radius_mm:.4f}"))
+        rows.append((circle.name, kind, place(circle.centre_mm), f"radius {circle.radius_mm:.4f}"))
     for slot in job.slots:
-        x, y, _ = slot.centre_mm
-        rows.append((slot.name, "slot", f"{x:.3f}, {y:.3f}", f"{slot.length_mm:.3f} x {slot.width_mm:.3f}"))
+        size = f"{slot.length_mm:.3f} x {slot.width_mm:.3f}"
+        rows.append((slot.name, "slot", place(slot.centre_mm), size))
     for edge in job.edges:
-        x, y, _ = 0.5 * (edge.start_mm + edge.end_mm)
-        rows.append((edge.name, "edge", f"{x:.3f}, {y:.3f}", f"length {edge.length_mm:.3f}"))
-    for corner in job.corners:
-        x, y, _ = job.place_of(corner.name)
-        rows.append((corner.name, "corner", f"{x:.3f}, {y:.3f}", " and ".join(corner.edges)))
-    return Table(rows, ("name", "kind", "place mm", "size mm"))
+        middle = 0.5 * (edge.start_mm + edge.end_mm)
+        rows.append((edge.name, "edge", place(middle), f"length {edge.length_mm:.3f}"))
+    rows += [
+        (corner.name, "corner", place(job.place_of(corner.name)), " and ".join(corner.edges))
+        for corner in job.corners
+    ]
+    return Table(rows, ("name", "kind", "place, height mm" if job.solid else "place mm", "size mm"))

@@ -14,9 +14,11 @@ from tilted import BELOW_MM, lying, stacked
 
 from edged.domain import FloatArray, Image, Outcome, Reject, Target
 from edged.pipeline import PreparedRig, locate, prepare
+from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job, MeasurementSpec
+from edged.vision.shape.inspection import inspect_model
 from edged.vision.teaching.pair import teach
 
 STEP_MM = 4.0
@@ -55,7 +57,7 @@ def table() -> Table:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taught:
+class TaughtBlock:
     """The block as it was taught."""
 
     rig: PreparedRig
@@ -70,12 +72,12 @@ class Taught:
 
 
 @functools.cache
-def taught() -> Taught:
+def taught() -> TaughtBlock:
     """One job for all tests of a process."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     job = teach(*_pair(rig, block(where)), rig.rectification, None, "block")
-    return Taught(rig, job, invert(where) @ job.rig_from_part)
+    return TaughtBlock(rig, job, invert(where) @ job.rig_from_part)
 
 
 def _pair(rig: PreparedRig, world: Scene) -> tuple[Image, Image]:
@@ -176,3 +178,15 @@ def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     assert abs(height.value - STEP_MM - taller_mm) < 4 * height.sigma
     assert height.sigma < 0.03
     assert height.ok
+
+
+def test_the_report_states_heights() -> None:
+    """Each circle of the boss is listed with its height over the face."""
+    here = taught()
+    picture = np.zeros((480, 640), np.uint8)
+    page = teaching_report(
+        here.job, Taught(picture, None, ()), inspect_model(here.job.shape, here.job.search)
+    )
+    bore = min(here.job.circles, key=lambda circle: abs(circle.radius_mm - 2.0))
+    assert "place, height mm" in page
+    assert f", {-float(bore.centre_mm[2]):+.3f}" in page.replace("&#43;", "+")
