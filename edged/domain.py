@@ -341,6 +341,8 @@ class Target:
     grasp : how a tool takes it; None where the job has none, or none that is allowed.
     doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
     rows that do not meet, sizes that are all wrong alike.
+    by_edges, by_doubt (3, 3) : what of the position's covariance comes from the edges, and from the doubt;
+    the rest comes from the calibration. by_edges None: not known.
     """
 
     job: str
@@ -356,6 +358,8 @@ class Target:
     measurements: tuple[Measurement, ...] = ()
     free_axis: FloatArray | None = None
     doubt_mm: float = 0.0
+    by_edges: FloatArray | None = None
+    by_doubt: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     grasp: GraspPose | None = None
 
     @property

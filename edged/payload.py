@@ -36,6 +36,7 @@ from edged.domain import (
     Status,
     Target,
 )
+from edged.robot.budget import Budget, budget_of
 from edged.robot.covariance import robot_covariance
 
 SCHEMA_VERSION = 1
@@ -91,10 +92,23 @@ def outcome_to_json(
         "cycle": cycle,
         "calibration": calibration,
         "timing_ms": _timing(timing_ms),
-        "targets": [target_to_json(target, robot_from_rig, registration) for target in outcome.targets],
+        "targets": [
+            {
+                **target_to_json(target, robot_from_rig, registration),
+                "budget": _budget(budget_of(target, robot_from_rig, registration)),
+            }
+            for target in outcome.targets
+        ],
         "dismissed": [_dismissed(one) for one in outcome.dismissed],
         "nearest": _near_miss(outcome.nearest),
     }
+
+
+def _budget(budget: Budget | None) -> Json | None:
+    if budget is None:
+        return None
+    names = ("edges", "calibration", "registration", "doubt")
+    return {name: _numbers(term) for name, term in zip(names, budget.terms, strict=True)}
 
 
 def snapshot_to_json(snapshot: Snapshot) -> Json:

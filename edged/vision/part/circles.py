@@ -75,11 +75,13 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Non
     rotation, sigma_turn, used = _rotation(job, main.circle, [one.circle for one in beside], start)
     agreeing = [beside[index] for index in used]
     circles = _in_order(job, [main, *agreeing])
+    by_edges = circle_in_rig(fit.by_edges(), job.reference)
     target = Target(
         job=job.name,
         match=match_in_raw(images.rectification, match),
         rig_from_part=transform(rotation, main.circle.centre_mm),
         covariance=_pose_covariance(main, sigma_turn),
+        by_edges=None if by_edges is None else by_edges.pose_covariance[:3, :3],
         circles=circles,
         epipolar_rms_px=_epipolar_rms(images.rectification, main.fit),
         reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,

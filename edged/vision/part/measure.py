@@ -184,11 +184,11 @@ def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
         return lifted(face, parameters, point(parameters))
 
     position, spread = derived(fit, in_rig)
+    _, by_edges = derived(fit.by_edges(), in_rig)
     covariance = target.covariance.copy()
     covariance[:3, :3], covariance[:3, 3:], covariance[3:, :3] = spread, 0.0, 0.0
-    return replace(
-        target, rig_from_part=transform(target.rig_from_part[:3, :3], position), covariance=covariance
-    )
+    pose = transform(target.rig_from_part[:3, :3], position)
+    return replace(target, rig_from_part=pose, covariance=covariance, by_edges=by_edges)
 
 
 def _with_free_axis(job: Job, target: Target) -> Target:
@@ -282,16 +282,19 @@ def _target_from(
         return np.concatenate([lifted(face, parameters, in_face), tilt])
 
     values, covariance = derived(fit, pose)
+    _, by_edges = derived(fit.by_edges(), pose)
     if point is None:  # hidden: it lies where the others say
         arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T
+        by_edges[:3, :3] += in_rig @ motion.covariance @ in_rig.T
     covariance[3:, 3:] += motion.covariance[2, 2] * np.outer(face.normal, face.normal)
     target = Target(
         job=job.name,
         match=match_in_raw(rectification, match),
         rig_from_part=transform(face.axes.T @ about_z(motion.turn), values[:3]),
         covariance=covariance,
+        by_edges=by_edges[:3, :3],
         circles=(),
         epipolar_rms_px=_row_mismatch_px(fit, rectification),
     )

@@ -299,6 +299,7 @@ def target_of(rectification: Rectification, job: Job, match: ShapeMatch, fit: Pl
         match=match_in_raw(rectification, match),
         rig_from_part=transform(face.axes.T, face.to_rig(np.array([[x, y, z]]))[0]),
         covariance=lift @ fit.rigid.covariance @ lift.T,
+        by_edges=(lift @ fit.rigid.edge_covariance @ lift.T)[:3, :3],
         circles=(),
         epipolar_rms_px=math.nan,
     )

@@ -1,0 +1,73 @@
+"""Where the uncertainty of a position comes from: terms that add up to what is published, to the last bit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain import FloatArray, Target
+from edged.robot.covariance import robot_covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """Variances (3,) of X, Y, Z in mm², each at least 0, in the frame of `frame_name`.
+
+    edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
+    registration : of the rig in the robot's frame. doubt : of what contradicts the rig (`Target.doubt_mm`).
+    Their exact sum, rounded once (`math.fsum`), is the published variance, bit by bit.
+    """
+
+    edges: FloatArray
+    calibration: FloatArray
+    registration: FloatArray
+    doubt: FloatArray
+
+    @property
+    def terms(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Edges, calibration, registration, doubt."""
+        return self.edges, self.calibration, self.registration, self.doubt
+
+
+def budget_of(
+    target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None
+) -> Budget | None:
+    """The budget of a position as it is published; None where the edges' part is not known, or not finite."""
+    if target.by_edges is None:
+        return None
+    rotation = np.eye(3) if robot_from_rig is None else robot_from_rig[:3, :3]
+    own = whole = target.covariance
+    if robot_from_rig is not None:
+        own = robot_covariance(target, robot_from_rig, None)
+        whole = robot_covariance(target, robot_from_rig, registration)
+    edges, doubt = (np.diag(rotation @ part @ rotation.T) for part in (target.by_edges, target.by_doubt))
+    total = np.diag(whole)[:3]
+    terms = np.stack(
+        [edges, np.diag(own)[:3] - edges - doubt, total - np.diag(own)[:3], doubt]
+    )  # differences are as exact as their sums: what is below 0 is rounding
+    if not (np.isfinite(terms).all() and np.isfinite(total).all()):
+        return None
+    terms = np.maximum(terms, 0.0)
+    for axis in range(3):
+        _settle(terms[:, axis], float(total[axis]))
+    return Budget(*terms)
+
+
+def _settle(terms: FloatArray, total: float) -> None:
+    """Take up what rounding has left, in place: in the largest term.
+
+    What is left then is at most half a unit in the total's last place; where it is just that, and the tie is
+    broken the wrong way, a smaller term is moved by its own last place.
+    """
+    first, *others = np.argsort(-terms)
+    terms[first] += math.fsum([total, *-terms])
+    found = terms.copy()
+    for index in (first, *others):
+        for side in (0.0, np.inf, -np.inf):
+            terms[:] = found
+            if side:
+                terms[index] = max(np.nextafter(found[index], side), 0.0)
+            if math.fsum(terms) == total:
+                return

@@ -1,0 +1,137 @@
+"""The terms of a published sigma: each what it says, together what is published."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import cells
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from snapshots import make_target, make_transform
+
+from edged.domain import FloatArray, Outcome, Status, Target
+from edged.payload import outcome_to_json
+from edged.pipeline import locate, prepare
+from edged.robot.budget import budget_of
+from edged.robot.covariance import robot_covariance
+from edged.vision.part.consistency import doubted, undoubted
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+MAGNITUDES = st.sampled_from([0.0, 1e-9, 1e-6, 1e-5, 3e-4, 1e-2])
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    """The flange, taught."""
+    flat = cells.flange()
+    return teach(flat.left, flat.right, prepare(flat.rig).rectification, flat.region, "flange")
+
+
+def located(job: Job, covariance: FloatArray | None) -> Target:
+    """The flange, measured by a rig whose parameters have this covariance."""
+    flat = cells.flange()
+    rig = prepare(replace(flat.rig, covariance=covariance))
+    outcome = locate(cells.frame_pair(flat.left, flat.right), job, rig)
+    assert Status.OK is outcome.status
+    return outcome.targets[0]
+
+
+def spread(size: float, seed: int) -> FloatArray:
+    """A (6, 6) covariance without a zero in it."""
+    factor = np.random.default_rng(seed).normal(size=(6, 6))
+    return size * factor @ factor.T
+
+
+def published(target: Target, robot: FloatArray | None, registration: FloatArray | None) -> FloatArray:
+    """Variances of X, Y, Z."""
+    if robot is None:
+        return np.diag(target.covariance)[:3]
+    return np.diag(robot_covariance(target, robot, registration))[:3]
+
+
+@settings(max_examples=300, deadline=None)
+@given(MAGNITUDES, MAGNITUDES, MAGNITUDES, MAGNITUDES, st.integers(0, 10_000), st.booleans(), st.booleans())
+def test_the_terms_add_up_to_the_last_bit(
+    edges: float, rig: float, registration: float, share: float, seed: int, in_robot: bool, known: bool
+) -> None:
+    """Added exactly and rounded once, for any sizes of the terms and any frame; none is below 0."""
+    by_edges = spread(edges, seed)
+    target = replace(
+        make_target(), covariance=by_edges + spread(rig, seed + 1), by_edges=by_edges[:3, :3], doubt_mm=0.0
+    )
+    target = doubted(target, share, 60.0)
+    robot = make_transform((0.4, -1.0, 2.0), (600.0, -30.0, 800.0)) if in_robot else None
+    of_robot = spread(registration, seed + 2) if known else None
+
+    budget = budget_of(target, robot, of_robot)
+
+    assert budget is not None
+    total = np.array([math.fsum(axis) for axis in zip(*budget.terms, strict=True)])
+    assert published(target, robot, of_robot).tobytes() == total.tobytes()
+    assert min(term.min() for term in budget.terms) >= 0.0
+    scale = total.max()
+    rotation = np.eye(3) if robot is None else robot[:3, :3]
+    np.testing.assert_allclose(
+        budget.edges, np.diag(rotation @ by_edges[:3, :3] @ rotation.T), atol=1e-12 * scale, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        budget.doubt, np.diag(rotation @ target.by_doubt @ rotation.T), atol=1e-12 * scale, rtol=1e-9
+    )
+    if robot is None or of_robot is None:
+        assert budget.registration.max() <= 1e-12 * scale
+
+
+def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
+    """All of the sigma comes from the edges; of a rig that is known so well, the same edges and more."""
+    exact = located(job, None)
+    budget = budget_of(exact, None, None)
+    assert budget is not None
+    assert np.diag(exact.covariance)[:3].tobytes() == budget.edges.tobytes()
+    assert not (budget.calibration.any() or budget.registration.any() or budget.doubt.any())
+
+    uncertain = {f"{side}.{name}" for side in ("left", "right") for name in ("fx", "cx", "cy")}
+    names = cells.flange().rig.parameter_names
+    known = located(job, np.diag([1e-4 * (name in uncertain) for name in names]))
+    more = budget_of(known, None, None)
+    assert more is not None
+    assert (more.calibration > 0).all()
+    np.testing.assert_allclose(more.edges, budget.edges, rtol=1e-6)
+    np.testing.assert_allclose(
+        more.calibration, np.diag(known.covariance)[:3] - np.diag(exact.covariance)[:3], rtol=1e-6
+    )
+
+
+def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
+    """Along the ray, and half a baseline of it across; without it the others are as before."""
+    target = located(job, None)
+    before, wide = budget_of(target, None, None), doubted(target, 1e-3, 60.0)
+    after = budget_of(wide, None, None)
+    assert before is not None
+    assert after is not None
+    assert after.doubt[2] == pytest.approx((1e-3 * target.position_mm[2]) ** 2, rel=0.05)
+    np.testing.assert_allclose(after.edges, before.edges, rtol=1e-12)
+    assert not undoubted(wide, 60.0).by_doubt.any()
+
+
+def test_it_is_in_what_locate_prints(job: Job) -> None:
+    """In mm², in the robot's frame where there is one; null for what is not known."""
+    flat = cells.flange()
+    target = located(job, None)
+    robot, registration = flat.rig.robot_from_rig, 1e-6 * np.eye(6)
+    outcome = Outcome(Status.OK, (target, replace(target, by_edges=None)))
+    text = json.dumps(
+        outcome_to_json(
+            outcome, calibration="cal", timing_ms={}, robot_from_rig=robot, registration=registration
+        )
+    )
+    first, second = json.loads(text)["targets"]
+    terms = [np.array(first["budget"][name]) for name in ("edges", "calibration", "registration", "doubt")]
+    total = np.array([math.fsum(axis) for axis in zip(*terms, strict=True)])
+    assert np.diag(np.array(first["pose_robot"]["covariance_6x6"]))[:3].tobytes() == total.tobytes()
+    assert terms[2].min() > 0
+    assert second["budget"] is None
