@@ -22,6 +22,7 @@ from typing import Protocol
 from edged.capture.tasks import cancel_and_await
 from edged.domain import (
     PLC_SOURCE,
+    Bounds,
     Calibrated,
     CellPhase,
     CellState,
@@ -55,7 +56,7 @@ from edged.errors import (
 from edged.logs import FaultLog, cycle_number, fields
 from edged.ports import Head, Publisher
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import RobotFrame, picked
+from edged.robot.picking import RobotFrame, narrowed, picked, within
 from edged.session.cameras import SetupCameras
 from edged.session.desk import Request, SetupDesk
 
@@ -110,6 +111,7 @@ class Setup:
     listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : of robot_from_rig, or of flange_from_rig.
+    bounds : where the robot may go, whatever the job.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -124,6 +126,7 @@ class Setup:
     drift: DriftLimits = field(default_factory=DriftLimits)
     listens: bool = False
     lacks: SetupSource = SetupSource.NONE
+    bounds: Bounds = field(default_factory=Bounds)
 
 
 class Notebook(Protocol):
@@ -261,6 +264,8 @@ class Cycle:
             return f"unknown job {command.job}, there are {known}"
         if command.kind is CommandKind.CHANGE_JOB and not command.job:
             return "a job change needs a job number"
+        if command.box > len(self._setup.bounds.boxes):
+            return f"no box {command.box}, the cell's limits have {len(self._setup.bounds.boxes)}"
         carried = self._setup.flange_from_rig is not None and command.kind is CommandKind.LOCATE
         if carried and command.robot_from_flange is None:
             return "the robot carries the cameras: LOCATE needs the pose of the flange"
@@ -595,7 +600,7 @@ class Cycle:
 
         def agreement(one: tuple[LoadedJob, Outcome]) -> tuple[bool, float]:
             job, outcome = one
-            allowed = picked(outcome, job.picking, frame)
+            allowed = picked(outcome, _picking_of(setup, job, command), frame)
             return allowed.status is Status.OK, max((t.match.score for t in allowed.targets), default=-1.0)
 
         return max(tried, key=agreement)
@@ -620,7 +625,7 @@ class Cycle:
     ) -> Snapshot:
         frame, registration = _frame_of(setup, command)
         if outcome is not None:
-            outcome = picked(outcome, job.picking, frame)
+            outcome = picked(outcome, _picking_of(setup, job, command), frame)
             status = outcome.status
         return Snapshot(
             cycle=self._number,
@@ -714,6 +719,11 @@ def _frame_of(setup: Setup, command: Command | None) -> tuple[RobotFrame, FloatA
         return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
     moved = None if registration is None else moved_frame(registration, robot_from_flange)
     return RobotFrame(robot_from_flange @ setup.flange_from_rig), moved
+
+
+def _picking_of(setup: Setup, job: LoadedJob, command: Command | None) -> Picking:
+    """The job's, within what the cell and the command allow."""
+    return within(job.picking, narrowed(setup.bounds, command.box if command is not None else 0))
 
 
 class _Stopwatch:

@@ -471,6 +471,7 @@ class Command:
     job : job number, 0 for the active one.
     robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
     tries_all : every job is tried, and the part that agrees best counts; job is then 0.
+    box : of the cell's boxes this one alone counts, from 1; 0: each of them.
     """
 
     kind: CommandKind
@@ -479,6 +480,7 @@ class Command:
     job: int = 0
     robot_from_flange: FloatArray | None = field(default=None, compare=False)
     tries_all: bool = False
+    box: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -170,6 +170,7 @@ def command_to_json(command: Command) -> Json:
         "source": command.source,
         "sequence": command.sequence,
         "job": command.job,
+        "box": command.box,
         "robot_from_flange": None
         if command.robot_from_flange is None
         else _numbers(command.robot_from_flange),

@@ -169,6 +169,36 @@ def test_of_all_jobs_what_the_robot_must_not_take_counts_as_bad() -> None:
     assert (2, Status.OK) == (snapshot.job_number, snapshot.status)
 
 
+def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
+    """By its place in the configuration; one that is not there is refused, the job's own limits stay."""
+    boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
+    targets = (make_target(x_mm=50.0), make_target(x_mm=10.0))
+
+    def found(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+        return Outcome(Status.OK, targets)
+
+    def places(box: int, job: Bounds | None = None) -> list[float]:
+        picking = Picking(bounds=(job or Bounds(),))
+        setup = dataclasses.replace(
+            make_setup(), jobs={1: LoadedJob("job1", 1, found, picking=picking)}, bounds=Bounds(boxes)
+        )
+
+        async def script(cycle, ear, head):
+            with pytest.raises(CommandRefused, match="no box 3, the cell's limits have 2"):
+                cycle.submit(Command(CommandKind.LOCATE, "test", 1, box=3))
+            cycle.submit(Command(CommandKind.LOCATE, "test", 2, box=box))
+            await until(ear.snapshots)
+
+        ear, _ = drive(setup, script)
+        (snapshot,) = ear.snapshots()
+        good = [target for target in snapshot.targets if not target.reject]
+        assert (snapshot.status is Status.OK) == bool(good)
+        return [target.position_mm[0] for target in good]
+
+    assert [[50.0, 10.0], [10.0], [50.0]] == [places(box) for box in (0, 1, 2)]
+    assert [] == places(2, Bounds(boxes[:1]))
+
+
 def test_trying_all_jobs_ends_in_time(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

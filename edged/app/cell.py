@@ -13,7 +13,6 @@ from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
 from edged.pipeline import PreparedRig, locate
-from edged.robot.picking import within
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
@@ -59,12 +58,7 @@ def load_cell(path: Path) -> LoadedCell:
 
 def _loaded(cell: CellFiles) -> LoadedCell:
     config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
-    jobs = [
-        LoadedJob(
-            job.name, job.number, _bind(job, rig), job.witness, within(job.picking, config.limits.bounds())
-        )
-        for job in cell.jobs
-    ]
+    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness, job.picking) for job in cell.jobs]
     setup = Setup(
         jobs={job.number: job for job in jobs},
         active_job=next(job.number for job in jobs if job.name == config.cell.job),
@@ -77,6 +71,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         flange_from_rig=cell.rig.flange_from_rig,
         listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
+        bounds=config.limits.bounds(),
     )
     return LoadedCell(cell, rig, setup)
 

@@ -24,7 +24,7 @@ from edged.files.rig import load_rig
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
 from edged.pipeline import PreparedRig, prepare
-from edged.robot.picking import within
+from edged.robot.picking import narrowed, within
 from edged.vision.part.job import Job
 
 SHOWN = 12
@@ -100,7 +100,7 @@ class _Setups:
     """Rigs and jobs of the fingerprints met so far."""
 
     def __init__(self) -> None:
-        self._loaded: dict[Path, tuple[PreparedRig, dict[int, Job]]] = {}
+        self._loaded: dict[Path, tuple[PreparedRig, dict[int, Job], Bounds]] = {}
 
     def of(self, file: Path, taken: recording.Recording) -> tuple[PreparedRig, Job]:
         fingerprint, number = str(taken.snapshot.get("fingerprint")), int(taken.snapshot["job_number"])
@@ -110,13 +110,14 @@ class _Setups:
         if folder not in self._loaded:
             bounds = _bounds(folder / "cell.toml")
             found = [load_job(one) for one in job_folders(folder / "jobs")]
-            jobs = [replace(job, picking=within(job.picking, bounds)) for job in found]
             rig = prepare(load_rig(folder / "rig.json"))
-            self._loaded[folder] = rig, {job.number: job for job in jobs}
-        rig, known = self._loaded[folder]
+            self._loaded[folder] = rig, {job.number: job for job in found}, bounds
+        rig, known, bounds = self._loaded[folder]
         if number not in known:
             raise FileFormatError(f"{folder}: no job {number}")
-        return rig, known[number]
+        job, command = known[number], taken.snapshot.get("command")
+        box = command.get("box", 0) if isinstance(command, dict) else 0
+        return rig, replace(job, picking=within(job.picking, narrowed(bounds, box)))
 
 
 def _bounds(path: Path) -> Bounds:

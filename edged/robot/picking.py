@@ -28,6 +28,8 @@ from edged.domain import (
 from edged.robot.grasping import best_grasp
 from edged.vision.geometry.camera import StereoRig
 
+NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFrame:
@@ -48,6 +50,11 @@ def frame_of(rig: StereoRig) -> RobotFrame:
 def within(picking: Picking, bounds: Bounds) -> Picking:
     """With the cell's bounds besides those of the job."""
     return replace(picking, bounds=(bounds, *picking.bounds)) if bounds != Bounds() else picking
+
+
+def narrowed(bounds: Bounds, box: int) -> Bounds:
+    """With one box alone, counted from 1; 0: with all. Into a box that is not there nothing goes."""
+    return replace(bounds, boxes=bounds.boxes[box - 1 : box] or (NOWHERE,)) if box else bounds
 
 
 def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:

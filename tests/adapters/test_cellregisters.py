@@ -79,6 +79,18 @@ def test_what_is_in_flight_over_a_reload_does_not_answer_the_next_command_of_tha
     assert (1, 10_000) == shown(cell)
 
 
+def test_a_box_is_said_with_each_command_and_stays() -> None:
+    """Written once, of every command until it is written again."""
+    queue = Queue()
+    cell = registers(queue)
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
+    cell.write(1, reg.ADDRESS["BOX"], [2])
+    for sequence in (2, 3):
+        cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, sequence])
+    assert [0, 2, 2] == [command.box for command in queue.commands]
+    assert 2 == cell.read(reg.ADDRESS["BOX"], 1)[0]
+
+
 def test_what_others_ask_is_not_shown_to_the_plc() -> None:
     """A part that was located over Zenoh is no cycle of a free-running cell; one that nobody asked for is."""
     cell = registers(Queue())

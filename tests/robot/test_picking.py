@@ -9,7 +9,7 @@ import pytest
 from snapshots import make_target, make_transform
 
 from edged.domain import Bounds, Box, Match, Order, Outcome, Picking, Reject, Status, Target
-from edged.robot.picking import RobotFrame, picked, within
+from edged.robot.picking import RobotFrame, narrowed, picked, within
 
 
 def part(
@@ -115,6 +115,14 @@ def test_cell_and_job_must_both_allow_it() -> None:
         assert status is picked(Outcome(Status.OK, (at(50.0),)), within(job, cell), RIG).status
     cell = within(Picking(bounds=(Bounds((FAR,)),)), Bounds((BIN,)))
     assert Status.LOW_QUALITY is picked(Outcome(Status.OK, (at(50.0),)), cell, RIG).status
+
+
+def test_of_several_boxes_one_alone_may_count() -> None:
+    """By its place, from 1; into one that is not there nothing goes, and keep-out zones stay."""
+    two = Bounds((BIN, FAR), (CLAMP,))
+    seen = [judged(at(x_mm), (narrowed(two, box),))[1] for box in (0, 1, 2, 3) for x_mm in (50.0, 0.0)]
+    none, out, kept = Reject.NONE, Reject.OUT_OF_LIMITS, Reject.KEEP_OUT
+    assert [none, kept, none, kept, out, out | kept, out, out | kept] == seen
 
 
 def test_boxes_lie_in_the_robots_frame() -> None:

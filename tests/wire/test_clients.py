@@ -26,7 +26,7 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
-from edged.domain import FramePair, Outcome, Reject, Status
+from edged.domain import Bounds, Box, FramePair, Outcome, Reject, Status
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.plc.texts import render
 from edged.vision.geometry.rigid import rotation_vector
@@ -154,6 +154,22 @@ def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -
         assert [(1, 10_000), (2, 20_000)] == [(r.values["JOB"], r.values["X"]) for r in (one, best)]
         assert 1 == client.status()["ACTIVE_JOB"]
         assert (2, 2) == tuple(client.read("counters")[name] for name in ("N_CYCLES", "N_GOOD"))
+
+
+def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None:
+    """Of two bins the part of the second; a bin that is not there is refused."""
+    cell = LiveCell()
+    boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
+    cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
+    cell.targets = (make_target(x_mm=10.0), make_target(x_mm=50.0))
+    with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert 2 == len(list(client.parts()))
+        client.narrow(2)
+        assert [50_000] == [part.values["X"] for part in client.parts()]
+        client.narrow(3)
+        with pytest.raises(client_module.CommandRefused, match="REFUSED"):
+            client.locate()
 
 
 def test_structured_text_tries_all_jobs() -> None:
@@ -343,7 +359,7 @@ def test_the_python_client_does_not_believe_half_an_answer(
     """Fewer words than were asked for: `CellError`, not an error of the decoder."""
     client = client_module.EdgedCell("127.0.0.1", 1)
     monkeypatch.setattr(client, "_client", Breaking(Short()))
-    with pytest.raises(client_module.CellError, match="2 words, expected 18"):
+    with pytest.raises(client_module.CellError, match=f"2 words, expected {STATUS.words}"):
         client.status()
 
 

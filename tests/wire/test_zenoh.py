@@ -117,7 +117,7 @@ def test_a_trigger_is_answered_by_the_result_it_asked_for():
     (reply,) = asyncio.run(main())
     assert reply["ok"]
     assert 9 == reply["document"]["cycle"]
-    command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2}
+    command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2, "box": 0}
     flange = [[1, 0, 0, 500], [0, -1, 0, 0], [0, 0, -1, 700], [0, 0, 0, 1]]
     assert {**command, "robot_from_flange": flange} == reply["document"]["command"]
     assert [] == violations(reply["document"], SCHEMA, SCHEMA)

@@ -312,7 +312,8 @@ class CellRegisters:
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
-                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all))
+                box = self._command[_offset("BOX")]
+                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box))
 
     def _lock(self, client: int | None) -> None:
         """Tell the cell when the plant begins or ceases to forbid SETUP. client : who wrote it last."""

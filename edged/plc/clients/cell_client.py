@@ -165,6 +165,10 @@ class EdgedCell:
 
     # --- commands ------------------------------------------------------------------------------
 
+    def narrow(self, box: int) -> None:
+        """From now on this box alone of the cell's limits counts, from 1; 0: each of them."""
+        self._write(ADDRESS["BOX"], [box])
+
     def locate(self, job: int = 0, timeout_s: float = 5.0, *, all_jobs: bool = False) -> Result:
         """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`.
 

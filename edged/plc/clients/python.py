@@ -49,7 +49,7 @@ def _map() -> str:
     lines.append(
         f"HIGH_FIRST = { ({block.name for block in BLOCKS if block.high_first})!r}".replace("'", '"')
     )
-    names = ("COMMAND", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "OPTIONS", "TIMEOUT")
+    names = ("COMMAND", "CMD_SEQ", "ACK_SEQ", "CLIENT_HEARTBEAT", "OPTIONS", "TIMEOUT", "BOX")
     lines.append(f"ADDRESS = { ({name: ADDRESS[name] for name in names})!r}".replace("'", '"'))
     for name, codes in (
         ("COMMANDS", CommandKind),

@@ -96,7 +96,13 @@ COMMAND = make_block(
             "1: the plant runs; nobody may take the cell for SETUP, and who has it loses it. 0: they may; so "
             "it is without the connection that wrote 1",
         ),
-        ("RESERVED_120", _U16, "", "write 0"),
+        (
+            "BOX",
+            _U16,
+            "",
+            "of the boxes of the cell's `[limits]` this one alone counts for the command, from 1; 0: each of "
+            "them. Stays as it was written",
+        ),
         ("RESERVED_121", _U16, "", "write 0"),
     ],
     writable=True,
