@@ -255,7 +255,9 @@ class ServerThread:
 
     def _connect(self, server: Server, policies: list[Any], trust: TrustList, guest: Guest) -> Connection:
         connection = Connection(server, policies, trust, self._channels, guest, self._log)
-        self._connections[guest] = connection
+        # one that had to go while it came in has left already, and nobody would forget it
+        if self._door is not None and self._door.guest(guest.name) is guest:
+            self._connections[guest] = connection
         return connection
 
     def _admits(self, newcomer: Guest) -> bool:
