@@ -6,6 +6,7 @@ import asyncio
 import functools
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,7 +53,12 @@ class _Recalling(Ear):
 
     def announce(self, event: Event) -> None:
         super().announce(event)
-        self.bits.append(pickle.dumps(event))
+        self.bits.append(bits_of(event))
+
+
+def bits_of(event: Event) -> bytes:
+    """All of an event; what came nearest is a question, which holds no result until somebody asks."""
+    return pickle.dumps(replace(event, nearest=None) if isinstance(event, Snapshot) else event)
 
 
 class _Pictures(Head):
@@ -109,7 +115,7 @@ def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> No
     """Results, images and states are the same bits after any other cycles; no buffer is shared with one."""
     ear = published(shown)
 
-    assert ear.bits == [pickle.dumps(event) for event in ear.events]
+    assert ear.bits == [bits_of(event) for event in ear.events]
 
 
 def test_no_array_of_a_snapshot_can_be_written() -> None:
