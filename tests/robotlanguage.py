@@ -1,8 +1,9 @@
 """What the interpreters of robot languages share: expressions, statements, variables with types.
 
-RAPID, KRL and KAREL have the same statements in other words. Each of `rapid`, `krl` and `karel` turns the
-lines of a generated program into the statements below and brings its types and built-in routines. As strict
-as a compiler: unknown names, another type, a text that is too long, an index outside of an array are errors.
+RAPID, KRL, KAREL, VAL 3, AS and SPEL+ have the same statements in other words. Each of `rapid`, `krl`,
+`karel`, `val3`, `kawasaki` and `spel` turns the lines of a generated program into the statements below and
+brings its types and built-in routines. As strict as a compiler: unknown names, another type, a text that is
+too long, an index outside of an array are errors.
 Where the languages rank operators differently, the subset wants parentheses.
 """
 
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 TOKEN = re.compile(
     r"\s*(?:(?P<number>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)|(?P<text>\"[^\"]*\"|'[^']*')|(?P<name>[$A-Za-z_][\w$]*)"
-    r"|(?P<mark>:=|::|<>|<=|>=|==|[-+*/=<>(),\[\]{}.#\\]))"
+    r"|(?P<mark>:=|::|<>|!=|<=|>=|==|[-+*/=<>(),\[\]{}.#\\]))"
 )
 COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     "<": lambda a, b: a < b,
@@ -24,6 +25,7 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     "<=": lambda a, b: a <= b,
     ">=": lambda a, b: a >= b,
     "<>": lambda a, b: a != b,
+    "!=": lambda a, b: a != b,
 }
 
 
@@ -79,10 +81,11 @@ class Variable:
 
 @dataclass
 class Array:
-    """Elements from 1 on."""
+    """Elements from 1 on, or from another first."""
 
     type: str
     elements: list[Variable]
+    first: int = 1
 
     def get(self) -> Any:
         """The whole of it."""
@@ -93,10 +96,10 @@ class Array:
         raise TypeError("an array is written as a whole")
 
     def element(self, index: Any) -> Variable:
-        """Raises IndexError outside of 1 to its size."""
-        if not float(index).is_integer() or not 1 <= index <= len(self.elements):
+        """Raises IndexError outside of its size."""
+        if not float(index).is_integer() or not 0 <= index - self.first < len(self.elements):
             raise IndexError(f"{index} of {len(self.elements)}")
-        return self.elements[int(index) - 1]
+        return self.elements[int(index) - self.first]
 
 
 @dataclass

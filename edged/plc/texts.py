@@ -19,6 +19,7 @@ from edged.plc.clients import (
     structured_text_source,
     twincat_files,
     urscript_source,
+    val3_files,
 )
 from edged.plc.registers import BLOCKS, JOBS, MAP_VERSION, ROWS, TABLE, Block, Register
 
@@ -119,4 +120,5 @@ SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "twincat": twincat_files,
     "karel": karel_files,
     "krl": krl_files,
+    "val3": val3_files,
 }

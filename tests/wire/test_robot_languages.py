@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import select
 import socket
 import threading
 import time
@@ -16,7 +17,9 @@ import krl
 import numpy as np
 import pytest
 import rapid
+import val3
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
+from robotlanguage import Program
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
@@ -24,6 +27,7 @@ from edged.domain import Target
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.robotlines import Failure
+from edged.plc.clients.val3 import val3_files
 from edged.plc.lines import LineStatus, answer_fields
 from edged.plc.registers import StatusBit
 from edged.plc.texts import render
@@ -33,6 +37,35 @@ from edged.vision.geometry.rigid import rotation_matrix, transform
 WAIT_S = 20.0
 Lie = tuple[Callable[[Brand, str], bytes], int]
 """What is answered to the request of that sequence, and what the robot says of it."""
+
+
+def honest(brand: Brand, sequence: str, **changes: str) -> str:
+    """An answer of the cell with some fields changed, without its end."""
+    values = dict.fromkeys(answer_fields(brand), "0.000000") | {"SEQUENCE": sequence, "STATUS": "0"}
+    values |= {"REMAINING": "0", "X": "400.000000", "AGE": "0.100000"}
+    values |= {"Q1": "1.000000"} if brand is Brand.ABB else {}
+    return ",".join((values | changes).values())
+
+
+LIES: dict[str, Lie] = {
+    "of the request before": (lambda b, s: f"{honest(b, str(int(s) - 1))}\n".encode(), Failure.OTHERS),
+    "of another robot": (lambda b, _: f"{honest(b, '4711')}\n".encode(), Failure.OTHERS),
+    "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.NO_ANSWER),
+    "one field more": (lambda b, s: f"{honest(b, s)},1.0\n".encode(), Failure.NO_ANSWER),
+    "a word": (lambda b, s: f"{honest(b, s, Y='left')}\n".encode(), Failure.NO_ANSWER),
+    "an empty field": (lambda b, s: f"{honest(b, s, Z='')}\n".encode(), Failure.NO_ANSWER),
+    "not a number": (lambda b, s: f"{honest(b, s, Z='nan')}\n".encode(), Failure.NO_ANSWER),
+    "two points": (lambda b, s: f"{honest(b, s, Z='1.2.3')}\n".encode(), Failure.NO_ANSWER),
+    "a sign within": (lambda b, s: f"{honest(b, s, Z='1-2')}\n".encode(), Failure.NO_ANSWER),
+    "an empty line": (lambda *_: b"\n", Failure.NO_ANSWER),
+    "two lines": (lambda b, s: f"{honest(b, s)}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a line before": (lambda b, s: f"hello\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a flood": (lambda *_: b"1" * 900, Failure.NO_ANSWER),
+    "other bytes": (lambda *_: bytes(range(128, 200)) + b"\n", Failure.NO_ANSWER),
+    "half a line": (lambda b, s: honest(b, s)[:-3].encode(), Failure.LATE),
+    "nothing": (lambda *_: b"", Failure.LATE),
+    "another failure": (lambda b, s: f"{honest(b, s, STATUS='102')}\n".encode(), 102),
+}
 
 
 class Side(Protocol):
@@ -226,8 +259,87 @@ class Doosan:
         self.names["edged_socket"] = None
 
 
-SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan]
-talkers = pytest.mark.parametrize("make", [Abb, Doosan], ids=lambda one: one.__name__)
+class Shared:
+    """A controller with a program made of the skeleton: numbers by their names, poses of six numbers."""
+
+    brand: Brand
+    excuses: ClassVar[dict[str, Lie]] = {}
+    program: Program
+    controller: Any
+
+    def named(self, name: str) -> Any:
+        """A variable of the program by the skeleton's name."""
+        raise NotImplementedError
+
+    def run(self, name: str, *arguments: Any) -> None:
+        """A routine by the skeleton's name."""
+        raise NotImplementedError
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        """`part`, `grasp` or `approach`."""
+        return tuple(self.named(name).plain().values())
+
+    def _part(self) -> tuple[float, ...] | None:
+        return self.pose("part") if self.error() == 0 else None
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        self.run("locate", job, timeout_s)
+        return self._part()
+
+    def next(self) -> tuple[float, ...] | None:
+        self.run("next", 5.0)
+        return self._part()
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        self.run("grasp", 5.0)
+        return [self.pose("grasp"), self.pose("approach")] if self.error() == 0 else None
+
+    def acknowledge(self) -> None:
+        self.run("acknowledge")
+
+    def error(self) -> int:
+        return int(self.named("error"))
+
+    def remaining(self) -> int:
+        return int(self.named("remaining"))
+
+    def sigma_age(self) -> tuple[float, ...]:
+        return tuple(self.named(name) for name in ("sigma_x", "sigma_y", "sigma_z", "age"))
+
+    def close(self) -> None:
+        self.controller.close()
+
+
+class Staubli(Shared):
+    """A Stäubli controller; `clearBuffer` closes its link."""
+
+    brand = Brand.STAUBLI
+    closes = True
+    excuses: ClassVar[dict[str, Lie]] = {  # answers to other requests are passed over
+        "of another robot": (LIES["of another robot"][0], Failure.LATE),
+    }
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        self.controller = val3.Controller(port, piece, closes=self.closes)
+        self.program = val3.load(val3_files(), self.controller)
+
+    def named(self, name: str) -> Any:
+        prefix = "tr" if name in ("part", "grasp", "approach") else "n"
+        return self.program.named(prefix + name.replace("_", "")).get()
+
+    def run(self, name: str, *arguments: Any) -> None:
+        self.program.call(name, *arguments)
+
+
+class StaubliThatStays(Staubli):
+    """One whose `clearBuffer` only empties what came: all requests go over one link."""
+
+    closes = False
+
+
+SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
+TALKERS = [one for one in SIDES if one is Doosan or one is Abb or issubclass(one, Shared)]
+talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
 sides = pytest.mark.parametrize("make", SIDES, ids=lambda one: one.__name__)
 
@@ -287,7 +399,7 @@ class Liar:
         self.listener.settimeout(WAIT_S)
         self.port = int(self.listener.getsockname()[1])
         self.ended = threading.Event()
-        self.thread = threading.Thread(target=self._serve, daemon=True)
+        self.thread = threading.Thread(target=self._serve)
 
     def __enter__(self) -> Liar:
         self.thread.start()
@@ -295,33 +407,36 @@ class Liar:
 
     def __exit__(self, *_: object) -> None:
         self.ended.set()
-        self.listener.close()
         self.thread.join(10)
+        self.listener.close()
 
     def _serve(self) -> None:
-        links: list[socket.socket] = []
-        for answer in self.answers:
-            link, _ = self.listener.accept()
-            links.append(link)
-            request = link.makefile("rb").readline().decode()
-            self.requests.append(request)
-            said = answer(request)
-            if said is None:
-                link.close()
-            else:
-                with contextlib.suppress(OSError):
-                    link.sendall(said)
-        self.ended.wait(30)
-        for link in links:
+        links: dict[socket.socket, Any] = {}
+        waiting = list(self.answers)
+        while not self.ended.is_set():
+            ready = select.select([self.listener, *links] if waiting else [], [], [], 0.02)[0]
+            for one in ready[:1]:
+                if one is self.listener:
+                    link, _ = self.listener.accept()
+                    links[link] = link.makefile("rb")
+                elif not self._heard(one, links[one], waiting):
+                    links.pop(one).close()
+                    one.close()
+        for link, reader in links.items():
+            reader.close()
             link.close()
 
-
-def honest(brand: Brand, sequence: str, **changes: str) -> str:
-    """An answer of the cell with some fields changed, without its end."""
-    values = dict.fromkeys(answer_fields(brand), "0.000000") | {"SEQUENCE": sequence, "STATUS": "0"}
-    values |= {"REMAINING": "0", "X": "400.000000", "AGE": "0.100000"}
-    values |= {"Q1": "1.000000"} if brand is Brand.ABB else {}
-    return ",".join((values | changes).values())
+    def _heard(self, link: socket.socket, reader: Any, waiting: list[Any]) -> bool:
+        """Answer one line. False: the link is gone, or to be."""
+        with contextlib.suppress(OSError):
+            if line := reader.readline():
+                request = line.decode()
+                self.requests.append(request)
+                said = waiting.pop(0)(request)
+                if said is not None:
+                    link.sendall(said)
+                    return True
+        return False
 
 
 @sides
@@ -430,27 +545,6 @@ def test_no_robot_moves_by_the_rigs_frame_or_a_virtual_cell(
     """None, and which of the two it is."""
     with running(make, **changes) as (_, side):
         assert (None, status) == (side.locate(), side.error())
-
-
-LIES: dict[str, Lie] = {
-    "of the request before": (lambda b, s: f"{honest(b, str(int(s) - 1))}\n".encode(), Failure.OTHERS),
-    "of another robot": (lambda b, _: f"{honest(b, '4711')}\n".encode(), Failure.OTHERS),
-    "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.NO_ANSWER),
-    "one field more": (lambda b, s: f"{honest(b, s)},1.0\n".encode(), Failure.NO_ANSWER),
-    "a word": (lambda b, s: f"{honest(b, s, Y='left')}\n".encode(), Failure.NO_ANSWER),
-    "an empty field": (lambda b, s: f"{honest(b, s, Z='')}\n".encode(), Failure.NO_ANSWER),
-    "not a number": (lambda b, s: f"{honest(b, s, Z='nan')}\n".encode(), Failure.NO_ANSWER),
-    "two points": (lambda b, s: f"{honest(b, s, Z='1.2.3')}\n".encode(), Failure.NO_ANSWER),
-    "a sign within": (lambda b, s: f"{honest(b, s, Z='1-2')}\n".encode(), Failure.NO_ANSWER),
-    "an empty line": (lambda *_: b"\n", Failure.NO_ANSWER),
-    "two lines": (lambda b, s: f"{honest(b, s)}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
-    "a line before": (lambda b, s: f"hello\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
-    "a flood": (lambda *_: b"1" * 900, Failure.NO_ANSWER),
-    "other bytes": (lambda *_: bytes(range(128, 200)) + b"\n", Failure.NO_ANSWER),
-    "half a line": (lambda b, s: honest(b, s)[:-3].encode(), Failure.LATE),
-    "nothing": (lambda *_: b"", Failure.LATE),
-    "another failure": (lambda b, s: f"{honest(b, s, STATUS='102')}\n".encode(), 102),
-}
 
 
 @sides

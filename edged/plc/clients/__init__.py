@@ -14,6 +14,7 @@ from edged.plc.clients.scl import scl_source
 from edged.plc.clients.structured_text import structured_text_source
 from edged.plc.clients.twincat import twincat_files
 from edged.plc.clients.urscript import urscript_source
+from edged.plc.clients.val3 import val3_files
 
 __all__ = [
     "drl_source",
@@ -26,4 +27,5 @@ __all__ = [
     "structured_text_source",
     "twincat_files",
     "urscript_source",
+    "val3_files",
 ]

@@ -1,0 +1,230 @@
+"""VAL 3 as Stäubli's controllers run it, as far as `edged registers --format val3` uses it.
+
+After the "VAL 3 Reference Manual" (D28062804A, D28093501): statements and names, `num` and `string` (at most
+128 characters), arrays counted from 0, chapter "sio type" (`sioGet`, `sioSet`, `sioCtrl`, `clearBuffer`),
+`clock`, `delay`. The files' form is that of s7.
+"""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import time
+import xml.etree.ElementTree as ET
+from typing import Any
+
+from robotlanguage import Array, Assign, Call, Parameter, Program, Routine, Types, block
+
+NAME = r"[a-z]\w{0,14}"
+SPACE = "{http://www.staubli.com/robotics/VAL3/"
+KEYWORDS = ("begin", "end", "if", "else", "while", "for", "to", "do", "until", "switch", "case", "call")
+
+
+def _num(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r} is no num")
+    return float(value)
+
+
+def _string(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > 128:
+        raise TypeError(f"{value!r} is no string of 128 characters")
+    return value
+
+
+def _literal(value: str) -> str:
+    assert value[0] == '"', value
+    return _string(value[1:-1])
+
+
+TYPES = Types(
+    {
+        "num": (0, _num),
+        "string": ("", _string),
+        "text": ("", _string),
+        "literal": ("", _literal),
+        "sio": (None, lambda value: value),
+    },
+    {"trsf": dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), "num")},
+)
+
+
+class _Syntax:
+    """VAL 3's statements, one a line."""
+
+    def opens_if(self, line: str) -> str | None:
+        found = re.match(r"if (.+)$", line)
+        return found[1] if found else None
+
+    def opens_else_if(self, line: str) -> str | None:
+        return None
+
+    def opens_while(self, line: str) -> str | None:
+        found = re.match(r"while (.+)$", line)
+        return found[1] if found else None
+
+    def opens_for(self, line: str) -> tuple[str, str, str] | None:
+        return None
+
+    def simple(self, line: str) -> Any:
+        if found := re.match(rf"call ({NAME})\((.*)\)$", line):
+            return Call(found[1], found[2])
+        if found := re.match(r"(\w+(?:\[[^\]]+\]|\.\w+)?)=(?!=)(.+)$", line):
+            return Assign(found[1], found[2])
+        found = re.match(r"(clearBuffer|delay)\((.*)\)$", line)
+        assert found is not None, f"no statement: {line}"
+        return Call(found[1], found[2])
+
+
+def load(files: dict[str, str], controller: Controller) -> Program:
+    """The library, its programs ready to be called."""
+    program = Program(TYPES, "==", "[]")
+    program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
+    project = ET.fromstring(files["edged.pjx"])
+    listed = {one.attrib["file"] for one in project.iter(f"{SPACE}Project/3}}Program")}
+    assert listed == {name for name in files if name.endswith(".pgx")} >= {"start.pgx", "stop.pgx"}
+    for data in ET.fromstring(files["edged.dtx"]).iter(f"{SPACE}Data/2}}Data"):
+        name, kind, size = data.attrib["name"], data.attrib["type"], int(data.attrib["size"])
+        assert name.upper() not in program.globals and kind in (*TYPES.scalars, *TYPES.records), name
+        if kind == "sio":
+            assert [one.attrib["link"] for one in data] == ["Socket\\Edged"]
+        made = TYPES.array(kind, size) if size > 1 else TYPES.variable(kind)
+        if isinstance(made, Array):
+            made.first = 0
+        program.globals[name.upper()] = made
+    for file in sorted(listed):
+        (one,) = ET.fromstring(files[file]).iter(f"{SPACE}Program/2}}Program")
+        name = one.attrib["name"]
+        assert file == f"{name}.pgx" and re.fullmatch(NAME, name) and name not in KEYWORDS, name
+        given = [found.attrib for found in one.iter(f"{SPACE}Param/1}}Parameter")]
+        parameters = [Parameter(it["name"].upper(), it["type"], by_reference=False) for it in given]
+        code = one.findtext(f"{SPACE}Program/2}}Code") or ""
+        assert code.isascii(), file
+        lines = [line.partition("//")[0].strip() for line in code.splitlines()]
+        lines = [line for line in lines if line]
+        assert "begin" == lines[0]
+        body, at = block(lines, 1, _Syntax(), {"END"})
+        assert at == len(lines) - 1, file
+        program.routines[name.upper()] = Routine(name, parameters, "", [], body)
+    called = re.findall(r"call (\w+)\(", "".join(files[file] for file in listed).partition("//")[0])
+    assert set(map(str.upper, called)) <= set(program.routines)
+    return program
+
+
+BUILTINS = {
+    "toString": "to_string",
+    "len": "len",
+    "asc": "asc",
+    "clock": "clock",
+    "delay": "delay",
+    "sioSet": "sio_set",
+    "sioGet": "sio_get",
+    "sioCtrl": "sio_ctrl",
+    "clearBuffer": "clear_buffer",
+}
+
+
+class Controller:
+    """One client socket.
+
+    piece : bytes that the network brings at a time. closes : whether `clearBuffer` closes the socket, too.
+    """
+
+    def __init__(self, port: int, piece: int = 1024, *, closes: bool = True) -> None:
+        self.port = port
+        self.piece = piece
+        self.closes = closes
+        self.link: socket.socket | None = None
+        self.timeout_s = 0.0
+        self.heard = b""
+
+    def to_string(self, form: Any, value: Any) -> str:
+        """As many digits as it needs."""
+        assert "" == form.get() and float(value.get()).is_integer()
+        return str(int(value.get()))
+
+    def len(self, text: Any) -> int:
+        """Characters."""
+        return len(text.get())
+
+    def asc(self, text: Any, position: Any) -> int:
+        """The code of a character, from 0."""
+        assert 0 <= position.get() < len(text.get())
+        return ord(text.get()[int(position.get())])
+
+    def clock(self) -> float:
+        """Seconds."""
+        return time.monotonic()
+
+    def delay(self, seconds: Any) -> None:
+        """Wait."""
+        time.sleep(seconds.get())
+
+    def sio_ctrl(self, _sio: Any, parameter: Any, value: Any) -> int:
+        """Of a socket: -1 for no waiting."""
+        assert "timeout" == parameter.get()
+        self.timeout_s = value.get()
+        return 0
+
+    def _connected(self) -> bool:
+        """With the first access."""
+        if self.link is None:
+            try:
+                self.link = socket.create_connection(("127.0.0.1", self.port), timeout=5)
+            except OSError:
+                return False
+        return True
+
+    def _lost(self) -> int:
+        self.close()
+        return -1
+
+    def sio_set(self, _sio: Any, data: Any) -> int:
+        """How many bytes were sent; -1 for none."""
+        assert isinstance(data, Array) and self.timeout_s > 0
+        if not self._connected() or self.link is None:
+            return -1
+        try:
+            self.link.sendall(bytes(int(one.get()) for one in data.elements))
+        except OSError:
+            return self._lost()
+        return len(data.elements)
+
+    def sio_get(self, _sio: Any, place: Any) -> int:
+        """One byte, when there is one."""
+        assert self.timeout_s == -1 and not isinstance(place, Array)
+        if not self._connected() or self.link is None:
+            return -1
+        if not self.heard:
+            try:
+                if not select.select([self.link], [], [], 0)[0]:
+                    return 0
+                self.heard = self.link.recv(self.piece)
+            except OSError:
+                return self._lost()
+            if not self.heard:
+                return self._lost()
+        place.set(self.heard[0])
+        self.heard = self.heard[1:]
+        return 1
+
+    def clear_buffer(self, _sio: Any) -> None:
+        """What came is forgotten."""
+        self.heard = b""
+        if self.closes:
+            self.close()
+            return
+        while self.link is not None and select.select([self.link], [], [], 0)[0]:
+            try:
+                if not self.link.recv(4096):
+                    self.close()
+            except OSError:
+                self.close()
+
+    def close(self) -> None:
+        """Power off."""
+        self.heard = b""
+        if self.link:
+            self.link.close()
+            self.link = None
