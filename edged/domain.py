@@ -339,6 +339,7 @@ class Target:
     free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
     rotation about it is not known; None where the part has no such axis.
     grasp : how a tool takes it; None where the job has none, or none that is allowed.
+    rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
     doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
     rows that do not meet, sizes that are all wrong alike.
     by_edges, by_doubt (3, 3) : what of the position's covariance comes from the edges, and from the doubt;
@@ -361,6 +362,7 @@ class Target:
     by_edges: FloatArray | None = None
     by_doubt: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     grasp: GraspPose | None = None
+    rig_from_model: FloatArray | None = None
 
     @property
     def position_mm(self) -> FloatArray:

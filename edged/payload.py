@@ -50,6 +50,8 @@ def target_to_json(
 ) -> Json:
     """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
 
+    With `rig_from_model` where the job was taught with a CAD model.
+
     `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
     is given in, the small rotation applied on the left.
     """
@@ -70,6 +72,8 @@ def target_to_json(
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
     }
+    if target.rig_from_model is not None:
+        document["rig_from_model"] = _numbers(target.rig_from_model)
     if robot_from_rig is not None:
         document["pose_robot"] = _pose(
             robot_from_rig @ target.rig_from_part, robot_covariance(target, robot_from_rig, registration)

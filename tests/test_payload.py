@@ -66,6 +66,16 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
     assert [] == violations(publish(snapshot_to_json(snapshot), "target"), SCHEMA, SCHEMA)
 
 
+def test_the_frame_of_a_model_is_published_where_there_is_one():
+    """As the schema says it; a target of a job without a model has no such field."""
+    frame = make_transform((0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
+    snapshot = make_snapshot(targets=(replace(make_target(), rig_from_model=frame), make_target()))
+    document = publish(snapshot_to_json(snapshot), "target")
+    assert [] == violations(document, SCHEMA, SCHEMA)
+    assert frame.tolist() == document["targets"][0]["rig_from_model"]
+    assert "rig_from_model" not in document["targets"][1]
+
+
 @pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
 def test_a_grasp_fits_the_published_schema(robot_from_rig):
     """Tool and approach in the rig's frame, and in the robot's where there is one."""

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Measure how thick parts of several heights are found and measured, on rendered scenes with exact truth.
 
-    tools/bench solid DATASET [--tilt DEGREES] [--only NAME] [--overlays DIR] [--json]
+    tools/bench solid DATASET [--tilt DEGREES] [--only NAME] [--overlays DIR] [--json] [--step]
 
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
 Each part is taught from its pair; of a scene, the motion from the taught to the found pose is compared with
-the true one, at the job's reference point. Good is a target that is accepted and right; wrong is one that is
-accepted and off by more than 0.1 mm, or turned by more than 3 degrees.
+the true one, at the job's reference point. With --step, each part is taught with its STEP file besides
+(step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose. Good is a target that
+is accepted and right; wrong is one that is accepted and off by more than 0.1 mm, or turned by more than 3
+degrees.
 """
 
 from __future__ import annotations
@@ -29,13 +31,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from cells import frame_pair
 from table3 import true_rig
 
+from edged.commands.teach import read_model
 from edged.domain import FloatArray, Image, Outcome, Reject
 from edged.errors import EdgedError
 from edged.files.images import load_image
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import PreparedRig, inspect, judge, prepare
-from edged.vision.geometry.rigid import apply, invert, transform
+from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
+from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.pair import teach
 
 DEPTH_SHARE = 0.22
@@ -97,15 +101,21 @@ def missed(scene: str, part: dict[str, Any], why: str) -> Part:
 def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome) -> Part:
     """What came of one true part."""
     motion = pose_of(part) @ invert(taught)
-    place = apply(motion, apply(job.rig_from_part, job.place_of(job.reference)))
+    part_from_reference = transform(np.eye(3), job.place_of(job.reference))
+    true = motion @ job.rig_from_part @ part_from_reference
+    if job.part_from_model is not None:
+        true = pose_of(part) @ invert(job.part_from_model) @ part_from_reference
+    place = true[:3, 3]
     near = [one for one in outcome.targets if np.linalg.norm(one.position_mm - place) < NEAR_MM]
     if not near:
         lost = [one.reject.name or "?" for one in outcome.dismissed]
         return missed(scene, part, "not found" + (f" ({', '.join(lost)})" if lost else ""))
     target = near[0]
-    true = (motion @ job.rig_from_part)[:3, :3]
-    error = target.position_mm - place
-    between = true.T @ target.rig_from_part[:3, :3]
+    found = target.rig_from_part
+    if target.rig_from_model is not None and job.part_from_model is not None:
+        found = target.rig_from_model @ invert(job.part_from_model) @ part_from_reference
+    error = found[:3, 3] - place
+    between = true[:3, :3].T @ found[:3, :3]
     normal = math.degrees(math.acos(min(1.0, between[2, 2])))
     turn = math.degrees(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     chi2 = float(error @ np.linalg.solve(target.covariance[:3, :3], error)) / 3
@@ -130,6 +140,12 @@ def measure(
     truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
     try:
         job = teach(*pair_of(pictured), rig.rectification, None, design)
+        if options.step:
+            model = read_model(dataset / "step" / f"{design}.step", "-z")
+            settled = settle(job, model.curves, rig.rectification, design)
+            job = settled.job
+            if not options.json:
+                print("\n".join(settled.said))
     except EdgedError as error:
         here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
         return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0
@@ -194,6 +210,7 @@ def main() -> int:
     parser.add_argument("--parts", default="", help="comma list; default: all")
     parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
     options = parser.parse_args()
     rig = prepare(true_rig(options.dataset / "rig.json"))
     names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))

@@ -160,6 +160,13 @@ def teach(
     exclude: Annotated[
         list[str] | None, typer.Option(help="what of the picture is not the part, in the same forms; repeat")
     ] = None,
+    step: Annotated[
+        Path | None,
+        typer.Option(help="STEP file of the part, beside the pair: its sizes and its frame (edged[cad])"),
+    ] = None,
+    up: Annotated[
+        str | None, typer.Option(help="axis of the STEP file that points to the cameras: z, -z, x, ...")
+    ] = None,
     dxf: Annotated[Path | None, typer.Option(help="drawing to teach from, instead of a pair")] = None,
     contour: Annotated[
         Path | None, typer.Option(help="outlines to teach from: x,y in mm a line, empty lines between them")
@@ -207,7 +214,7 @@ def teach(
     from edged.vision.shape.modelparams import ModelParams
 
     source = chosen_source(
-        PairSource(left, right, region, tuple(exclude or ())),
+        PairSource(left, right, region, tuple(exclude or ()), step, up),
         DrawingSource(dxf, contour, depth, tuple(layer or ()), unit),
     )
     params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)

@@ -1,4 +1,4 @@
-"""`edged teach`: a job from one stereo pair, or from a drawing."""
+"""`edged teach`: a job from one stereo pair, with the part's STEP file or without it, or from a drawing."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from edged.commissioning.teaching import (
+    PartModel,
     Proposal,
     Wanted,
     check_name,
@@ -28,12 +29,14 @@ from edged.files.images import load_image
 from edged.files.jobs import check_job_folder
 from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
+from edged.files.step import read_step
 from edged.pipeline import prepare
 from edged.report.teaching import inspection_to_json, teaching_report
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching.cadmodel import curves_towards
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
@@ -68,6 +71,22 @@ def _numbers(values: list[float], count: int) -> list[float]:
     return values
 
 
+AXES = {
+    sign + name: (-1.0 if sign else 1.0) * np.eye(3)[axis]
+    for sign in ("", "-")
+    for axis, name in enumerate("xyz")
+}
+"""What --up may be."""
+
+
+def read_model(step: Path, up: str) -> PartModel:
+    """What a STEP file shows to the cameras. Raises `TeachError` for another axis, `FileFormatError`."""
+    axis = AXES.get(up.strip().lower().removeprefix("+"))
+    if axis is None:
+        raise TeachError(f"--up {up!r}: expected an axis of the file, one of {', '.join(AXES)}")
+    return PartModel(curves_towards(read_step(step), axis), str(step))
+
+
 def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
     """Read "LOW,HIGH" or one number for both; None is automatic."""
     if text is None:
@@ -81,12 +100,17 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True, slots=True)
 class PairSource:
-    """A stereo pair, and the region of the part where it is not the whole picture, as on the command line."""
+    """A stereo pair, and the region of the part where it is not the whole picture, as on the command line.
+
+    step, up : the part's STEP file, and which axis of it points to the cameras.
+    """
 
     left: Path | None
     right: Path | None
     region: str | None
     exclude: tuple[str, ...] = ()
+    step: Path | None = None
+    up: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +126,19 @@ class DrawingSource:
 
 def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
     """What to teach from. Raises `UserError` for nothing, for both, and for half of it."""
-    from_pair = bool(pair.exclude) or any(value is not None for value in (pair.left, pair.right, pair.region))
+    given = pair.left, pair.right, pair.region, pair.step, pair.up
+    from_pair = bool(pair.exclude) or any(value is not None for value in given)
     files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
     if from_pair == bool(files) or len(files) > 1:
         raise UserError("teach: expected either --left and --right, or one of --dxf and --contour")
     if from_pair:
         if missing := [f"--{name}" for name in ("left", "right") if getattr(pair, name) is None]:
             raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left and --right")
+        if (pair.step is None) != (pair.up is None):
+            raise UserError(
+                "teach: --step FILE and --up AXIS belong together: which axis of the file points to the "
+                f"cameras, one of {', '.join(AXES)}"
+            )
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
@@ -172,7 +202,7 @@ def teach(
     )
     if former is not None:
         console.print(f"  the job that was there is {output}.old", markup=False)
-    for line in proposal.carried:
+    for line in (*proposal.settled, *proposal.carried):
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
         for line in _about_tilt(job, prepared.rectification):
@@ -185,7 +215,7 @@ def teach(
 def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
     if isinstance(source, DrawingSource):
         return {"--dxf": source.dxf, "--contour": source.contour}
-    return {"--left": source.left, "--right": source.right}
+    return {"--left": source.left, "--right": source.right, "--step": source.step}
 
 
 def _proposal(source: PairSource | DrawingSource, rectification: Rectification, wanted: Wanted) -> Proposal:
@@ -195,10 +225,11 @@ def _proposal(source: PairSource | DrawingSource, rectification: Rectification, 
         else:
             outlines = read_contour(source.contour or Path())
         return propose_from_drawing(outlines, rectification, source.depth_mm or 0.0, wanted)
+    model = None if source.step is None else read_model(source.step, source.up or "")
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
-    return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+    return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude, model=model)
 
 
 def _about_tilt(job: Job, rectification: Rectification) -> list[str]:

@@ -15,6 +15,8 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.shape.inspection import Inspection, inspect_model
 from edged.vision.shape.modelparams import ModelParams
+from edged.vision.teaching.cadmodel import ModelCurves
+from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
 from edged.vision.teaching.pair import taught_mask, teach
@@ -43,12 +45,24 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """A job that is complete and not written. carried : a line for each thing kept of the former one."""
+    """A job that is complete and not written.
+
+    carried : a line for each thing kept of the former one.  settled : what came of the CAD model.
+    """
 
     job: Job
     taught: Taught
     inspection: Inspection
     carried: tuple[str, ...]
+    settled: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartModel:
+    """What a CAD model shows to the cameras, and its name for messages."""
+
+    curves: ModelCurves
+    name: str
 
 
 def propose_from_pair(
@@ -59,16 +73,23 @@ def propose_from_pair(
     *,
     region: Area | None = None,
     exclude: Sequence[Area] = (),
+    model: PartModel | None = None,
 ) -> Proposal:
     """Learn from raw images. region : where the part is, px of the raw left image; None: all of it.
 
-    exclude : what of it is not the part. Raises `TeachError` for a pair that teaches nothing.
+    exclude : what of it is not the part. model : of the same part, whose numbers and frame the job takes.
+    Raises `TeachError` for a pair that teaches nothing, or shows another part than the model.
     """
     name, number, params = wanted.name, wanted.number, wanted.params
     job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
-    return _proposal(job, Taught(picture, None if region is None else mask, cuts), wanted)
+    settled: tuple[str, ...] = ()
+    if model is not None:
+        found = settle(job, model.curves, rectification, model.name)
+        job, settled = found.job, found.said
+    proposal = _proposal(job, Taught(picture, None if region is None else mask, cuts), wanted)
+    return replace(proposal, settled=settled)
 
 
 def propose_from_drawing(

@@ -306,6 +306,13 @@ class _Grasp(_Section):
         return Grasp(self.name, part_from_tcp, taught, self.approach_mm, retreat_mm, self.symmetry)
 
 
+def _is_rigid(pose: FloatArray) -> bool:
+    """Whether (4, 4) is a rotation and a shift."""
+    rotation = pose[:3, :3]
+    turned = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+    return bool(turned) and np.array_equal(pose[3], [0, 0, 0, 1])
+
+
 class JobFile(_Section):
     """The whole file; a `ValidationError` says what in it is wrong."""
 
@@ -317,6 +324,15 @@ class JobFile(_Section):
     rig_from_part: Annotated[
         list[Annotated[list[float], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
     ] = Field(description="pose at teaching: x_rig = rig_from_part x_part, mm")
+    part_from_model: (
+        Annotated[
+            list[Annotated[list[float], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
+        ]
+        | None
+    ) = Field(
+        None,
+        description="where the frame of its CAD model lies in the part frame: x_part = part_from_model x, mm",
+    )
     limits: _Limits
     search: _Search
     picking: _Picking = _Picking()
@@ -359,12 +375,10 @@ class JobFile(_Section):
         if len(set(grasps)) != len(grasps):
             raise ValueError(f"two grasps have one name: {grasps}")
         pose = np.array(self.rig_from_part)
-        rigid = (
-            np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
-            and np.linalg.det(pose[:3, :3]) > 0
-        )
-        if not rigid or not np.array_equal(pose[3], [0, 0, 0, 1]) or pose[2, 3] <= 0:
+        if not _is_rigid(pose) or pose[2, 3] <= 0:
             raise ValueError("rig_from_part is not a pose in front of the camera")
+        if self.part_from_model is not None and not _is_rigid(np.array(self.part_from_model)):
+            raise ValueError("part_from_model is not a rigid motion")
         return self
 
     def _check_corners(self) -> None:
@@ -416,4 +430,5 @@ class JobFile(_Section):
             calibration_id=self.calibration,
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
             picking=self.picking.values(self.limits.bounds(), grasps),
+            part_from_model=None if self.part_from_model is None else np.array(self.part_from_model),
         )

@@ -50,6 +50,7 @@ def to_toml(job: Job) -> str:
         "rig_from_part = [",
         *(f"    {_numbers(row)}," for row in job.rig_from_part),
         "]",
+        *_model_to_toml(job),
         "",
         "[limits]   # a result beyond them is published as not good, with the reason",
         f"depth_mm = {_numbers(limits.depth_mm)}   # nearest and farthest, rig z",
@@ -85,6 +86,18 @@ def to_toml(job: Job) -> str:
     ]
     lines += [*_grasps_to_toml(job.picking.grasps), *_features_to_toml(job), *_measurements_to_toml(job)]
     return "\n".join(lines) + "\n"
+
+
+def _model_to_toml(job: Job) -> list[str]:
+    """The frame of the CAD model; nothing for a job without one."""
+    if job.part_from_model is None:
+        return []
+    return [
+        "# frame of the CAD model: x_part = part_from_model x_model, mm",
+        "part_from_model = [",
+        *(f"    {_numbers(row)}," for row in job.part_from_model),
+        "]",
+    ]
 
 
 def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:

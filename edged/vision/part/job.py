@@ -161,6 +161,7 @@ class Job:
     tilt_rad : how far it may lie tilted, to the bisector of both cameras; None: the taught look alone is
     searched for.
     picking : which of several parts a robot gets first.
+    part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
     """
 
     name: str
@@ -179,6 +180,7 @@ class Job:
     calibration_id: str | None = None
     tilt_rad: float | None = None
     picking: Picking = field(default_factory=Picking)
+    part_from_model: FloatArray | None = None
 
     @property
     def reference_circle(self) -> CircleFeature:

@@ -48,13 +48,23 @@ CONCENTRIC = 0.15  # share of the reference radius within which a circle says no
 def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
     """Measure one found part with all its features; the reason when it cannot be measured at all."""
     if job.solid:
-        return _measured_whole(images, job, match)
+        return _in_model(job, _measured_whole(images, job, match))
     result = _measured_flat(images, job, match)
     if isinstance(result, Reject):  # walls may hide each curve by itself, and yet not where the whole part is
         whole = _measured_whole(images, job, match)
         if isinstance(whole, Measured) and not whole.target.reject and not whole.target.doubt_mm:
-            return whole
-    return result
+            return _in_model(job, whole)
+    return _in_model(job, result)
+
+
+def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
+    """The same, with where the frame of the job's CAD model lies."""
+    if job.part_from_model is None or isinstance(result, Reject):
+        return result
+    target = result.target
+    from_reference = transform(np.eye(3), -job.place_of(job.reference))
+    placed = target.rig_from_part @ from_reference @ job.part_from_model
+    return replace(result, target=replace(target, rig_from_model=placed))
 
 
 def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:

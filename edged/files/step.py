@@ -1,0 +1,185 @@
+"""STEP files of one solid part, read with `cascadio` (the extra `cad`): its faces, in mm of the file's frame.
+
+The reader is a large library of another language, and files come from anywhere. It works in a process of its
+own, with a limit of time and of memory, so that whatever it does with a damaged file ends in a message.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import re
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes
+from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface
+
+MAX_FACES = 20_000
+"""Of one part; castings with every fillet have a few thousand."""
+MIN_READ = 0.9
+"""Of the faces: slivers that a sewn model has between others may be lost, whole faces may not."""
+MAX_TRIANGLES = 2_000_000
+MAX_SECONDS = 60
+MAX_MEMORY_BYTES = 4 << 30
+"""Of addresses, not of pages: the library alone takes one of these four."""
+TOLERANCE_MM, TOLERANCE_RAD = 0.01, 0.2
+"""Of the triangles, which only tell where faces meet."""
+METRES = 1000.0
+
+_SOLIDS = re.compile(
+    rb"=\s*(?:MANIFOLD_SOLID_BREP|BREP_WITH_VOIDS|FACETED_BREP|SHELL_BASED_SURFACE_MODEL)\s*\("
+)
+_FACES = re.compile(rb"=\s*(?:ADVANCED_FACE|FACE_SURFACE)\s*\(")
+_WORKER = """
+import os, resource, sys
+for what, most in ((resource.RLIMIT_AS, int(sys.argv[1])), (resource.RLIMIT_CPU, int(sys.argv[2]))):
+    resource.setrlimit(what, (most, most))
+out = os.dup(1)
+os.dup2(2, 1)   # the library talks
+import cascadio
+glb = cascadio.load(sys.stdin.buffer.read(), "step", float(sys.argv[3]), float(sys.argv[4]),
+                    use_parallel=False, include_brep=True)
+with os.fdopen(out, "wb") as stream:
+    stream.write(glb)
+"""
+
+
+def read_step(path: Path) -> CadModel:
+    """The one solid of a STEP file, in mm whatever its unit is.
+
+    Raises `FileFormatError` for what is no STEP file, is cut off or damaged, holds no solid or several, has
+    more than `MAX_FACES` faces or no plane one, and where `cascadio` is not installed.
+    """
+    path = Path(path)
+    data = read_bytes(path, "a STEP file")
+    if not data.lstrip().startswith(b"ISO-10303-21"):
+        raise FileFormatError(f"{path}: not a STEP file: expected ISO-10303-21 at its beginning")
+    if b"END-ISO-10303-21" not in data[-4096:]:
+        raise FileFormatError(f"{path}: cut off: expected END-ISO-10303-21 at its end")
+    solids = len(_SOLIDS.findall(data))
+    if solids != 1:
+        raise FileFormatError(f"{path}: {solids or 'no'} solids: expected the model of one part, one solid")
+    faces = len(_FACES.findall(data))
+    if faces > MAX_FACES:
+        raise FileFormatError(f"{path}: {faces} faces: expected the model of one part, at most {MAX_FACES}")
+    try:
+        model = _model(_converted(data, path))
+    except (ValueError, LookupError, TypeError, struct.error) as error:
+        raise FileFormatError(f"{path}: damaged: its solid cannot be read ({error})") from error
+    if len(model.surfaces) < MIN_READ * faces:
+        raise FileFormatError(f"{path}: damaged: {len(model.surfaces)} of its {faces} faces can be read")
+    if not any(isinstance(one, FlatSurface) for one in model.surfaces):
+        raise FileFormatError(f"{path}: no plane face: expected a part with a flat face to the cameras")
+    return model
+
+
+def _converted(data: bytes, path: Path) -> bytes:
+    """The file as triangles with their faces, in binary glTF."""
+    if importlib.util.find_spec("cascadio") is None:
+        raise FileFormatError(f"{path}: to read STEP files, install cascadio: pip install 'edged[cad]'")
+    limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD
+    command = [sys.executable, "-c", _WORKER, *(str(one) for one in limits)]
+    try:
+        done = subprocess.run(command, input=data, capture_output=True, timeout=2 * MAX_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        raise FileFormatError(f"{path}: not read within {MAX_SECONDS} s: expected one part") from None
+    if done.returncode != 0 or not done.stdout:
+        said = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        why = f" ({said[0][:200]})" if said else ""
+        raise FileFormatError(f"{path}: damaged, or too large: its solid cannot be read{why}")
+    return done.stdout
+
+
+def _model(glb: bytes) -> CadModel:
+    """Triangles and faces of binary glTF. Raises ValueError, LookupError, TypeError or struct.error."""
+    if glb[:4] != b"glTF":
+        raise ValueError("no triangles")
+    (size,) = struct.unpack_from("<I", glb, 12)
+    document = json.loads(glb[20 : 20 + size])
+    binary = glb[28 + size :]
+    nodes = [node for node in document.get("nodes", []) if "mesh" in node]
+    if len(nodes) != 1 or len(document["meshes"]) != 1 or len(document["meshes"][0]["primitives"]) != 1:
+        raise ValueError(f"{len(nodes)} bodies")
+    primitive = document["meshes"][0]["primitives"][0]
+    extra = primitive["extensions"]["TM_brep_faces"]
+    points = _array(document, binary, primitive["attributes"]["POSITION"]).astype(np.float64)
+    triangles = _array(document, binary, primitive["indices"]).astype(np.int64).reshape(-1, 3)
+    face_of = _array(document, binary, extra["faceIndices"]).astype(np.int64).reshape(-1)
+    if not 0 < len(triangles) <= MAX_TRIANGLES or len(face_of) != len(triangles):
+        raise ValueError(f"{len(triangles)} triangles")
+    placed = _placed(document, document["nodes"].index(nodes[0]))
+    points = METRES * (points @ placed[:3, :3].T + placed[:3, 3])
+    if not np.isfinite(points).all() or face_of.max() >= len(extra["faces"]):
+        raise ValueError("coordinates that are no numbers")
+    surfaces = tuple(None if face is None else _surface(face, placed) for face in extra["faces"])
+    return CadModel(points, triangles, face_of, surfaces)
+
+
+_TYPES: dict[int, str] = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""Of the glTF 2.0 specification, 3.6.2.2."""
+
+
+def _array(document: dict[str, Any], binary: bytes, number: int) -> FloatArray:
+    accessor = document["accessors"][number]
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind, width = np.dtype(_TYPES[accessor["componentType"]]), 3 if accessor["type"] == "VEC3" else 1
+    if view.get("byteStride", kind.itemsize * width) != kind.itemsize * width:
+        raise ValueError("interleaved coordinates")
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    values = np.frombuffer(binary, kind, accessor["count"] * width, start)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def _placed(document: dict[str, Any], node: int) -> FloatArray:
+    """(4, 4) of a body in its file, in metres: the product down the tree of nodes."""
+    placed = np.eye(4)
+    seen: set[int] = set()
+    at: int | None = node
+    while at is not None and at not in seen:
+        seen.add(at)
+        placed = _own_place(document["nodes"][at]) @ placed
+        at = next((k for k, one in enumerate(document["nodes"]) if at in one.get("children", [])), None)
+    return placed
+
+
+def _own_place(node: dict[str, Any]) -> FloatArray:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    place = np.eye(4)
+    place[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    place[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return place
+
+
+def _surface(face: dict[str, Any], placed: FloatArray) -> Surface | None:
+    """A face's exact parameters in mm; None for what is neither plane, cylinder nor cone."""
+
+    def point(name: str) -> FloatArray:
+        return np.asarray(METRES * (placed[:3, :3] @ np.array(face[name], np.float64) + placed[:3, 3]))
+
+    def direction(name: str) -> FloatArray:
+        vector = placed[:3, :3] @ np.array(face[name], np.float64)
+        return np.asarray(vector / np.linalg.norm(vector))
+
+    if face["type"] == "plane":
+        return FlatSurface(point("origin"), direction("normal"))
+    if face["type"] == "cylinder":
+        return RoundSurface(point("origin"), direction("axis"), METRES * float(face["radius"]), 0.0)
+    if face["type"] == "cone":
+        slope = math.tan(abs(float(face["semi_angle"])))
+        return RoundSurface(point("apex"), direction("axis"), 0.0, slope)
+    return None

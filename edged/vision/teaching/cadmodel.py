@@ -1,0 +1,280 @@
+"""A part's model as CAD has it, and what of it two cameras can measure: circles, and straight edges.
+
+A model is a triangulated boundary that knows of each triangle which face it belongs to, and of each face
+whether it is a plane, a cylinder or a cone, with exact parameters. Where two such faces meet is a curve that
+is as exact: the triangles only tell that they meet, and over which stretch.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain import FloatArray
+from edged.vision.geometry.rigid import unit
+
+IntArray = npt.NDArray[np.int64]
+
+WELD_MM = 1e-4
+"""Corners nearer to each other are one; single precision of a part of a metre is finer."""
+PARALLEL = 1e-6
+LOOKS_UP = 0.1
+"""Sine of the angle by which a face must look to the cameras to be seen from above."""
+ON_CURVE_MM = 0.02
+"""The triangles' corners lie on the curve that their faces say; else it is another curve."""
+SAME_MM = 1e-3
+MIN_EDGE_MM = 0.5
+"""A shorter straight edge is nothing that a camera of this kind measures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatSurface:
+    """A plane through a point (3,) with its normal (3,), of either sign."""
+
+    origin_mm: FloatArray
+    normal: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundSurface:
+    """A cylinder or a cone: radius_mm at origin_mm (3,), growing by slope for each mm along axis (3,)."""
+
+    origin_mm: FloatArray
+    axis: FloatArray
+    radius_mm: float
+    slope: float
+
+
+Surface = FlatSurface | RoundSurface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CadModel:
+    """One solid in the frame of its file.
+
+    points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.  face_of (M,) : number of each
+    triangle's face.  surfaces : of each face; None where it is neither plane, cylinder nor cone.
+    """
+
+    points_mm: FloatArray
+    triangles: IntArray
+    face_of: IntArray
+    surfaces: tuple[Surface | None, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelCircle:
+    """Where a face meets a round wall.
+
+    centre_mm (3,) : model frame.  hole : material is outside of it.  span : share of the whole circle.
+    """
+
+    centre_mm: FloatArray
+    radius_mm: float
+    hole: bool
+    span: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelEdge:
+    """A straight edge between two points (3,) of the model frame.  away (3,) : level, out of the material."""
+
+    start_mm: FloatArray
+    end_mm: FloatArray
+    away: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelCurves:
+    """What a model shows to cameras that look against up (3,): sharp outer edges level to it."""
+
+    up: FloatArray
+    circles: tuple[ModelCircle, ...]
+    edges: tuple[ModelEdge, ...]
+
+
+def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
+    """Circles and straight edges of a model that are level, and seen from a direction up (3,) of its frame.
+
+    Inner edges, where a wall stands on a face, are not among them: their contrast is shade.
+    """
+    up = unit(np.asarray(up, np.float64))
+    corners, normals = _triangle_normals(model)
+    circles: list[ModelCircle] = []
+    edges: list[ModelEdge] = []
+    for meeting in _meetings(model):
+        sides = [model.surfaces[face] for face in meeting.faces]
+        looks = [float(normals[one].mean(axis=0) @ up) for one in meeting.beside]
+        if max(looks) < LOOKS_UP or not _is_outer(meeting, corners, normals):
+            continue
+        one, two = sides
+        if isinstance(one, FlatSurface) and isinstance(two, FlatSurface):
+            edges += _edges(one, two, meeting, normals, up)
+        elif one is not None and two is not None:
+            circle = _circle(one, two, meeting, normals, up)
+            circles += [] if circle is None else [circle]
+    return ModelCurves(up, _merged(circles), tuple(edges))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Meeting:
+    """Two faces that meet.  segments (K, 2, 3).  beside (2, K) : their triangles, of either face."""
+
+    faces: tuple[int, int]
+    segments: FloatArray
+    beside: IntArray
+
+
+def _triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
+    corners = model.points_mm[model.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    volume = float(np.einsum("ij,ij->", corners[:, 0], normals))
+    return corners, np.asarray(normals / np.maximum(length, 1e-300) * (1.0 if volume >= 0 else -1.0))
+
+
+def _meetings(model: CadModel) -> Iterator[_Meeting]:
+    """The pairs of faces that share sides of triangles."""
+    keys = np.rint(model.points_mm / WELD_MM).astype(np.int64)
+    _, first, welded = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    triangles = welded.reshape(-1)[model.triangles]
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    sides, owner = sides[sides[:, 0] != sides[:, 1]], owner[sides[:, 0] != sides[:, 1]]
+    order = np.lexsort((owner, sides[:, 1], sides[:, 0]))
+    sides, owner = sides[order], owner[order]
+    _, start, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
+    start = start[count == 2]
+    pairs = np.stack([owner[start], owner[start + 1]], axis=1)
+    faces = model.face_of[pairs]
+    swapped = faces[:, 0] > faces[:, 1]
+    pairs[swapped], faces[swapped] = pairs[swapped][:, ::-1], faces[swapped][:, ::-1]
+    apart = faces[:, 0] != faces[:, 1]
+    start, pairs, faces = start[apart], pairs[apart], faces[apart]
+    order = np.lexsort((faces[:, 1], faces[:, 0]))
+    start, pairs, faces = start[order], pairs[order], faces[order]
+    bounds = np.flatnonzero(np.any(np.diff(faces, axis=0) != 0, axis=1)) + 1
+    for rows in np.split(np.arange(len(faces)), bounds):
+        if len(rows):
+            ends = model.points_mm[first[sides[start[rows]]]]
+            yield _Meeting((int(faces[rows[0], 0]), int(faces[rows[0], 1])), ends, pairs[rows].T)
+
+
+def _is_outer(meeting: _Meeting, corners: FloatArray, normals: FloatArray) -> bool:
+    """Whether the second face falls away from the first one there."""
+    one, two = meeting.beside
+    farthest = np.einsum("kij,kj->ki", corners[two] - meeting.segments[:, :1], normals[one])
+    rows = np.abs(farthest).argmax(axis=1)
+    return bool(farthest[np.arange(len(rows)), rows].sum() < 0)
+
+
+def _edges(
+    one: FlatSurface, two: FlatSurface, meeting: _Meeting, normals: FloatArray, up: FloatArray
+) -> list[ModelEdge]:
+    """The stretches in which two planes meet, where they are level."""
+    along = np.cross(one.normal, two.normal)
+    size = float(np.linalg.norm(along))
+    if size < PARALLEL or abs(float(along @ up)) > PARALLEL * size:
+        return []
+    along = along / size
+    # the point of both planes that is nearest to the corners
+    middle = meeting.segments.mean(axis=(0, 1))
+    planes = np.stack([one.normal, two.normal])
+    offsets = np.array([one.normal @ one.origin_mm, two.normal @ two.origin_mm])
+    point = middle + np.linalg.lstsq(planes, offsets - planes @ middle, rcond=None)[0]
+    if float(np.linalg.norm(point - middle)) > ON_CURVE_MM:
+        return []
+    outside = normals[meeting.beside[0][0]] + normals[meeting.beside[1][0]]
+    aside = np.cross(up, along)
+    away = aside * (1.0 if outside @ aside >= 0 else -1.0)
+    spans = np.sort((meeting.segments - point) @ along, axis=1)
+    found = []
+    for start, end in _joined(spans):
+        if end - start > MIN_EDGE_MM:
+            found.append(ModelEdge(point + start * along, point + end * along, away))
+    return found
+
+
+def _joined(spans: FloatArray) -> list[tuple[float, float]]:
+    """Intervals (K, 2) that touch as one."""
+    joined: list[tuple[float, float]] = []
+    for start, end in spans[np.argsort(spans[:, 0])]:
+        if joined and start <= joined[-1][1] + SAME_MM:
+            joined[-1] = (joined[-1][0], max(joined[-1][1], float(end)))
+        else:
+            joined.append((float(start), float(end)))
+    return joined
+
+
+def _circle(
+    one: Surface, two: Surface, meeting: _Meeting, normals: FloatArray, up: FloatArray
+) -> ModelCircle | None:
+    """The circle in which a plane and a round wall, or two round walls about one axis meet, where level."""
+    wall, side = (one, 0) if isinstance(one, RoundSurface) else (two, 1)
+    other = two if side == 0 else one
+    assert isinstance(wall, RoundSurface)
+    if not _parallel(wall.axis, up):
+        return None
+    height = _meeting_height(wall, other, up)
+    if height is None:
+        return None
+    centre = wall.origin_mm + (height - float(wall.origin_mm @ up)) * up
+    radius = _radius_at(wall, height, up)
+    points = meeting.segments - centre
+    level = points - (points @ up)[..., None] * up
+    away = np.linalg.norm(level, axis=2)
+    if max(np.abs(away - radius).max(), np.abs(points @ up).max()) > ON_CURVE_MM or radius < ON_CURVE_MM:
+        return None
+    middle = level.mean(axis=1)
+    hole = float(np.einsum("ki,ki->", normals[meeting.beside[side]], middle)) < 0
+    cosine = np.einsum("ki,ki->k", level[:, 0], level[:, 1]) / (away[:, 0] * away[:, 1])
+    span = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum()) / math.tau
+    return ModelCircle(centre, radius, hole, min(span, 1.0))
+
+
+def _meeting_height(wall: RoundSurface, other: Surface, up: FloatArray) -> float | None:
+    """Where along up (3,) a wall and a plane, or another wall about its axis, meet."""
+    if isinstance(other, FlatSurface):
+        return float(other.origin_mm @ up) if _parallel(other.normal, up) else None
+    gap = other.origin_mm - wall.origin_mm
+    aside = gap - float(gap @ up) * up
+    if not _parallel(other.axis, up) or float(np.linalg.norm(aside)) > SAME_MM:
+        return None
+    slopes = [one.slope * float(one.axis @ up) for one in (wall, other)]
+    if abs(slopes[0] - slopes[1]) < PARALLEL:
+        return None
+    at_zero = [_radius_at(one, 0.0, up) for one in (wall, other)]
+    return (at_zero[1] - at_zero[0]) / (slopes[0] - slopes[1])
+
+
+def _radius_at(wall: RoundSurface, height: float, up: FloatArray) -> float:
+    return wall.radius_mm + wall.slope * float(wall.axis @ up) * (height - float(wall.origin_mm @ up))
+
+
+def _parallel(one: FloatArray, two: FloatArray) -> bool:
+    return float(np.linalg.norm(np.cross(one, two))) < PARALLEL
+
+
+def _merged(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
+    """The pieces of one circle as one: a wall may be several faces, a notch may cut it."""
+    order = sorted(circles, key=lambda one: (-round(one.radius_mm, 3), one.hole))
+    merged: list[ModelCircle] = []
+    for _, group in itertools.groupby(order, key=lambda one: (round(one.radius_mm, 3), one.hole)):
+        kept: list[ModelCircle] = []
+        for one in group:
+            same = [k for k, other in enumerate(kept)
+                    if float(np.linalg.norm(other.centre_mm - one.centre_mm)) < SAME_MM]  # fmt: skip
+            if same:
+                before = kept[same[0]]
+                kept[same[0]] = ModelCircle(
+                    before.centre_mm, before.radius_mm, one.hole, min(1.0, before.span + one.span)
+                )
+            else:
+                kept.append(one)
+        merged += kept
+    return tuple(merged)

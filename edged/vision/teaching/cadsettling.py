@@ -1,0 +1,161 @@
+"""A job taught from a pair and settled with the part's CAD model.
+
+Where a taught curve lies where the model has it, the model's numbers are better than any picture's. Where an
+edge break displaces it, the picture is right: the break is stated, and the curve stays as it was seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain import FloatArray
+from edged.errors import TeachError
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, unit
+from edged.vision.part.job import DISPLACED_PX, EdgeFeature, Job
+from edged.vision.teaching.cadmatch import Partner, Registration, register
+from edged.vision.teaching.cadmodel import ModelCurves
+
+SCALE_SHARE = 5e-4
+"""Of the distance from the reference: a rig's scale is not better known."""
+MIN_BREAK_MM = 0.03
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """A job in the frame of its model, and a line for each thing that a person should know."""
+
+    job: Job
+    said: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Reach:
+    """How far a taught curve may lie off and still be where the model has it: in the face, and along z."""
+
+    aside_mm: float
+    depth_mm: float
+
+
+def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str) -> Settled:
+    """The job with the model's numbers, as far as the pair agrees with them, and with its frame.
+
+    what : the model's name, for messages.
+    Raises `TeachError` for the model of another part, of its mirror image or of another revision.
+    """
+    found = register(job.circles, job.edges, model, what)
+    depth_mm = float(job.rig_from_part[2, 3])
+    aside_mm = DISPLACED_PX * depth_mm / rectification.focal_px
+    reach = _Reach(aside_mm, aside_mm * max(1.0, depth_mm / rectification.baseline_mm))
+    partners = {one.name: one for one in found.partners}
+    _check_revision(job, model, found, reach, what)
+    settled = [name for name, one in partners.items() if _agrees(job, one, reach)]
+    circles = tuple(
+        replace(
+            one,
+            centre_mm=_snapped(
+                apply(found.part_from_model, model.circles[partners[one.name].index].centre_mm)
+            ),
+            radius_mm=model.circles[partners[one.name].index].radius_mm,
+        )
+        if one.name in settled
+        else one
+        for one in job.circles
+    )
+    edges = tuple(
+        _on_model(one, model, partners[one.name], found) if one.name in settled else one for one in job.edges
+    )
+    taken = replace(job, circles=circles, edges=edges, part_from_model=found.part_from_model)
+    return Settled(
+        taken, (_summary(settled, found, what), *_breaks(found.partners, settled), *_others(found))
+    )
+
+
+def _snapped(point: FloatArray) -> FloatArray:
+    """Without the last bits of the motion."""
+    return np.round(point, 9) + 0.0
+
+
+def _agrees(job: Job, one: Partner, reach: _Reach) -> bool:
+    return (
+        one.aside <= _aside_limit(job, one.name, reach)
+        and abs(one.wider) <= _aside_limit(job, one.name, reach)
+        and abs(one.deeper) <= reach.depth_mm
+    )
+
+
+def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
+    arm = job.place_of(name) - job.place_of(job.reference)
+    return reach.aside_mm + SCALE_SHARE * float(np.linalg.norm(arm[:2]))
+
+
+def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: Registration) -> EdgeFeature:
+    """The stretch that the pair shows, on the model's line."""
+    line = model.edges[one.index]
+    start, end = (apply(found.part_from_model, point) for point in (line.start_mm, line.end_mm))
+    along = unit(end - start)
+    ends = [
+        _snapped(start + float((point - start) @ along) * along) for point in (edge.start_mm, edge.end_mm)
+    ]
+    return replace(edge, start_mm=ends[0], end_mm=ends[1])
+
+
+def _check_revision(job: Job, model: ModelCurves, found: Registration, reach: _Reach, what: str) -> None:
+    """A circle that lies elsewhere than the model's, or is larger than an edge break makes it."""
+    worst: tuple[float, str] = (1.0, "")
+    for one in found.partners:
+        if one.kind != "circle":
+            continue
+        circle = model.circles[one.index]
+        limit = _aside_limit(job, one.name, reach)
+        kind = "hole" if circle.hole else "boss"
+        place = ", ".join(f"{value:.3f}" for value in circle.centre_mm)
+        whose = f"{one.name} is the {kind} of radius {circle.radius_mm:.3f} mm at ({place})"
+        if one.aside / limit > worst[0]:
+            worst = one.aside / limit, f"{whose} and lies {one.aside:.3f} mm aside"
+        if -one.wider / limit > worst[0]:
+            sense = "smaller" if circle.hole else "larger"
+            worst = -one.wider / limit, f"{whose} and its radius is {-one.wider:.3f} mm {sense}"
+        if -one.deeper / reach.depth_mm > worst[0]:
+            worst = -one.deeper / reach.depth_mm, f"{whose} and lies {-one.deeper:.3f} mm higher"
+    if worst[1]:
+        raise TeachError(
+            f"{what}: another revision of the part? {worst[1]} in the pair: expected the model that it was "
+            "made by"
+        )
+
+
+def _summary(settled: Sequence[str], found: Registration, what: str) -> str:
+    return (
+        f"{what}: {len(settled)} of {len(found.partners) + len(found.missing)} curves lie where it has them"
+    )
+
+
+def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
+    """What displaces the others, those alike in one line."""
+    said = []
+    others = [one for one in partners if one.name not in settled]
+    broken = [one for one in others if max(one.wider, one.deeper) > MIN_BREAK_MM]
+    for which, seen in (
+        ("upper", {one.name: one.wider for one in broken if one.wider >= one.deeper}),
+        ("lower", {one.name: one.deeper for one in broken if one.wider < one.deeper}),
+    ):
+        if seen:
+            said.append(
+                f"an edge break of {min(seen.values()):.3f} to {max(seen.values()):.3f} mm that the model "
+                f"does not show, seen by its {which} edge: {', '.join(seen)}: kept as seen"
+            )
+    for one in others:
+        if one not in broken:
+            off = max(one.aside, abs(one.wider), abs(one.deeper))
+            said.append(f"{one.name}: {off:.3f} mm off the model: kept as seen")
+    return said
+
+
+def _others(found: Registration) -> list[str]:
+    if not found.missing:
+        return []
+    return [f"not in the model, kept as seen: {', '.join(found.missing)}"]

@@ -1,0 +1,167 @@
+"""`edged teach --step`: a pair and a STEP file become one job, and results have the file's frame."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cells import TEXTURED, pictures, pose, small_rig
+from flatparts import METAL
+from rich.console import Console
+from tilted import BELOW_MM, lying, stacked
+
+from edged.commands.locate import locate
+from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_model, teach
+from edged.domain import FloatArray, Image
+from edged.errors import FileFormatError, TeachError, UserError
+from edged.files.jobs import load_job, save_job
+from edged.files.rig import save_rig
+from edged.pipeline import prepare
+from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.vision.geometry.rigid import apply, invert
+from edged.vision.part.job import Job
+from edged.vision.teaching.cadsettling import Settled, settle
+from edged.vision.teaching.pair import teach as teach_pair
+
+STEP = Path(__file__).parent.parent / "data" / "cad" / "D3.step"
+PAD_MM = 2.5
+CORNER = Hole("corner", Disc(-9, -7, 1.9))
+HOLES = (Hole("h0", Disc(10, -7, 2.1)), Hole("h1", Disc(3, -7, 1.4)), Hole("h2", Disc(-9, 8, 2.1)),
+         Hole("h3", Disc(-9, 1.8, 1.0)))  # fmt: skip
+OUTLINE = Polygon(((-14.5, -12.5), (14.5, -12.5), (14.5, -1.5), (-3.5, -1.5), (-3.5, 12.5), (-14.5, 12.5)))
+PAD = Polygon(((-13, -11), (-5, -11), (-5, -3), (-13, -3)))
+DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
+QUIET = Console(quiet=True)
+NO_DRAWING = DrawingSource(None, None, None, (), None)
+
+
+def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tuple[Image, Image]:
+    """A pair of the part that the file is of, its frame at rig_from_model."""
+    above = where.copy()
+    above[:3, 3] -= PAD_MM * where[:3, 2]
+    plate = Part("plate", OUTLINE, METAL, (*holes, CORNER))
+    pad = Part("pad", PAD, replace(METAL, seed=5), (CORNER,))
+    layers = [*stacked(plate, where, 6.0, DARK, 16), *stacked(pad, above, PAD_MM, DARK, 10)]
+    table = Table(TEXTURED, pose((8.0, 0.0, 205.0 + BELOW_MM)))
+    return pictures(small_rig(), Scene(table, tuple(layers)), seed)
+
+
+def square() -> FloatArray:
+    """rig_from_model of the part as it is taught."""
+    return lying(small_rig(), 0.0, 0.0, 0.0)
+
+
+@functools.cache
+def taught() -> Job:
+    """What the pair alone teaches."""
+    return teach_pair(*see(square()), prepare(small_rig()).rectification, None, "D3")
+
+
+def settled(job: Job) -> Settled:
+    """With the file."""
+    return settle(job, read_model(STEP, "-z").curves, prepare(small_rig()).rectification, "D3.step")
+
+
+def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path, Path]:
+    """As files."""
+    paths = folder / f"{name}_left.png", folder / f"{name}_right.png"
+    for path, image in zip(paths, pair, strict=True):
+        cv2.imwrite(str(path), image)
+    return paths
+
+
+def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Taught and located by the commands: four places of the file's frame within 30 µm, tilted by 20°."""
+    save_rig(tmp_path / "rig.json", small_rig())
+    left, right = write_pair(tmp_path, "taught", see(square()))
+    source = chosen_source(PairSource(left, right, None, (), STEP, "-z"), NO_DRAWING)
+    said = Console(record=True, width=200)
+    teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", said, tilt_deg=30.0)
+    assert "D3.step: 11 of 11 curves lie where it has them" in said.export_text()
+    where = lying(small_rig(), 20.0, 60.0, 130.0)
+    left, right = write_pair(tmp_path, "seen", see(where, seed=4))
+    capsys.readouterr()
+    assert 0 == locate(tmp_path / "rig.json", tmp_path / "job", left, right, True, QUIET)
+    (target,) = json.loads(capsys.readouterr().out)["targets"]
+    places = np.array([[14.5, -12.5, 0.0], [-14.5, 12.5, 0.0], [-9.0, -7.0, -2.5], [0.0, 0.0, 0.0]])
+    found = apply(np.array(target["rig_from_model"]), places)
+    assert np.linalg.norm(found - apply(where, places), axis=1).max() < 0.03
+
+
+def test_settled_sizes_are_those_of_the_file() -> None:
+    """A sharp part: every circle has the file's radius, and the distances between them to the last digit."""
+    job = settled(taught()).job
+    assert {2.1, 1.4, 1.0, 1.9} == {round(one.radius_mm, 9) for one in job.circles}
+    assert job.part_from_model is not None
+    model_from_part = invert(job.part_from_model)
+    places = {tuple(np.round(apply(model_from_part, one.centre_mm), 6)) for one in job.circles}
+    assert {(10, -7, 0), (3, -7, 0), (-9, 8, 0), (-9, 1.8, 0), (-9, -7, -2.5)} == places
+
+
+def test_a_moved_hole_is_another_revision() -> None:
+    """The file has it 0.3 mm elsewhere: it is named, and by how much it is off."""
+    holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
+    job = teach_pair(*see(square(), holes), prepare(small_rig()).rectification, None, "D3")
+    with pytest.raises(TeachError, match="another revision") as caught:
+        settled(job)
+    said = re.search(
+        r"radius 1\.400 mm at \(3\.000, -7\.000, 0\.000\) and lies (\S+) mm aside", str(caught.value)
+    )
+    assert said is not None
+    assert 0.3 == pytest.approx(float(said[1]), abs=0.03)
+
+
+def test_an_edge_break_is_stated_and_kept() -> None:
+    """Holes that are 0.4 mm wider than in the file are their broken edges: as wide as seen."""
+    job = taught()
+    circles = tuple(replace(one, radius_mm=one.radius_mm + 0.4) for one in job.circles)
+    found = settled(replace(job, circles=circles))
+    said = [line for line in found.said if "edge break" in line]
+    assert 1 == len(said)
+    low, high = (float(number) for number in re.findall(r"(\d\.\d+)", said[0])[:2])
+    assert 0.4 == pytest.approx(low, abs=0.02)
+    assert 0.4 == pytest.approx(high, abs=0.02)
+    assert [one.radius_mm for one in circles] == [one.radius_mm for one in found.job.circles]
+
+
+def test_a_smaller_hole_is_no_edge_break() -> None:
+    """Material is never added at an edge."""
+    job = taught()
+    circles = tuple(replace(one, radius_mm=one.radius_mm - 0.2) for one in job.circles)
+    with pytest.raises(TeachError, match=r"its radius is 0\.\d+ mm smaller"):
+        settled(replace(job, circles=circles))
+
+
+def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
+    """Written and read again to the last digit; a motion that is none is an error with the key's name."""
+    job = settled(taught()).job
+    save_job(tmp_path / "job", job)
+    again = load_job(tmp_path / "job")
+    assert job.part_from_model is not None and again.part_from_model is not None
+    assert np.array_equal(job.part_from_model, again.part_from_model)
+    text = (tmp_path / "job" / "job.toml").read_text()
+    broken = re.sub(r"part_from_model = \[\n.*\n", "part_from_model = [\n    [2.0, 0.0, 0.0, 0.0],\n", text)
+    (tmp_path / "job" / "job.toml").write_text(broken)
+    with pytest.raises(FileFormatError, match="part_from_model is not a rigid motion"):
+        load_job(tmp_path / "job")
+
+
+@pytest.mark.parametrize(("step", "up"), [(STEP, None), (None, "z")])
+def test_half_a_model_is_refused(step: Path | None, up: str | None) -> None:
+    """A file without its axis says nothing, nor does an axis without a file."""
+    with pytest.raises(UserError, match="--step FILE and --up AXIS belong together"):
+        chosen_source(PairSource(Path("l"), Path("r"), None, (), step, up), NO_DRAWING)
+
+
+def test_an_axis_is_one_of_six() -> None:
+    """Any other is named with what was expected."""
+    with pytest.raises(
+        TeachError, match="--up 'w': expected an axis of the file, one of x, y, z, -x, -y, -z"
+    ):
+        read_model(STEP, "w")

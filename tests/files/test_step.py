@@ -1,0 +1,165 @@
+"""STEP files to exact circles and edges; whatever else a file is, a message that names it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edged.errors import FileFormatError
+from edged.files.step import MAX_FACES, read_step
+from edged.vision.teaching.cadmodel import ModelCurves, curves_towards
+
+DATA = Path(__file__).parent.parent / "data" / "cad"
+SEEN = {"sharp", "break_face", "break_wall"}
+"""What is outer and looks to the cameras; the others are inner edges, lower rims and upright ones."""
+SPHERE = """#9001 = ADVANCED_FACE('',(#9002),#9005,.T.);
+#9002 = FACE_BOUND('',#9003,.T.);
+#9003 = VERTEX_LOOP('',#9004);
+#9004 = VERTEX_POINT('',#9006);
+#9005 = SPHERICAL_SURFACE('',#9007,5.);
+#9006 = CARTESIAN_POINT('',(0.,0.,-5.));
+#9007 = AXIS2_PLACEMENT_3D('',#9008,#9009,#9010);
+#9008 = CARTESIAN_POINT('',(0.,0.,0.));
+#9009 = DIRECTION('',(0.,0.,1.));
+#9010 = DIRECTION('',(1.,0.,0.));
+"""
+MILLIMETRE = "#1227 = ( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) );"
+INCH = """#1227 = ( CONVERSION_BASED_UNIT('INCH',#9102) LENGTH_UNIT() NAMED_UNIT(#9101) );
+#9101 = DIMENSIONAL_EXPONENTS(1.,0.,0.,0.,0.,0.,0.);
+#9102 = LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(25.4),#9103);
+#9103 = ( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) );"""
+
+
+def text_of(part: str) -> str:
+    """A part's file."""
+    return (DATA / f"{part}.step").read_text()
+
+
+def saved(folder: Path, text: str) -> Path:
+    """As a file."""
+    path = folder / "part.step"
+    path.write_text(text)
+    return path
+
+
+def from_above(path: Path) -> ModelCurves:
+    """What its -z shows."""
+    return curves_towards(read_step(path), np.array([0.0, 0.0, -1.0]))
+
+
+def truth_of(part: str, shape: str) -> list[dict[str, Any]]:
+    """The circles or lines of a part that the cameras can see, as its list of features has them."""
+    features = json.loads((DATA / f"{part}.json").read_text())["features_in_step"]
+    return [one for one in features if one["shape"] == shape and one["role"] in SEEN]
+
+
+@pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
+def test_circles_are_those_of_the_design(part: str) -> None:
+    """Every circle that looks up, none besides; centre and radius to a hundredth of a micrometre."""
+    found = from_above(DATA / f"{part}.step").circles
+    wanted = truth_of(part, "circle")
+    assert len(wanted) == len(found)
+    for one in wanted:
+        true = np.array([*one["centre_part_mm"], one["radius_mm"]])
+        near = min(found, key=lambda c: float(np.linalg.norm([*c.centre_mm, c.radius_mm] - true)))
+        assert np.linalg.norm([*near.centre_mm, near.radius_mm] - true) < 1e-5
+        assert (one["kind"] == "hole") == near.hole
+
+
+@pytest.mark.parametrize(("part", "count"), [("D1", 3), ("D2", 11), ("D3", 10), ("D4", 1)])
+def test_straight_edges_are_those_of_the_design(part: str, count: int) -> None:
+    """Each lies on a line of the design, and points out of the material."""
+    found = from_above(DATA / f"{part}.step").edges
+    lines = [np.array(one["ends_part_mm"]) for one in truth_of(part, "line")]
+    assert count == len(found)
+    for edge in found:
+        along = (edge.end_mm - edge.start_mm) / np.linalg.norm(edge.end_mm - edge.start_mm)
+        off = [float(np.linalg.norm(np.cross(line - edge.start_mm, along), axis=1).max()) for line in lines]
+        assert min(off) < 1e-5
+        assert abs(float(along @ edge.away)) < 1e-9
+
+
+def test_the_outside_of_an_edge_is_known() -> None:
+    """Of a convex outline it points away from the middle."""
+    sides = [e for e in from_above(DATA / "D3.step").edges if abs(e.start_mm[0] + e.end_mm[0]) > 28.9]
+    assert 2 == len(sides)
+    for edge in sides:
+        assert edge.away.tolist() == pytest.approx([math.copysign(1.0, edge.start_mm[0]), 0.0, 0.0])
+
+
+def test_a_cut_rim_is_one_circle() -> None:
+    """The notch takes 2.8 % of the rim, and the rest is one circle, not two arcs."""
+    rim = max(from_above(DATA / "D1.step").circles, key=lambda one: one.radius_mm)
+    assert 1 - 2 * math.asin(1.4 / 16) / math.tau == pytest.approx(rim.span, abs=1e-3)
+
+
+def test_the_underside_shows_its_own_edges() -> None:
+    """From below, the through holes on the lower face; the boss is not to be seen."""
+    below = curves_towards(read_step(DATA / "D2.step"), np.array([0.0, 0.0, 1.0]))
+    assert {8.0} == {round(float(one.centre_mm[2]), 6) for one in below.circles}
+
+
+def test_inches_are_read_as_millimetres(tmp_path: Path) -> None:
+    """The same numbers in inches are a part 25.4 times as large."""
+    text = text_of("D3")
+    assert MILLIMETRE in text
+    inches = from_above(saved(tmp_path, text.replace(MILLIMETRE, INCH)))
+    assert sorted(25.4 * one.radius_mm for one in from_above(DATA / "D3.step").circles) == pytest.approx(
+        sorted(one.radius_mm for one in inches.circles), rel=1e-9
+    )
+
+
+def _two_solids(text: str) -> str:
+    return text.replace("(#11,#15)", "(#11,#15,#9200)").replace(
+        "#15 = MANIFOLD", "#9200 = MANIFOLD_SOLID_BREP('',#16);\n#15 = MANIFOLD"
+    )
+
+
+def _many_faces(text: str) -> str:
+    faces = "".join(f"#{k} = ADVANCED_FACE('',(#1),#1,.T.);\n" for k in range(10_000, 210_000))
+    return text.replace("#15 = MANIFOLD", faces + "#15 = MANIFOLD")
+
+
+def _sphere(text: str) -> str:
+    shell = re.sub(r"CLOSED_SHELL\('',\([^)]*\)\);", "CLOSED_SHELL('',(#9001));\n" + SPHERE, text)
+    return re.sub(r"#\d+ = ADVANCED_FACE\('',\((?!#9002)[^)]*\)[^;]*;", "", shell)
+
+
+@pytest.mark.parametrize(("damage", "expected"), [
+    (lambda _: "", "not a STEP file"),
+    (lambda _: "solid part\nendsolid part\n", "not a STEP file"),
+    (lambda text: text[: len(text) // 2], "cut off"),
+    (lambda text: text.replace("MANIFOLD_SOLID_BREP", "GEOMETRIC_SET"), "no solids"),
+    (_two_solids, "2 solids"),
+    (_many_faces, f"at most {MAX_FACES}"),
+    (_sphere, "no plane face"),
+    (lambda text: re.sub(r"CARTESIAN_POINT\('',\(", "CARTESIAN_POINT('',(#1,", text), "faces can be read"),
+    (lambda text: re.sub(r"= PLANE\(", "= PLAIN(", text), "part.step"),
+    (lambda text: text.replace("#16 = CLOSED_SHELL", "#16 = CLOSED_SHALL"), "cannot be read"),
+])  # fmt: skip
+def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expected: str) -> None:
+    """The message has the file and what was expected; nothing hangs, nothing crashes."""
+    path = saved(tmp_path, damage(text_of("D3")))
+    with pytest.raises(FileFormatError, match=re.escape(expected)) as caught:
+        read_step(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    """As every other input."""
+    with pytest.raises(FileFormatError, match=r"none\.step"):
+        read_step(tmp_path / "none.step")
+
+
+def test_without_the_reader_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message has the line that installs it."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(FileFormatError, match=re.escape("pip install 'edged[cad]'")):
+        read_step(DATA / "D3.step")
