@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 from edged.errors import UserError
 from edged.plc.clients import (
+    as_source,
     drl_source,
     karel_files,
     krl_files,
@@ -115,6 +116,7 @@ FORMATS: dict[str, Callable[[], str]] = {
     "python": python_source,
     "rapid": rapid_source,
     "drl": drl_source,
+    "as": as_source,
 }
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "twincat": twincat_files,

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol
 
 import drl
 import karel
+import kawasaki
 import krl
 import numpy as np
 import pytest
@@ -337,7 +338,32 @@ class StaubliThatStays(Staubli):
     closes = False
 
 
+class Kawasaki(Shared):
+    """A Kawasaki controller."""
+
+    brand = Brand.KAWASAKI
+    granularity_s = 1.0
+    gone = kawasaki.GONE
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        self.controller = kawasaki.Controller(port, piece, self.gone)
+        self.program = kawasaki.load(render("as"), self.controller)
+
+    def named(self, name: str) -> Any:
+        return self.program.named(f"ed_{name}").get()
+
+    def run(self, name: str, *arguments: Any) -> None:
+        self.program.call("edged_" + name.replace("acknowledge", "ack"), *arguments)
+
+
+class KawasakiThatHearsNothing(Kawasaki):
+    """One whose TCP_RECV says of a lost link that it has received nothing."""
+
+    gone = 0
+
+
 SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
+SIDES += [Kawasaki, KawasakiThatHearsNothing]
 TALKERS = [one for one in SIDES if one is Doosan or one is Abb or issubclass(one, Shared)]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
@@ -591,7 +617,7 @@ def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
 def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
     """After a time-out the next pose is one that was measured for the request that gets it."""
     with running(make) as (cell, side):
-        cell.slow_s = 0.4
+        cell.slow_s = 0.4 + getattr(make, "granularity_s", 0.0)
         cell.targets = (make_target(x_mm=10.0),)
         assert (None, Failure.LATE) == (side.locate(timeout_s=0.1), side.error())
         cell.slow_s = 0.0

@@ -4,6 +4,7 @@
 and SIMATIC S7 (`scl`); `urscript` for Universal Robots, `python` for PCs.
 """
 
+from edged.plc.clients.as_language import as_source
 from edged.plc.clients.drl import drl_source
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
@@ -17,6 +18,7 @@ from edged.plc.clients.urscript import urscript_source
 from edged.plc.clients.val3 import val3_files
 
 __all__ = [
+    "as_source",
     "drl_source",
     "karel_files",
     "krl_files",

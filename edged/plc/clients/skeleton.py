@@ -24,15 +24,15 @@ remaining = 0
 call next_number
 command = number
 request = "LOCATE," + text(job)
-call start_command
+call open_and_ask
 pose part
 end
 sub perform
 call next_number
 command = number
-call start_command
+call open_and_ask
 end
-sub start_command
+sub open_and_ask
 call open_link
 if error == 0
 call ask
@@ -211,10 +211,10 @@ class Dialect:
 
     variable : the name of a number. request : the text's. routine, called : the name of one, and its call.
     statements : of "if", "else", "end if", "while", "end while"; {} is the condition. to_text : a number as
-    digits. code : of the index-th byte that came. element : of the numbers of an answer. pose : the parts of
-    one, {name} is "part", "grasp" or "approach". operators : those that are written in another way. first :
-    of an array. assigned : a variable and its value. closes : whether a program can close its link.
-    by_byte : whether `receive` gives one at a time.
+    digits. code : of the index-th byte that came. element : of the numbers of an answer. pose : the parts
+    of one, {name} is "part", "grasp" or "approach"; posed : what is made of them. operators : those that
+    are written in another way. first : of an array. assigned : a variable and its value. closes : whether a
+    program can close its link. by_byte : whether `receive` gives one at a time.
     """
 
     brand: Brand
@@ -230,6 +230,7 @@ class Dialect:
     operators: Mapping[str, str] = field(default_factory=dict)
     first: int = 1
     assigned: str = "{} = {}"
+    posed: str = ""
     closes: bool = True
     by_byte: bool = False
 
@@ -258,9 +259,10 @@ def _taken(name: str, dialect: Dialect) -> list[str]:
     return [
         _statement("if error == 0", dialect),
         *(
-            dialect.assigned.format(part.format(name=name), _element(axis, dialect))
+            dialect.assigned.format(part.format(name=name, title=name.title()), _element(axis, dialect))
             for part, axis in zip(dialect.pose, axes, strict=True)
         ),
+        *([dialect.posed.format(name=name)] if dialect.posed else []),
         *(_statement(f"{one} = field[{number}]", dialect) for one, number in pairs),
         _statement("else", dialect),
         _statement("remaining = 0", dialect),

@@ -19,8 +19,6 @@ The files' form is that of VAL 3 s7 (Program/2, Data/2, Project/3), which s8 con
 
 from __future__ import annotations
 
-import re
-
 from edged.plc.clients.robotlines import filled, statuses
 from edged.plc.clients.skeleton import NUMBERS, Dialect, indented, routines
 from edged.plc.lines import answer_fields
@@ -104,18 +102,13 @@ DIALECT = Dialect(
     to_text='toString("",{})',
     code="nByte",
     element="nField[{}]",
-    pose=tuple(f"tr{{name}}.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")),
+    pose=tuple(f"tr{{title}}.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")),
     operators={"<>": "!="},
     first=0,
     assigned="{}={}",
     closes=False,
     by_byte=True,
 )
-
-
-def _capital(line: str) -> str:
-    """trpart -> trPart."""
-    return re.sub(r"\btr([a-z])", lambda found: "tr" + found[1].upper(), line)
 
 
 def _program(name: str, lines: list[str], parameters: dict[str, str]) -> str:
@@ -153,7 +146,7 @@ def val3_files() -> dict[str, str]:
     """Files of the library by name."""
     programs: dict[str, tuple[list[str], dict[str, str]]] = {}
     for name, lines in routines(DIALECT).items():
-        blocks = indented([_capital(line) for line in lines], "if |while ", "endIf|endWhile", "else")
+        blocks = indented(lines, "if |while ", "endIf|endWhile", "else")
         programs[name] = (blocks, {})
     for name, text in NATIVE.items():
         code = filled(text, Brand.STAUBLI, first=0, BYTES=REQUEST_BYTES, LAST=REQUEST_BYTES - 1)

@@ -1,0 +1,271 @@
+"""AS as Kawasaki's controllers run it, as far as `edged registers --format as` uses it.
+
+After the "AS Language Reference Manual" (90209-1014): statements, names of at most 15 characters, strings of
+at most 255, REAL of 24 bits, variables that are undefined until they are written, `UTIMER`, `$ENCODE`, `ASC`;
+and the manual "TCP/IP Communication" (90210-1190): `TCP_CONNECT`, `TCP_SEND`, `TCP_RECV`, `TCP_CLOSE`.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from typing import Any
+
+from robotlanguage import Assign, Call, Parameter, Program, Record, Routine, Types, block, single
+
+NAME = r"[A-Za-z]\w{0,14}"
+TIMED_OUT = -34024
+GONE = -34025
+
+
+class Undefined:
+    """What a variable holds that was given nothing."""
+
+
+UNDEFINED = Undefined()
+
+
+def _real(value: Any) -> Any:
+    if value is UNDEFINED:
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r} is no real")
+    return single(value)
+
+
+def _string(value: Any) -> Any:
+    if value is not UNDEFINED and (not isinstance(value, str) or len(value) > 255):
+        raise TypeError(f"{value!r} is no string of 255 characters")
+    return value
+
+
+def _literal(value: str) -> str:
+    assert value[0] == '"', value
+    return str(_string(value[1:-1]))
+
+
+TYPES = Types(
+    {
+        "real": (UNDEFINED, _real),
+        "string": (UNDEFINED, _string),
+        "text": ("", _string),
+        "literal": ("", _literal),
+    },
+    {"trans": dict.fromkeys("xyzoat", "real")},
+)
+
+
+class _Syntax:
+    """AS's statements, one a line; END of a block was given its name."""
+
+    def opens_if(self, line: str) -> str | None:
+        found = re.match(r"IF (.+) THEN$", line)
+        return found[1] if found else None
+
+    def opens_else_if(self, line: str) -> str | None:
+        return None
+
+    def opens_while(self, line: str) -> str | None:
+        found = re.match(r"WHILE (.+) DO$", line)
+        return found[1] if found else None
+
+    def opens_for(self, line: str) -> tuple[str, str, str] | None:
+        return None
+
+    def simple(self, line: str) -> Any:
+        if found := re.match(rf"CALL ({NAME})(?:\((.*)\))?$", line):
+            return Call(found[1], found[2] or "")
+        if found := re.match(r"(TCP_[A-Z]+|TWAIT) (.+)$", line):
+            return Call(found[1], found[2])
+        if found := re.match(r"UTIMER (\"\w+\") = (.+)$", line):
+            return Call("SET_UTIMER", f"{found[1]}, {found[2]}")
+        found = re.match(r"(?:POINT )?(\$?\w+(?:\[\w+\])?) = (.+)$", line)
+        assert found is not None, f"no statement: {line}"
+        return Assign(found[1], found[2])
+
+
+class _As(Program):
+    """AS: what is undefined is not read."""
+
+    def evaluate(self, text: str) -> Any:
+        """A value."""
+        value = super().evaluate(text)
+        assert value.get() is not UNDEFINED, f"{text} is undefined"
+        return value
+
+    def place(self, text: str) -> Any:
+        """A variable, perhaps undefined."""
+        return super().evaluate(text)
+
+
+def _clean(source: str) -> list[str]:
+    """Without comments; ends of blocks by their names, local variables and timers in words of their own."""
+    lines: list[str] = []
+    opened: list[str] = []
+    for raw in source.splitlines():
+        line = raw.partition(";")[0].strip()
+        if not line:
+            continue
+        if not line.startswith("."):
+            line = re.sub(r"(?<![\w.])\.(\$?)([a-z]\w*)", r"\1local_\2", line)
+        line = re.sub(r"@(\w+)", r'"\1"', line).replace("$ENCODE(/I6,", '$ENCODE("/I6",')
+        if line.startswith(("IF ", "WHILE ")):
+            opened.append(line.partition(" ")[0])
+        lines.append("END" + opened.pop() if line == "END" else line)
+    assert not opened
+    return lines
+
+
+def load(source: str, controller: Controller) -> Program:
+    """The file, its programs ready to be called."""
+    assert source.isascii() and max(map(len, source.splitlines())) < 128
+    program = _As(TYPES, "==", "[]")
+    program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
+    lines = _clean(source)
+    text = "\n".join(lines)
+    for name in set(re.findall(r"(\$?\w+)\[", text)):
+        made = TYPES.array("string" if name[0] == "$" else "real", 20)
+        made.first = 0
+        program.globals[name.upper()] = made
+    for point, name in re.findall(r"^\s*(POINT )?(\$?\w+) = ", text, re.MULTILINE):
+        kind = "trans" if point else "string" if name[0] == "$" else "real"
+        program.globals[name.upper()] = TYPES.variable(kind)
+    for name in re.findall(r"TCP_\w+ (\w+),(\w+)", text):
+        for one in name:
+            program.globals.setdefault(one.upper(), TYPES.variable("real"))
+    assert all(len(name.removeprefix("$")) <= 15 for name in program.globals), program.globals
+    at = 0
+    while lines[at] != ".REALS":
+        head = re.match(rf"\.PROGRAM ({NAME})\((.*)\)$", lines[at])
+        assert head is not None, lines[at]
+        parameters = []
+        for given in filter(None, head[2].split(",")):
+            found = re.match(r"\.(\$?)(\w+)$", given)
+            assert found is not None, given
+            kind = "string" if found[1] else "real"
+            parameters.append(Parameter(f"{found[1]}LOCAL_{found[2].upper()}", kind, by_reference=False))
+        body, at = block(lines, at + 1, _Syntax(), {".END"})
+        assert head[1].upper() not in program.routines, f"{head[1]} twice"
+        program.routines[head[1].upper()] = Routine(head[1], parameters, "", [], body)
+        at += 1
+    program.execute(block(lines, at + 1, _Syntax(), {".END"})[0])
+    called = {name.upper() for name in re.findall(r"CALL (\w+)", text)}
+    assert called <= set(program.routines), called - set(program.routines)
+    return program
+
+
+BUILTINS = {
+    "$ENCODE": "encode",
+    "$CHR": "chr",
+    "ASC": "asc",
+    "LEN": "len",
+    "TRANS": "trans",
+    "TWAIT": "twait",
+    "UTIMER": "utimer",
+    "SET_UTIMER": "set_utimer",
+    "TCP_CONNECT": "tcp_connect",
+    "TCP_SEND": "tcp_send",
+    "TCP_RECV": "tcp_recv",
+    "TCP_CLOSE": "tcp_close",
+}
+
+
+class Controller:
+    """One socket. piece : bytes that come at a time. gone : what TCP_RECV says of a lost link."""
+
+    def __init__(self, port: int, piece: int = 1024, gone: int = GONE) -> None:
+        self.port = port
+        self.piece = piece
+        self.gone = gone
+        self.link: socket.socket | None = None
+        self.set_s = 0.0
+
+    def encode(self, form: Any, value: Any) -> str:
+        """In six characters."""
+        assert "/I6" == form.get() and float(value.get()).is_integer()
+        return f"{int(value.get()):6d}"
+
+    def chr(self, code: Any) -> str:
+        """A character."""
+        return chr(int(code.get()))
+
+    def asc(self, text: Any, position: Any) -> int:
+        """The code of a character, from 1."""
+        assert 1 <= position.get() <= len(text.get())
+        return ord(text.get()[int(position.get()) - 1])
+
+    def len(self, text: Any) -> int:
+        """Characters."""
+        return len(text.get())
+
+    def trans(self, *numbers: Any) -> Record:
+        """X, Y, Z, O, A, T."""
+        made: Record = TYPES.initial("trans")
+        for one, number in zip(made.fields.values(), numbers, strict=True):
+            one.set(number.get())
+        return made
+
+    def twait(self, seconds: Any) -> None:
+        """Wait."""
+        time.sleep(seconds.get())
+
+    def set_utimer(self, name: Any, seconds: Any) -> None:
+        """It runs from there."""
+        assert ("ed_clock", 0) == (name.get(), seconds.get())
+        self.set_s = time.monotonic()
+
+    def utimer(self, name: Any) -> float:
+        """Seconds."""
+        assert "ed_clock" == name.get()
+        return time.monotonic() - self.set_s
+
+    def tcp_connect(self, number: Any, port: Any, address: Any, timeout: Any) -> None:
+        """A socket's number, or an error."""
+        assert (1503, 192) == (port.get(), address.get()) and timeout.get() >= 1 and self.link is None
+        try:
+            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=timeout.get())
+            number.set(1)
+        except OSError:
+            number.set(GONE)
+
+    def tcp_close(self, status: Any, number: Any) -> None:
+        """Of one that is not open: an error."""
+        assert number.get() == 1
+        status.set(0 if self.link else GONE)
+        self.close()
+
+    def tcp_send(self, status: Any, number: Any, text: Any, count: Any, timeout: Any) -> None:
+        """One string."""
+        assert (1, 1) == (number.get(), count.get()) and timeout.get() >= 1 and self.link is not None
+        try:
+            self.link.sendall(text.get().encode("latin-1"))
+            status.set(0)
+        except OSError:
+            status.set(GONE)
+
+    def tcp_recv(self, status: Any, number: Any, text: Any, count: Any, timeout: Any, length: Any) -> None:
+        """What has come, in strings of that length; the first is all that the test's programs look at."""
+        assert (1, 255) == (number.get(), length.get()) and self.link is not None
+        assert timeout.get() >= 1 and float(timeout.get()).is_integer()
+        self.link.settimeout(float(timeout.get()))
+        try:
+            data = self.link.recv(self.piece)
+        except TimeoutError:
+            status.set(TIMED_OUT)
+            return
+        except OSError:
+            data = b""
+        if not data:
+            status.set(self.gone)
+            return
+        parts = [data[i : i + 255] for i in range(0, len(data), 255)]
+        text.set(parts[0].decode("latin-1"))
+        count.set(len(parts))
+        status.set(0)
+
+    def close(self) -> None:
+        """Power off."""
+        if self.link:
+            self.link.close()
+            self.link = None
