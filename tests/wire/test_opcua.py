@@ -238,7 +238,7 @@ def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaC
             bad = {
                 one.name for (_, one), got in zip(names, data, strict=True) if not got.StatusCode.is_good()
             }
-            assert {"X", "F_X", "SIGMA_X", "T0_X", "UR_X", "G_X", "UG_X"} <= bad
+            assert {"X", "F_X", "SIGMA_X", "G_SIGMA_X", "T0_X", "UR_X", "G_X", "UG_X"} <= bad
             assert "RESULT" not in bad
             unit = await client.get_node("ns=3;s=Registers.float.F_X.EngineeringUnits").read_value()
             assert ("mm", 5066068) == (unit.DisplayName.Text, unit.UnitId)  # OPC 10000-8, table 78: MMT

@@ -474,7 +474,7 @@ def is_unknown(register: reg.Register, value: reg.Number) -> bool:
         return value == reg.INT32_MIN
     if register.kind is reg.Kind.F32:
         return math.isnan(value)
-    is_saturated = register.name.startswith("SIGMA_") or register.name == "EPIPOLAR_ERROR"
+    is_saturated = "SIGMA_" in register.name or register.name == "EPIPOLAR_ERROR"
     return is_saturated and value == reg.UINT16_MAX
 
 
