@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """Measure how thick parts of several heights are found and measured, on rendered scenes with exact truth.
 
-    tools/bench solid DATASET [--tilt DEGREES] [--only NAME] [--overlays DIR] [--json] [--step]
+    tools/bench solid DATASET [--step | --alone DEPTH] [--tilt DEGREES] [--only NAME] [--overlays DIR]
 
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
 Each part is taught from its pair; of a scene, the motion from the taught to the found pose is compared with
 the true one, at the job's reference point. With --step, each part is taught with its STEP file besides
-(step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose. Good is a target that
-is accepted and right; wrong is one that is accepted and off by more than 0.1 mm, or turned by more than 3
-degrees.
+(step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose; with --alone, with its
+STEP file and no pair, its main face DEPTH mm away. Good is a target that is accepted and right; wrong is one
+that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the face that
+such a job states), or turned by more than 3 degrees.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
+from edged.vision.part.measure import ACROSS
+from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.pair import teach
 
@@ -122,7 +125,9 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     verdict = "good"
     if target.reject is not Reject.NONE:
         verdict = "refused: " + str(target.reject).removeprefix("Reject.")
-    elif np.linalg.norm(error) > WRONG_MM or max(abs(turn), normal) > WRONG_DEG:
+    elif (
+        np.linalg.norm(error) > max(WRONG_MM, 3 * ACROSS * job.sigma_mm) or max(abs(turn), normal) > WRONG_DEG
+    ):
         verdict = "WRONG"
     return Part(
         scene, part["design"], part["tilt_bisector_deg"], verdict, 1e3 * error, normal, turn, chi2,
@@ -139,10 +144,15 @@ def measure(
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
     truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
     try:
-        job = teach(*pair_of(pictured), rig.rectification, None, design)
-        if options.step:
-            model = read_model(dataset / "step" / f"{design}.step", "-z")
-            settled = settle(job, model.curves, rig.rectification, design)
+        read = None
+        if options.step or options.alone is not None:
+            read = read_model(dataset / "step" / f"{design}.step", "-z")
+        if read is not None and options.alone is not None:
+            job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
+        else:
+            job = teach(*pair_of(pictured), rig.rectification, None, design)
+        if read is not None and options.alone is None:
+            settled = settle(job, read[1].curves, rig.rectification, design)
             job = settled.job
             if not options.json:
                 print("\n".join(settled.said))
@@ -210,6 +220,7 @@ def main() -> int:
     parser.add_argument("--parts", default="", help="comma list; default: all")
     parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
     options = parser.parse_args()
     rig = prepare(true_rig(options.dataset / "rig.json"))

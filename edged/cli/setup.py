@@ -162,7 +162,9 @@ def teach(
     ] = None,
     step: Annotated[
         Path | None,
-        typer.Option(help="STEP file of the part, beside the pair: its sizes and its frame (edged[cad])"),
+        typer.Option(
+            help="STEP file of the part: its sizes and its frame (edged[cad]); with a pair, or with --depth"
+        ),
     ] = None,
     up: Annotated[
         str | None, typer.Option(help="axis of the STEP file that points to the cameras: z, -z, x, ...")
@@ -172,7 +174,8 @@ def teach(
         Path | None, typer.Option(help="outlines to teach from: x,y in mm a line, empty lines between them")
     ] = None,
     depth: Annotated[
-        float | None, typer.Option(help="of a drawing: nominal distance of the face from the left camera, mm")
+        float | None,
+        typer.Option(help="of a drawing or STEP file: nominal distance of the face from the left camera, mm"),
     ] = None,
     layer: Annotated[list[str] | None, typer.Option(help="of a DXF drawing: only this layer; repeat")] = None,
     unit: Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from edged.commissioning.teaching import (
     former_job,
     job_number,
     propose_from_drawing,
+    propose_from_model,
     propose_from_pair,
 )
 from edged.errors import TeachError, UserError
@@ -36,7 +37,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.teaching.cadmodel import curves_towards
+from edged.vision.teaching.cadmodel import CadModel, curves_towards
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
@@ -79,12 +80,16 @@ AXES = {
 """What --up may be."""
 
 
-def read_model(step: Path, up: str) -> PartModel:
-    """What a STEP file shows to the cameras. Raises `TeachError` for another axis, `FileFormatError`."""
+def read_model(step: Path, up: str) -> tuple[CadModel, PartModel]:
+    """A STEP file, and what it shows to the cameras.
+
+    Raises `TeachError` for what is no axis, `FileFormatError` for what is no model.
+    """
     axis = AXES.get(up.strip().lower().removeprefix("+"))
     if axis is None:
         raise TeachError(f"--up {up!r}: expected an axis of the file, one of {', '.join(AXES)}")
-    return PartModel(curves_towards(read_step(step), axis), str(step))
+    model = read_step(step)
+    return model, PartModel(curves_towards(model, axis), str(step))
 
 
 def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
@@ -115,30 +120,34 @@ class PairSource:
 
 @dataclass(frozen=True, slots=True)
 class DrawingSource:
-    """A drawing, as given on the command line."""
+    """A drawing, or a STEP file without a pair, as given on the command line."""
 
     dxf: Path | None
     contour: Path | None
     depth_mm: float | None
     layers: tuple[str, ...]
     unit: str | None
+    step: Path | None = None
+    up: str | None = None
 
 
 def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
     """What to teach from. Raises `UserError` for nothing, for both, and for half of it."""
-    given = pair.left, pair.right, pair.region, pair.step, pair.up
+    given = pair.left, pair.right, pair.region
     from_pair = bool(pair.exclude) or any(value is not None for value in given)
-    files = [file for file in (drawing.dxf, drawing.contour) if file is not None]
+    if (pair.step is None) != (pair.up is None):
+        raise UserError(
+            "teach: --step FILE and --up AXIS belong together: which axis of the file points to the "
+            f"cameras, one of {', '.join(AXES)}"
+        )
+    if not from_pair:
+        drawing = replace(drawing, step=pair.step, up=pair.up)
+    files = [file for file in (drawing.dxf, drawing.contour, drawing.step) if file is not None]
     if from_pair == bool(files) or len(files) > 1:
-        raise UserError("teach: expected either --left and --right, or one of --dxf and --contour")
+        raise UserError("teach: expected either --left and --right, or one of --dxf, --contour and --step")
     if from_pair:
         if missing := [f"--{name}" for name in ("left", "right") if getattr(pair, name) is None]:
             raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left and --right")
-        if (pair.step is None) != (pair.up is None):
-            raise UserError(
-                "teach: --step FILE and --up AXIS belong together: which axis of the file points to the "
-                f"cameras, one of {', '.join(AXES)}"
-            )
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
@@ -214,18 +223,21 @@ def teach(
 
 def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
     if isinstance(source, DrawingSource):
-        return {"--dxf": source.dxf, "--contour": source.contour}
+        return {"--dxf": source.dxf, "--contour": source.contour, "--step": source.step}
     return {"--left": source.left, "--right": source.right, "--step": source.step}
 
 
 def _proposal(source: PairSource | DrawingSource, rectification: Rectification, wanted: Wanted) -> Proposal:
     if isinstance(source, DrawingSource):
+        if source.step is not None:
+            read = read_model(source.step, source.up or "")
+            return propose_from_model(*read, rectification, source.depth_mm or 0.0, wanted)
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
         return propose_from_drawing(outlines, rectification, source.depth_mm or 0.0, wanted)
-    model = None if source.step is None else read_model(source.step, source.up or "")
+    model = None if source.step is None else read_model(source.step, source.up or "")[1]
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())

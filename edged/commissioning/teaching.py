@@ -13,9 +13,11 @@ from edged.files.jobs import job_folders, load_job, save_job
 from edged.report.teaching import Taught
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import MAX_TILT_DEG, Job
+from edged.vision.part.measure import ACROSS
 from edged.vision.shape.inspection import Inspection, inspect_model
 from edged.vision.shape.modelparams import ModelParams
-from edged.vision.teaching.cadmodel import ModelCurves
+from edged.vision.teaching.cadjob import teach_model
+from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
@@ -100,6 +102,20 @@ def propose_from_drawing(
         outlines_mm, rectification, depth_mm, wanted.name, wanted.number, wanted.params
     )
     return _proposal(job, Taught(picture, None, ()), wanted)
+
+
+def propose_from_model(
+    model: CadModel, shown: PartModel, rectification: Rectification, depth_mm: float, wanted: Wanted
+) -> Proposal:
+    """Learn from a CAD model alone, its main face at a nominal distance. Raises `TeachError`."""
+    job, picture = teach_model(
+        model, shown.curves, rectification, depth_mm, wanted.name, wanted.number, wanted.params
+    )
+    said = (
+        f"{shown.name}: no pair has shown the part's edges: results state {job.sigma_mm:g} mm in its face "
+        f"and {ACROSS * job.sigma_mm:g} mm across",
+    )
+    return replace(_proposal(job, Taught(picture, None, ()), wanted), settled=said)
 
 
 def commit(folder: Path, proposal: Proposal) -> None:

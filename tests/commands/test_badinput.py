@@ -375,7 +375,7 @@ CASES: dict[str, Bad] = {
     ),
     "region: pair and drawing": Bad(
         f"{TEACH} --dxf part.dxf",
-        "edged: teach: expected either --left and --right, or one of --dxf and --contour",
+        "edged: teach: expected either --left and --right, or one of --dxf, --contour and --step",
     ),
     # --- drawings ---
     "dxf: none": Bad(DXF, "edged: part.dxf: cannot read a drawing: No such file or directory"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,23 +12,27 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cells import TEXTURED, pictures, pose, small_rig
-from flatparts import METAL
+from cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from flatparts import METAL, only
 from rich.console import Console
 from tilted import BELOW_MM, lying, stacked
 
 from edged.commands.locate import locate
 from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_model, teach
-from edged.domain import FloatArray, Image
+from edged.domain import FloatArray, Image, Reject
 from edged.errors import FileFormatError, TeachError, UserError
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import save_rig
+from edged.pipeline import locate as find
 from edged.pipeline import prepare
+from edged.robot.budget import budget_of
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
+from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import Settled, settle
 from edged.vision.teaching.pair import teach as teach_pair
+from edged.vision.teaching.reteaching import carry_over
 
 STEP = Path(__file__).parent.parent / "data" / "cad" / "D3.step"
 PAD_MM = 2.5
@@ -65,7 +70,7 @@ def taught() -> Job:
 
 def settled(job: Job) -> Settled:
     """With the file."""
-    return settle(job, read_model(STEP, "-z").curves, prepare(small_rig()).rectification, "D3.step")
+    return settle(job, read_model(STEP, "-z")[1].curves, prepare(small_rig()).rectification, "D3.step")
 
 
 def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path, Path]:
@@ -165,3 +170,74 @@ def test_an_axis_is_one_of_six() -> None:
         TeachError, match="--up 'w': expected an axis of the file, one of x, y, z, -x, -y, -z"
     ):
         read_model(STEP, "w")
+
+
+@functools.cache
+def drawn() -> Job:
+    """What the file alone teaches."""
+    model, shown = read_model(STEP, "-z")
+    return teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D3")[0]
+
+
+@pytest.mark.parametrize(("tilt_deg", "turn_deg"), [(0.0, 40.0), (30.0, 200.0)])
+def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: float) -> None:
+    """A sharp part lies where the frame says, within 30 µm; the sigma says that nobody saw its edges."""
+    where = lying(small_rig(), tilt_deg, 60.0, turn_deg)
+    job = replace(drawn(), tilt_rad=math.radians(45.0))
+    target = only(find(frame_pair(*see(where, seed=3)), job, prepare(small_rig())))
+    places = np.array([[14.5, -12.5, 0.0], [-14.5, 12.5, 0.0], [-9.0, -7.0, -2.5]])
+    assert target.rig_from_model is not None
+    off = np.linalg.norm(apply(target.rig_from_model, places) - apply(where, places), axis=1)
+    normal = target.rig_from_part[:3, 2]
+    assert Reject.NONE is target.reject
+    assert off.max() < 0.03
+    assert math.sqrt(normal @ target.covariance[:3, :3] @ normal) >= 0.2
+    assert target.sigma_mm.min() >= 0.1
+    budget = budget_of(target, None, None)
+    assert budget is not None
+    assert budget.edges.min() >= 0.01
+    assert budget.calibration.max() < 0.01
+
+
+def test_a_file_alone_teaches_every_feature_of_its_faces() -> None:
+    """Five holes and the edges of both faces with their heights; the sigma is kept on disc."""
+    job = drawn()
+    assert [0.0, 0.0, 0.0, 0.0, -2.5] == [float(one.centre_mm[2]) for one in job.circles]
+    assert 6 == sum(float(one.start_mm[2]) == 0.0 for one in job.edges)
+    assert 4 == sum(float(one.start_mm[2]) == -2.5 for one in job.edges)
+
+
+def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
+    """The flange is drawn with its edge breaks: one circle of each, that of the face."""
+    model, shown = read_model(STEP.with_name("D1.step"), "-z")
+    job, _ = teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D1")
+    assert [15.8, 5.2, 2.4, 1.8, 1.8, 1.8, 1.8] == [round(one.radius_mm, 9) for one in job.circles]
+    assert {0.0} == {float(one.centre_mm[2]) for one in job.circles}
+
+
+def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
+    """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
+    again, said = carry_over(drawn(), settled(taught()).job)
+    assert 0.2 == again.limits.max_sigma_mm
+    assert not [line for line in said if "max_sigma_mm" in line]
+
+
+def test_a_job_keeps_its_sigma_on_disc(tmp_path: Path) -> None:
+    """A job from a file alone stays as vague as it is."""
+    save_job(tmp_path / "job", drawn())
+    assert 0.1 == load_job(tmp_path / "job").sigma_mm
+
+
+def test_a_file_alone_needs_its_distance(tmp_path: Path) -> None:
+    """Without it nothing says how large the part appears; one that does not fit the picture is refused."""
+    with pytest.raises(UserError, match="--depth missing"):
+        chosen_source(PairSource(None, None, None, (), STEP, "-z"), NO_DRAWING)
+    save_rig(tmp_path / "rig.json", small_rig())
+    near = replace(NO_DRAWING, depth_mm=60.0)
+    source = chosen_source(PairSource(None, None, None, (), STEP, "-z"), near)
+    with pytest.raises(TeachError, match="does not fit the image at this distance"):
+        teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", QUIET)
+    far = replace(near, depth_mm=205.0)
+    source = chosen_source(PairSource(None, None, None, (), STEP, "-z"), far)
+    assert 0 == teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", QUIET)
+    assert (tmp_path / "job" / "job.toml").is_file()

@@ -333,6 +333,9 @@ class JobFile(_Section):
         None,
         description="where the frame of its CAD model lies in the part frame: x_part = part_from_model x, mm",
     )
+    sigma_mm: float = Field(
+        0.0, ge=0, le=1, description="of the taught features themselves, for a job from a model alone"
+    )
     limits: _Limits
     search: _Search
     picking: _Picking = _Picking()
@@ -431,4 +434,5 @@ class JobFile(_Section):
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
             picking=self.picking.values(self.limits.bounds(), grasps),
             part_from_model=None if self.part_from_model is None else np.array(self.part_from_model),
+            sigma_mm=self.sigma_mm,
         )

@@ -97,6 +97,11 @@ def _model_to_toml(job: Job) -> list[str]:
         "part_from_model = [",
         *(f"    {_numbers(row)}," for row in job.part_from_model),
         "]",
+        *(
+            [f"sigma_mm = {job.sigma_mm!r}   # of the features: a real part has edge breaks"]
+            if job.sigma_mm
+            else []
+        ),
     ]
 
 

@@ -162,6 +162,7 @@ class Job:
     searched for.
     picking : which of several parts a robot gets first.
     part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
+    sigma_mm : of all features together, of a job from a model alone: nobody has seen the part's edge breaks.
     """
 
     name: str
@@ -181,6 +182,7 @@ class Job:
     tilt_rad: float | None = None
     picking: Picking = field(default_factory=Picking)
     part_from_model: FloatArray | None = None
+    sigma_mm: float = 0.0
 
     @property
     def reference_circle(self) -> CircleFeature:

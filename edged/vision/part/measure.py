@@ -42,6 +42,8 @@ MIN_EDGES = 3
 """Two edges of a part that has more fit any two that lie so in one image: no third one contradicts."""
 MIN_LEVEL = 0.7  # an edge less steep in the image has a row of its own
 UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
+ACROSS = 2.0
+"""Sigma of a model's edges across the face over that in it."""
 CONCENTRIC = 0.15  # share of the reference radius within which a circle says nothing about the rotation
 
 
@@ -64,7 +66,27 @@ def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
     target = result.target
     from_reference = transform(np.eye(3), -job.place_of(job.reference))
     placed = target.rig_from_part @ from_reference @ job.part_from_model
-    return replace(result, target=replace(target, rig_from_model=placed))
+    target = replace(target, rig_from_model=placed)
+    return replace(result, target=_as_vague_as_taught(job, target) if job.sigma_mm else target)
+
+
+def _as_vague_as_taught(job: Job, target: Target) -> Target:
+    """The target of a job whose features are themselves known no better than by a sigma.
+
+    An edge break draws opposite edges towards each other, and may lower all of them alike.
+    """
+    names = [one.name for one in job.circles] + [one.name for one in job.edges]
+    size_mm = np.linalg.norm(np.ptp(np.array([job.place_of(name)[:2] for name in names]), axis=0))
+    reach_mm = max([0.5 * float(size_mm), *(circle.radius_mm for circle in job.circles)])
+    normal = target.rig_from_part[:3, 2]
+    taught = job.sigma_mm**2 * (np.eye(3) + (ACROSS**2 - 1) * np.outer(normal, normal))
+    covariance = target.covariance.copy()
+    covariance[:3, :3] += taught
+    covariance[3:, 3:] += (job.sigma_mm / reach_mm) ** 2 * np.eye(3)
+    vague = float(np.sqrt(np.diag(covariance)[:3].max())) > job.limits.max_sigma_mm
+    reject = target.reject | (Reject.SIGMA_LIMIT if vague else Reject.NONE)
+    by_edges = None if target.by_edges is None else target.by_edges + taught
+    return replace(target, covariance=covariance, by_edges=by_edges, reject=reject)
 
 
 def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:

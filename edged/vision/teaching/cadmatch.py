@@ -95,12 +95,12 @@ def register(
             f"{what}: no circle and no straight edge looks to the cameras: expected another --up, the axis "
             "of the file that points to them"
         )
-    levelled = _level(model.up)
+    turned = levelled(model.up)
     taught = _Curves(
         np.array([[*one.centre_mm, one.radius_mm] for one in circles]).reshape(-1, 4),
         np.array([[one.start_mm, one.end_mm] for one in edges]).reshape(-1, 2, 3),
     )
-    drawn = _drawn(model, levelled)
+    drawn = _drawn(model, turned)
     found = _laid(taught, drawn)
     flipped = np.diag([-1.0, 1.0, 1.0])
     mirrored = _laid(taught, _mapped(drawn, flipped))
@@ -120,7 +120,7 @@ def register(
     names = {one.name for one in partners}
     taught_names = [*(one.name for one in circles), *(one.name for one in edges)]
     missing = tuple(name for name in taught_names if name not in names)
-    return Registration(pose @ transform(levelled, np.zeros(3)), partners, missing)
+    return Registration(pose @ transform(turned, np.zeros(3)), partners, missing)
 
 
 def _no_fit(what: str, matched: int, count: int) -> str:
@@ -130,7 +130,7 @@ def _no_fit(what: str, matched: int, count: int) -> str:
     )
 
 
-def _level(up: FloatArray) -> FloatArray:
+def levelled(up: FloatArray) -> FloatArray:
     """(3, 3) rotation that turns up (3,) to -z."""
     z = -unit(up)
     aside = np.eye(3)[int(np.abs(z).argmin())]
@@ -138,9 +138,9 @@ def _level(up: FloatArray) -> FloatArray:
     return np.stack([x, np.cross(z, x), z])
 
 
-def _drawn(model: ModelCurves, levelled: FloatArray) -> _Curves:
-    circles = np.array([[*(levelled @ one.centre_mm), one.radius_mm] for one in model.circles])
-    edges = np.array([[levelled @ one.start_mm, levelled @ one.end_mm] for one in model.edges])
+def _drawn(model: ModelCurves, turned: FloatArray) -> _Curves:
+    circles = np.array([[*(turned @ one.centre_mm), one.radius_mm] for one in model.circles])
+    edges = np.array([[turned @ one.start_mm, turned @ one.end_mm] for one in model.edges])
     return _Curves(circles.reshape(-1, 4), edges.reshape(-1, 2, 3))
 
 

@@ -104,7 +104,7 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
     Inner edges, where a wall stands on a face, are not among them: their contrast is shade.
     """
     up = unit(np.asarray(up, np.float64))
-    corners, normals = _triangle_normals(model)
+    corners, normals = triangle_normals(model)
     circles: list[ModelCircle] = []
     edges: list[ModelEdge] = []
     for meeting in _meetings(model):
@@ -130,7 +130,8 @@ class _Meeting:
     beside: IntArray
 
 
-def _triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
+def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
+    """Corners (M, 3, 3) of the triangles, and their normals (M, 3), outwards."""
     corners = model.points_mm[model.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -22,6 +22,7 @@ from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert, transform, unit, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
@@ -257,16 +258,21 @@ def main_face_mask(view: TeachingView, solid: SolidFeatures) -> Image:
         curves.append(Curve(one.circle.name, "circle", parameters, 0, height_mm=float(z)))
     curves += [edge_curve(edge, True) for edge in solid.found.edges]
     curves += [slot_curve(slot, True) for slot in solid.found.slots]
-    face = Face(solid.rig_from_part[:3, 3], solid.rig_from_part[:3, :3].T)
-    mask = np.zeros_like(view.mask)
+    flat = [curve for curve in curves if abs(curve.height_mm) <= APART_MM]
+    return np.asarray(np.minimum(mask_along(view.images.rectification, flat, solid.rig_from_part), view.mask))
+
+
+def mask_along(rectification: Rectification, curves: Sequence[Curve], rig_from_part: FloatArray) -> Image:
+    """(h, w) uint8: the rectified left image about curves of a part at a pose (4, 4)."""
+    face = Face(rig_from_part[:3, 3], rig_from_part[:3, :3].T)
+    width, height = rectification.size
+    mask = np.zeros((height, width), np.uint8)
     for curve in curves:
-        if abs(curve.height_mm) > APART_MM:
-            continue
         line = curve.outline(np.linspace(0.0, 1.0, OUTLINE_POINTS)).points
-        raw = view.images.rig.left.project(face.to_rig(line))
-        pixels = np.rint(view.images.rectification.rectify_points("left", raw)).astype(np.int32)
+        raw = rectification.rig.left.project(face.to_rig(line))
+        pixels = np.rint(rectification.rectify_points("left", raw)).astype(np.int32)
         cv2.polylines(mask, [pixels], curve.closed, 255, BAND_PX)
-    return np.asarray(np.minimum(mask, view.mask))
+    return mask
 
 
 def dominant_face(view: TeachingView, levels: Levels) -> float:

@@ -153,6 +153,11 @@ def _solid_job(
         reference.sigma_radius_mm,
         main_face_mask(view, solid),
     )
+    return for_solid(job)
+
+
+def for_solid(job: Job) -> Job:
+    """The job of a part of several heights, looked for by the edges of one face."""
     levels = job.shape.levels
     while len(levels) > 2 and len(levels[-1].points) < SOLID_TOP_POINTS:
         levels = levels[:-1]

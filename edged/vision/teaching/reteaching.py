@@ -47,7 +47,8 @@ def _limits(former: Job, taught: Job, said: list[str]) -> Limits:
         said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
     for name in (one.name for one in fields(Limits) if one.name != "depth_mm"):
         before, after = getattr(was, name), getattr(now, name)
-        if _differ(before, after):
+        by_teaching = name == "max_sigma_mm" and former.sigma_mm != taught.sigma_mm
+        if _differ(before, after) and not by_teaching:
             now = replace(now, **{name: before})
             said.append(_kept(f"limits.{name}", before, after))
     return now

@@ -1,0 +1,258 @@
+"""A job from a CAD model alone: the part as drawn, lying square to the left camera at a nominal distance.
+
+The face that shows most edges is painted as the left camera would see it, and the shape is learnt from that
+picture; the features of all faces come from the model, with their heights. Nobody has seen which of the two
+edges of an edge break the cameras will see, so such a job states its own sigma.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from edged.domain import FloatArray, Image
+from edged.errors import TeachError
+from edged.vision.curves.outlines import Curve
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, transform
+from edged.vision.part.job import (
+    DEPTH_SHARE,
+    CircleFeature,
+    CornerFeature,
+    EdgeFeature,
+    Job,
+    crossing,
+    known_radius,
+    usual_limits,
+)
+from edged.vision.part.pose import edge_curve
+from edged.vision.shape.learning import create_model
+from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.search import SearchParams
+from edged.vision.teaching.cadmatch import BREAK_MM, levelled
+from edged.vision.teaching.cadmodel import CadModel, ModelCurves, triangle_normals
+from edged.vision.teaching.drawing import BACKGROUND, BLUR_PX, MARGIN_PX, MIN_CIRCLE_PX, MIN_EDGE_PX, PART
+from edged.vision.teaching.levels import mask_along
+from edged.vision.teaching.pair import for_solid
+
+SIGMA_MM = 0.1
+"""Of what a model alone says of a real part's edges: edge breaks by ISO 13715 are 0.1 to 0.5 mm."""
+MAX_SIGMA_MM = 0.3
+"""A job's limit; twice the above, across the face, is in every result."""
+ABOVE = 150.0
+"""Grey of faces that stand above the painted one."""
+FINER = 4
+"""Sub-pixels of the painting, in x and y."""
+LEVEL_MM = 0.01
+LEVEL_SINE = 1 - 1e-6
+MIN_SPAN = 0.6
+"""Of a circle that is cut: with less it is a rounded corner."""
+MEET_MM = 0.1
+
+
+def teach_model(
+    model: CadModel,
+    curves: ModelCurves,
+    rectification: Rectification,
+    depth_mm: float,
+    name: str,
+    number: int = 1,
+    params: ModelParams | None = None,
+) -> tuple[Job, Image]:
+    """Job and painted picture (h, w) of a part as its model has it.
+
+    curves : of the model, towards the cameras.  depth_mm : nominal distance of the painted face, z of the
+    left camera.
+    Raises `TeachError` for a part that does not fit the image, or shows nothing that can be measured.
+    """
+    if not np.isfinite(depth_mm) or depth_mm <= 0:
+        raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
+    level = transform(levelled(curves.up), np.zeros(3))
+    scale = rectification.focal_px / depth_mm
+    circles, edges = _features(curves, level, scale)
+    main_mm = _main_face(circles, edges)
+    circles, edges = _in_order(circles, edges, main_mm)
+    corners = _corners(edges)
+    reference, origin = _reference(circles, edges, corners, main_mm)
+    part_from_model = transform(np.eye(3), -origin) @ level
+    circles = [replace(one, centre_mm=_snapped(one.centre_mm - origin)) for one in circles]
+    edges = [
+        replace(one, start_mm=_snapped(one.start_mm - origin), end_mm=_snapped(one.end_mm - origin))
+        for one in edges
+    ]
+    points = apply(part_from_model, model.points_mm)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    rig_from_part = transform(np.eye(3), np.array([-middle[0], -middle[1], depth_mm]))
+    image = _painted(model, curves.up, points, rig_from_part, rectification)
+    flat = [one for one in _curves(circles, edges) if abs(one.height_mm) < LEVEL_MM]
+    mask = mask_along(rectification, flat, rig_from_part)
+    shape = create_model(image, mask, params=params)
+    sizes, witness = known_radius(circles, reference)
+    job = Job(
+        name=name,
+        number=number,
+        shape=shape,
+        circles=tuple(circles),
+        measurements=sizes,
+        witness=witness,
+        reference=reference,
+        rig_from_part=rig_from_part,
+        limits=replace(
+            usual_limits(depth_mm, 1 / scale, shape, circles, reference, SIGMA_MM), max_sigma_mm=MAX_SIGMA_MM
+        ),
+        search=SearchParams(
+            scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8, polarity="local"
+        ),
+        edges=tuple(edges),
+        corners=tuple(corners),
+        part_from_model=part_from_model,
+        sigma_mm=SIGMA_MM,
+    )
+    return for_solid(job) if job.solid else job, image
+
+
+def _snapped(point: FloatArray) -> FloatArray:
+    """Without the last bits of the motion."""
+    return np.asarray(np.round(point, 9) + 0.0)
+
+
+def _curves(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> list[Curve]:
+    return [
+        *(
+            Curve("", "circle", np.append(c.centre_mm[:2], c.radius_mm), 0, height_mm=float(c.centre_mm[2]))
+            for c in circles
+        ),
+        *(edge_curve(edge, True) for edge in edges),
+    ]
+
+
+def _features(
+    curves: ModelCurves, level: FloatArray, scale: float
+) -> tuple[list[CircleFeature], list[EdgeFeature]]:
+    """What is large enough to be measured at a scale, px per mm; of an edge break the upper edge."""
+    rounds = [
+        CircleFeature("", apply(level, one.centre_mm), one.radius_mm, 1 if one.hole else -1, double=True)
+        for one in curves.circles
+        if one.radius_mm * scale > MIN_CIRCLE_PX and one.span > MIN_SPAN
+    ]
+    lines = []
+    for one in curves.edges:
+        start, end = apply(level, one.start_mm), apply(level, one.end_mm)
+        if float(np.linalg.norm(end - start)) * scale > MIN_EDGE_PX:
+            left = np.array([start[1] - end[1], end[0] - start[0], 0.0])
+            lines.append(EdgeFeature("", start, end, -1 if left @ level[:3, :3] @ one.away > 0 else 1))
+    return (
+        [one for one in rounds if not any(_breaks_into(one, other) for other in rounds)],
+        [one for one in lines if not any(_falls_from(one, other) for other in lines)],
+    )
+
+
+def _breaks_into(one: CircleFeature, upper: CircleFeature) -> bool:
+    """Whether it is the lower edge of an edge break."""
+    aside = float(np.linalg.norm((one.centre_mm - upper.centre_mm)[:2]))
+    wider = (upper.radius_mm - one.radius_mm) * one.polarity
+    down = float(one.centre_mm[2] - upper.centre_mm[2])
+    return one.polarity == upper.polarity and aside < LEVEL_MM < down < BREAK_MM and 0 < wider < BREAK_MM
+
+
+def _falls_from(one: EdgeFeature, upper: EdgeFeature) -> bool:
+    """The same of a straight edge."""
+    along = (one.end_mm - one.start_mm) / one.length_mm
+    gap = 0.5 * (one.start_mm + one.end_mm - upper.start_mm - upper.end_mm)
+    parallel = np.linalg.norm(np.cross(along, upper.end_mm - upper.start_mm)) < 1e-3 * upper.length_mm
+    aside = abs(float(along[0] * gap[1] - along[1] * gap[0]))
+    within = abs(float(along @ gap)) < 0.5 * one.length_mm
+    return bool(parallel) and within and aside < BREAK_MM and LEVEL_MM < float(gap[2]) < BREAK_MM
+
+
+def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> float:
+    """The height, along z, at which most of all edges lies."""
+    lengths: dict[float, float] = {}
+    for one in _curves(circles, edges):
+        height = round(one.height_mm / LEVEL_MM) * LEVEL_MM
+        lengths[height] = lengths.get(height, 0.0) + one.perimeter_mm
+    if not lengths:
+        raise TeachError(
+            "the model shows nothing that the cameras could measure at this distance: expected a circle of "
+            f"at least {MIN_CIRCLE_PX:g} px radius or straight edges of {MIN_EDGE_PX:g} px, or another --up"
+        )
+    return max(lengths, key=lambda height: lengths[height])
+
+
+def _in_order(
+    circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature], main_mm: float
+) -> tuple[list[CircleFeature], list[EdgeFeature]]:
+    """Named, those of the main face first, and then by their size."""
+    rounds = sorted(
+        circles, key=lambda c: (abs(c.centre_mm[2] - main_mm) > LEVEL_MM, -c.radius_mm, *c.centre_mm[:2])
+    )
+    lines = sorted(
+        edges, key=lambda e: (abs(e.start_mm[2] - main_mm) > LEVEL_MM, -e.length_mm, *e.start_mm[:2])
+    )
+    return (
+        [replace(one, name=f"c{k}") for k, one in enumerate(rounds)],
+        [replace(one, name=f"e{k}") for k, one in enumerate(lines)],
+    )
+
+
+def _corners(edges: Sequence[EdgeFeature]) -> list[CornerFeature]:
+    """Where edges of one face end in one place."""
+    found: list[CornerFeature] = []
+    for one, two in itertools.combinations(edges, 2):
+        gaps = [np.linalg.norm(a - b) for a in (one.start_mm, one.end_mm) for b in (two.start_mm, two.end_mm)]
+        if min(gaps) < MEET_MM and np.isfinite(crossing(one, two)).all():
+            found.append(CornerFeature(f"k{len(found)}", (one.name, two.name)))
+    return found
+
+
+def _reference(
+    circles: Sequence[CircleFeature],
+    edges: Sequence[EdgeFeature],
+    corners: Sequence[CornerFeature],
+    main_mm: float,
+) -> tuple[str, FloatArray]:
+    """The first circle or else corner, and the place (3,) of it, in the main face."""
+    if circles:
+        name, place = circles[0].name, circles[0].centre_mm
+    elif corners:
+        by_name = {edge.name: edge for edge in edges}
+        name, place = corners[0].name, crossing(*(by_name[edge] for edge in corners[0].edges))
+    else:
+        raise TeachError("the model has no circle and no corner in a face towards the cameras: expected one")
+    return name, np.array([place[0], place[1], main_mm])
+
+
+def _painted(
+    model: CadModel,
+    up: FloatArray,
+    points: FloatArray,
+    rig_from_part: FloatArray,
+    rectification: Rectification,
+) -> Image:
+    """The main face, and what stands above it, in the rectified left image (h, w) uint8."""
+    width, height = rectification.size
+    rectified = apply(rig_from_part, points) @ rectification.rectified_from_left.T
+    pixels = rectification.focal_px * rectified[:, :2] / rectified[:, 2:] + rectification.centre_left_px
+    low, high = pixels.min(axis=0) - MARGIN_PX, pixels.max(axis=0) + MARGIN_PX
+    if not (rectified[:, 2] > 0).all() or (low < 0).any() or (high > [width - 1, height - 1]).any():
+        across = high - low
+        raise TeachError(
+            f"the part does not fit the image at this distance: {across[0]:.0f}x{across[1]:.0f} px with its "
+            f"margin, of {width}x{height}; are the file and the distance right?"
+        )
+    fine = np.rint(((pixels + 0.5) * FINER - 0.5) * 16).astype(np.int32)
+    canvas = np.full((height * FINER, width * FINER), BACKGROUND, np.uint8)
+    level = triangle_normals(model)[1] @ up > LEVEL_SINE
+    depths = points[model.triangles][:, :, 2].mean(axis=1)
+    for grey, chosen in (
+        (PART, level & (np.abs(depths) < LEVEL_MM)),
+        (ABOVE, level & (depths < -LEVEL_MM)),
+    ):
+        for triangle in model.triangles[chosen]:
+            cv2.fillConvexPoly(canvas, fine[triangle], grey, cv2.LINE_8, 4)
+    image = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX))
