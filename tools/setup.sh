@@ -70,6 +70,8 @@ if [ ! -e ".venv/$wanted" ]; then
     fi
     say "installing the Python packages of pyproject.toml into .venv (files of requirements/dev.txt)"
     pip_install --only-binary :all: --require-hashes -r requirements/dev.txt
+    # there is no wheel of it: the setuptools of dev.txt builds it
+    pip_install --require-hashes --no-deps --no-build-isolation --use-pep517 -r requirements/witness.txt
     pip_install --no-deps --no-build-isolation -e .
     rm -f .venv/????????????????
     touch ".venv/$wanted"

@@ -52,6 +52,7 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
         ("build", lambda p: p["build-system"]["requires"]),
         ("ros2", lambda p: p["project"]["optional-dependencies"]["ros2"]),
         ("opcua", lambda p: p["project"]["optional-dependencies"]["opcua"]),
+        ("witness", lambda p: p["project"]["optional-dependencies"]["witness"]),
         ("manual", lambda _: ["mkdocs-material"]),
         ("aravis", lambda p: p["project"]["optional-dependencies"]["aravis"]),
     ],
@@ -74,6 +75,8 @@ def test_the_locks_agree() -> None:
 
     for name in ("run", "build", "manual", "opcua"):
         assert pins(name).items() <= tested.items(), name
+    # what the tests' second OPC UA client needs is there already
+    assert {"opcua"} == {name for name, _ in pins("witness").items() - tested.items()}
 
 
 def test_the_tool_that_builds_is_pinned() -> None:
