@@ -232,9 +232,9 @@ class SocketSection(_Section):
     """Lines of text over TCP for robots, on the same registers, networks and right to write."""
 
     port: Port = Field(1503, description="TCP port; the address is that of the Modbus server")
-    brand: Literal["ur", "kuka", "fanuc", "yaskawa", "abb", "staubli", "kawasaki", "doosan"] = Field(
-        description="how the robot's maker writes poses: convention and units"
-    )
+    brand: Literal[
+        "ur", "kuka", "fanuc", "yaskawa", "abb", "staubli", "kawasaki", "doosan", "mitsubishi", "epson"
+    ] = Field(description="how the robot's maker writes poses: convention and units")
     allow_simulated: bool = Field(False, description="give poses of a virtual cell, too")
 
 

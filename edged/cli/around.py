@@ -106,7 +106,7 @@ def registers(
         typer.Option(
             "--format",
             help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python; "
-            "for robots with lines of text: rapid, karel, krl, drl, val3, as",
+            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel",
         ),
     ] = "md",
     output: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from edged.cli.options import JsonOption, RigOption
+from edged.cli.options import BrandOption, JsonOption, RigOption
 
 app = typer.Typer()
 
@@ -288,7 +288,7 @@ def grasp_touch(
     pose: Annotated[
         str, typer.Option(help="of the tool's tip at the part, as the robot shows it: numbers with commas")
     ],
-    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki or doosan")],
+    brand: BrandOption,
     name: Annotated[str, typer.Option(help="of the grasp")],
     left: Annotated[Path, typer.Argument(help="left image of the part as it lies there")],
     right: Annotated[Path, typer.Argument(help="right image")],
@@ -346,7 +346,7 @@ def register_hand_eye(
     directory: PairsArgument,
     rig: RigOption,
     poses: PosesOption,
-    brand: Annotated[str, typer.Option(help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki or doosan")],
+    brand: BrandOption,
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
     board: BoardOption = None,
     in_hand: Annotated[

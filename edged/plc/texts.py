@@ -17,6 +17,7 @@ from edged.plc.clients import (
     python_source,
     rapid_source,
     scl_source,
+    spel_source,
     structured_text_source,
     twincat_files,
     urscript_source,
@@ -117,6 +118,7 @@ FORMATS: dict[str, Callable[[], str]] = {
     "rapid": rapid_source,
     "drl": drl_source,
     "as": as_source,
+    "spel": spel_source,
 }
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "twincat": twincat_files,

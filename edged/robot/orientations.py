@@ -7,7 +7,8 @@ is defined; the last one is then 0, and the triple still gives R.
 Sources: J. J. Craig, "Introduction to Robotics", appendix B (angle sets); the programming manuals of
 the makers for which set, which order and which name: KUKA KSS ("ABC"), FANUC ("WPR"), Yaskawa ("Rx Ry
 Rz"), Stäubli VAL 3 ("rx ry rz"), Kawasaki AS ("OAT"), ABB RAPID (`OrientZYX`, `orient`), Universal Robots
-URScript ("pose"), Doosan DRL (`posx`).
+URScript ("pose"), Doosan DRL (`posx`), Mitsubishi MELFA ("ABC": about fixed x, y, z), Epson SPEL+ ("UVW": U
+about z, V about the new y, W about the new x).
 """
 
 from __future__ import annotations
@@ -146,6 +147,8 @@ class Brand(enum.StrEnum):
     STAUBLI = "staubli"
     KAWASAKI = "kawasaki"
     DOOSAN = "doosan"
+    MITSUBISHI = "mitsubishi"
+    EPSON = "epson"
 
 
 POSE_FIELDS: dict[Brand, str] = {
@@ -157,6 +160,8 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.STAUBLI: "x y z in mm, rx ry rz in degrees",
     Brand.KAWASAKI: "X Y Z in mm, O A T in degrees",
     Brand.DOOSAN: "x y z in mm, a b c (ZYZ) in degrees",
+    Brand.MITSUBISHI: "X Y Z in mm, A B C in degrees",
+    Brand.EPSON: "X Y Z in mm, U V W in degrees",
 }
 """What a pose consists of; for messages."""
 
@@ -220,6 +225,8 @@ _CONVENTIONS = {
     Brand.STAUBLI: Convention.STAUBLI_XYZ,
     Brand.KAWASAKI: Convention.KAWASAKI_OAT,
     Brand.DOOSAN: Convention.KAWASAKI_OAT,
+    Brand.MITSUBISHI: Convention.FIXED_XYZ,
+    Brand.EPSON: Convention.KUKA_ABC,
 }
 """Of the brands that write three angles."""
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
@@ -231,6 +238,8 @@ _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.STAUBLI: (1.0, math.pi / 180, matrix_moving_xyz),
     Brand.KAWASAKI: (1.0, math.pi / 180, matrix_oat),
     Brand.DOOSAN: (1.0, math.pi / 180, matrix_oat),
+    Brand.MITSUBISHI: (1.0, math.pi / 180, matrix_fixed_xyz),
+    Brand.EPSON: (1.0, math.pi / 180, matrix_zyx),
 }
 
 

@@ -79,8 +79,8 @@ def test_every_listing_names_every_register() -> None:
             assert f"| {register.address} | {register.name} |" in markdown
     with pytest.raises(
         UserError,
-        match="expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, as, twincat, karel, "
-        "krl, val3",
+        match="expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, as, spel, twincat, "
+        "karel, krl, val3",
     ):
         render("xml")
 

@@ -279,6 +279,7 @@ def shown(brand: Brand, pose: FloatArray) -> tuple[float, ...]:
         return (*t, *quaternion(R))
     convention = {
         Brand.KUKA: Convention.KUKA_ABC,
+        Brand.EPSON: Convention.KUKA_ABC,
         Brand.STAUBLI: Convention.STAUBLI_XYZ,
         Brand.KAWASAKI: Convention.KAWASAKI_OAT,
         Brand.DOOSAN: Convention.KAWASAKI_OAT,
@@ -308,6 +309,8 @@ def test_brands_agree_with_an_independent_library() -> None:
         (Brand.STAUBLI, "XYZ"),
         (Brand.KAWASAKI, "ZYZ"),
         (Brand.DOOSAN, "ZYZ"),
+        (Brand.MITSUBISHI, "xyz"),
+        (Brand.EPSON, "ZYX"),
     ):
         expected = Rotation.from_euler(sequence, angles, degrees=True).as_matrix()
         assert np.allclose(transform_of(brand, (1, 2, 3, *angles))[:3, :3], expected), brand

@@ -18,6 +18,7 @@ import krl
 import numpy as np
 import pytest
 import rapid
+import spel
 import val3
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from robotlanguage import Program
@@ -362,8 +363,28 @@ class KawasakiThatHearsNothing(Kawasaki):
     gone = 0
 
 
+class Epson(Shared):
+    """An Epson controller."""
+
+    brand = Brand.EPSON
+
+    def __init__(self, port: int, piece: int = 1024) -> None:
+        self.controller = spel.Controller(port, piece)
+        self.program = spel.load(render("spel"), self.controller)
+
+    def named(self, name: str) -> Any:
+        return self.program.named("edged" + name.replace("_", "")).get()
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        return tuple(one.get() for one in self.named(name).elements[1:])
+
+    def run(self, name: str, *arguments: Any) -> None:
+        other = {"acknowledge": "Ack", "grasp": "FetchGrasp"}
+        self.program.call("Edged" + other.get(name, name), *arguments)
+
+
 SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
-SIDES += [Kawasaki, KawasakiThatHearsNothing]
+SIDES += [Kawasaki, KawasakiThatHearsNothing, Epson]
 TALKERS = [one for one in SIDES if one is Doosan or one is Abb or issubclass(one, Shared)]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""

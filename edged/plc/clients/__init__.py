@@ -12,6 +12,7 @@ from edged.plc.clients.plcopen import plcopen_source
 from edged.plc.clients.python import python_source
 from edged.plc.clients.rapid import rapid_source
 from edged.plc.clients.scl import scl_source
+from edged.plc.clients.spel import spel_source
 from edged.plc.clients.structured_text import structured_text_source
 from edged.plc.clients.twincat import twincat_files
 from edged.plc.clients.urscript import urscript_source
@@ -26,6 +27,7 @@ __all__ = [
     "python_source",
     "rapid_source",
     "scl_source",
+    "spel_source",
     "structured_text_source",
     "twincat_files",
     "urscript_source",
