@@ -109,12 +109,14 @@ def lock(
     return found
 
 
-def glance(images: StereoImages, curves: Sequence[Curve], pose: FloatArray) -> float:
+def glance(
+    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, reach_px: float = GLANCE_PX
+) -> float:
     """Share of the curves that the cameras agree with about a pose that is good to a few px; 0: none."""
     if pose[2, 3] <= 0:
         return 0.0
     outline, starts = spread(images, curves, pose, FAR_SPACING_PX)
-    seen = _step(images, curves, outline, starts, pose, GLANCE_PX, round(ALONG_PX / FAR_SPACING_PX))
+    seen = _step(images, curves, outline, starts, pose, reach_px, round(ALONG_PX / FAR_SPACING_PX))
     return 0.0 if seen is None else float(seen.agreeing.mean())
 
 

@@ -26,7 +26,8 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.frames import circles_in_rig, with_features
-from edged.vision.part.job import Job
+from edged.vision.part.initialpose import start_pose
+from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import edge_curve, slot_curve
 from edged.vision.part.prediction import match_in_raw, poses_of_match
@@ -65,7 +66,9 @@ GOOD_SHARE = 0.75
 RIVAL_SHARE = 0.25
 """Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
 MIN_FOUND = 0.5
-"""Of all curves: with fewer it is another part, or most of it is hidden."""
+"""Of all curves, and of the circles: with fewer it is another part, or most of it is hidden."""
+TURNS = tuple(math.radians(15.0) * np.arange(1, 24))
+TURN_REACH_PX, TURNED_STARTS = 12.0, 3
 POOR_SHARE = 0.35
 """With less no other turn of the part is tried."""
 PARAMS = FitParams(reach_px=(1.5,), min_support=0.15)
@@ -110,9 +113,11 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     fit, rigid = whole.fit, whole.fit.rigid
     target = target_of(images.rectification, job, match, fit)
     reject = Reject.NONE
-    if margin < MIN_MARGIN or (match.ambiguous and not _rival_motions(job)):
+    untried = match.ambiguous and not _is_roundish(job) and not _rival_motions(job)
+    if margin < MIN_MARGIN or untried:
         reject |= Reject.AMBIGUOUS_ROTATION
-    if len(fit.fits) < MIN_FOUND * len(whole.curves):
+    circles = sum(one.curve.kind == "circle" for one in fit.fits)
+    if len(fit.fits) < MIN_FOUND * len(whole.curves) or circles < MIN_FOUND * len(job.circles):
         reject |= Reject.FEW_EDGES
     alone = whole.alone(images)
     if alone is not None:
@@ -123,7 +128,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     assert by_edges.rigid is not None
     place = target_of(images.rectification, job, match, by_edges)
     evidence = Evidence(
-        _support(job, fit, best),
+        best.share,
         float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
         fit.row_shift_px,
         fit.row_sigma_px,
@@ -136,27 +141,20 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     return Measured(target, evidence, fit.fits)
 
 
-def _support(job: Job, fit: PlaneFit, locked: Lock) -> float:
-    """Share of the reference that the camera which sees less of it shows; of a corner, of all curves."""
-    if job.kind_of(job.reference) not in ("circle", "slot"):
-        return locked.share
-    reference = fit.fit_of(job.reference)
-    return 0.0 if reference is None else reference.least_support
-
-
 def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
     """The pose that most of the part agrees with, and by which share more than with any other turn."""
     curves = curves_of(job)
-    found: list[Lock] = []
-    for pose in _starts(images, job, match):
-        one = lock(images, curves, pose)
-        if one is not None:
-            found.append(one)
-            if one.share >= GOOD_SHARE:
-                break
-    best = max(found, key=lambda one: float(one.agreeing.sum()), default=None)
+    poses = _starts(images, job, match)
+    best = _best_of(images, curves, poses)
+    if best is None or best.share < GOOD_SHARE:
+        best = _best_of(images, curves, _turned(images, curves, job, poses), best)
     if best is None or best.share < POOR_SHARE:
         return None
+    found = [best]
+    if _is_roundish(job):
+        others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
+        found += [one for one in others if one is not None]
+        best = max(found, key=lambda one: float(one.agreeing.sum()))
     for motion in _rival_motions(job):
         turned = best.pose @ motion
         if glance(images, curves, turned) > float(best.agreeing.mean()) - RIVAL_SHARE:
@@ -168,6 +166,35 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         return None
     other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
     return best, 1.0 if other is None else float(best.agreeing.mean() - other.agreeing.mean())
+
+
+def _best_of(
+    images: StereoImages, curves: Sequence[Curve], poses: Sequence[FloatArray], best: Lock | None = None
+) -> Lock | None:
+    """The lock that most of the part agrees with, of several starts; the first good one settles it."""
+    for pose in poses:
+        one = lock(images, curves, pose)
+        if one is not None and (best is None or one.agreeing.sum() > best.agreeing.sum()):
+            best = one
+        if one is not None and one.share >= GOOD_SHARE:
+            break
+    return best
+
+
+def _is_roundish(job: Job) -> bool:
+    """Whether its outline tells little of its turn: then every turn is a rival."""
+    around = 2 * math.pi * max((circle.radius_mm for circle in job.circles), default=0.0)
+    return sum(edge.length_mm for edge in job.edges) < around
+
+
+def _turned(
+    images: StereoImages, curves: Sequence[Curve], job: Job, poses: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Starts turned about the part's normal, likely ones first: of a round part a match may be turned."""
+    centre = job.place_of(job.reference)
+    turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in TURNS]
+    order = np.argsort([-glance(images, curves, pose, TURN_REACH_PX) for pose in turned], kind="stable")
+    return [turned[k] for k in order[:TURNED_STARTS]]
 
 
 def _rival_motions(job: Job) -> list[FloatArray]:
@@ -206,13 +233,15 @@ def _turn_between(one: Lock, two: Lock) -> float:
 
 
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> list[FloatArray]:
-    """Likely poses rig_from_part (4, 4) by the match alone."""
+    """Likely poses rig_from_part (4, 4): by the match alone, and by the rows of both images."""
     share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
     level = float(job.place_of(job.reference)[2])
-    rings = [c.outline(share).points for c in curves_of(job) if abs(c.height_mm - level) < 0.2]
-    flat = np.concatenate(rings)
+    main = [curve for curve in curves_of(job) if abs(curve.height_mm - level) < SOLID_MM]
+    flat = np.concatenate([curve.outline(share).points for curve in main])
     flat[:, 2] = 0.0
-    return poses_of_match(images, job, match, np.ascontiguousarray(flat))
+    poses = poses_of_match(images, job, match, np.ascontiguousarray(flat))
+    by_rows = start_pose(images, job, match, main)
+    return poses if by_rows is None else [*poses, by_rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -119,6 +119,34 @@ def test_a_block_is_measured_to_every_side(tilt_deg: float, side_deg: float, tur
     assert abs(math.degrees(math.atan2(between[1, 0], between[0, 0]))) < 0.1
 
 
+@functools.cache
+def hub() -> TaughtBlock:
+    """A round plate whose only tell of its turn is where three holes and a boss beside its middle are."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    job = teach(*_pair(rig, hub_at(where)), rig.rectification, None, "hub")
+    return TaughtBlock(rig, job, invert(where) @ job.rig_from_part)
+
+
+def hub_at(where: FloatArray) -> Scene:
+    """The hub where it lies."""
+    holes = (Hole("a", Disc(8, 2, 1.5)), Hole("b", Disc(-6, 6, 1.2)), Hole("t", Disc(-2, -2, 2.3)))
+    plate = Part("plate", Disc(0, 0, 13), METAL, holes)
+    boss = Part("boss", Disc(-2, -2, 4.0), replace(METAL, seed=5), (Hole("bore", Disc(-2, -2, 2.0)),))
+    return Scene(table(), (*stacked(plate, where, 6.0, DARK), *stacked(boss, where @ up(2.0), 2.0, DARK)))
+
+
+@pytest.mark.parametrize("turn_deg", [30.0, 95.0, 160.0, 225.0, 290.0, 355.0])
+def test_a_round_part_is_not_turned(turn_deg: float) -> None:
+    """The outline of a tilted round part tells no turn; the holes do: a good result is right by 1°."""
+    here = hub()
+    where = lying(here.rig.rig, 40.0, 2.0 * turn_deg, turn_deg)
+    target = only(here.see(hub_at(where)))
+    between = (where @ here.part_from_job)[:3, :3].T @ target.rig_from_part[:3, :3]
+    assert target.reject is Reject.NONE
+    assert abs(math.degrees(math.atan2(between[1, 0], between[0, 0]))) < 1.0
+
+
 @pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0)])
 def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
     """Dark or nearly as bright as the face: as right as ever. Just as bright: no result is good."""
