@@ -211,7 +211,7 @@ def teach(
     )
     if former is not None:
         console.print(f"  the job that was there is {output}.old", markup=False)
-    for line in (*proposal.settled, *proposal.carried):
+    for line in (*proposal.taught.settled, *proposal.carried):
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
         for line in _about_tilt(job, prepared.rectification):

@@ -49,14 +49,13 @@ class Wanted:
 class Proposal:
     """A job that is complete and not written.
 
-    carried : a line for each thing kept of the former one.  settled : what came of the CAD model.
+    carried : a line for each thing kept of the former one.
     """
 
     job: Job
     taught: Taught
     inspection: Inspection
     carried: tuple[str, ...]
-    settled: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +89,7 @@ def propose_from_pair(
     if model is not None:
         found = settle(job, model.curves, rectification, model.name)
         job, settled = found.job, found.said
-    proposal = _proposal(job, Taught(picture, None if region is None else mask, cuts), wanted)
-    return replace(proposal, settled=settled)
+    return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
 
 
 def propose_from_drawing(
@@ -115,7 +113,7 @@ def propose_from_model(
         f"{shown.name}: no pair has shown the part's edges: results state {job.sigma_mm:g} mm in its face "
         f"and {ACROSS * job.sigma_mm:g} mm across",
     )
-    return replace(_proposal(job, Taught(picture, None, ()), wanted), settled=said)
+    return _proposal(job, Taught(picture, None, (), said), wanted)
 
 
 def commit(folder: Path, proposal: Proposal) -> None:

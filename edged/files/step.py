@@ -31,6 +31,8 @@ MAX_TRIANGLES = 2_000_000
 MAX_SECONDS = 60
 MAX_MEMORY_BYTES = 4 << 30
 """Of addresses, not of pages: the library alone takes one of these four."""
+MAX_MESH_BYTES = 256 << 20
+"""Of the triangles that it hands over."""
 TOLERANCE_MM, TOLERANCE_RAD = 0.01, 0.2
 """Of the triangles, which only tell where faces meet."""
 METRES = 1000.0
@@ -45,9 +47,14 @@ for what, most in ((resource.RLIMIT_AS, int(sys.argv[1])), (resource.RLIMIT_CPU,
     resource.setrlimit(what, (most, most))
 out = os.dup(1)
 os.dup2(2, 1)   # the library talks
-import cascadio
+try:
+    import cascadio
+except ImportError as error:
+    sys.exit(f"cascadio: {error}")
 glb = cascadio.load(sys.stdin.buffer.read(), "step", float(sys.argv[3]), float(sys.argv[4]),
                     use_parallel=False, include_brep=True)
+if len(glb) > int(sys.argv[5]):
+    sys.exit(f"{len(glb)} bytes of triangles, at most {sys.argv[5]}")
 with os.fdopen(out, "wb") as stream:
     stream.write(glb)
 """
@@ -86,14 +93,16 @@ def _converted(data: bytes, path: Path) -> bytes:
     """The file as triangles with their faces, in binary glTF."""
     if importlib.util.find_spec("cascadio") is None:
         raise FileFormatError(f"{path}: to read STEP files, install cascadio: pip install 'edged[cad]'")
-    limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD
-    command = [sys.executable, "-c", _WORKER, *(str(one) for one in limits)]
+    limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD, MAX_MESH_BYTES
+    command = [sys.executable, "-P", "-c", _WORKER, *(str(one) for one in limits)]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=2 * MAX_SECONDS, check=False)
     except subprocess.TimeoutExpired:
         raise FileFormatError(f"{path}: not read within {MAX_SECONDS} s: expected one part") from None
     if done.returncode != 0 or not done.stdout:
         said = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        if said and said[0].startswith("cascadio: "):
+            raise FileFormatError(f"{path}: {said[0]}: expected it to work, pip install 'edged[cad]' again")
         why = f" ({said[0][:200]})" if said else ""
         raise FileFormatError(f"{path}: damaged, or too large: its solid cannot be read{why}")
     return done.stdout

@@ -40,11 +40,13 @@ class Taught:
 
     rectified_left (h, w) uint8 : the picture, real or painted from a drawing.
     region (h, w) uint8 : where in it the part is; None: anywhere.  cuts : what of the part goes on outside.
+    settled : what came of its CAD model, a line each; none where it was taught without one.
     """
 
     rectified_left: Image
     region: Image | None
     cuts: tuple[Cut, ...]
+    settled: tuple[str, ...] = ()
 
 
 def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
@@ -57,6 +59,7 @@ def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
         warnings=inspection.warnings,
         picture=_where(job, taught),
         cuts=[cut.text for cut in taught.cuts],
+        settled=taught.settled,
         levels=[_level(job, taught.rectified_left, index) for index in range(len(job.shape.levels))],
         facts=_facts(job, inspection),
         noise=f"{NOISE:g}",

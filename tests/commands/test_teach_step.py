@@ -86,9 +86,10 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
     save_rig(tmp_path / "rig.json", small_rig())
     left, right = write_pair(tmp_path, "taught", see(square()))
     source = chosen_source(PairSource(left, right, None, (), STEP, "-z"), NO_DRAWING)
-    said = Console(record=True, width=200)
-    teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", said, tilt_deg=30.0)
-    assert "D3.step: 11 of 11 curves lie where it has them" in said.export_text()
+    said, page = Console(record=True, width=200), tmp_path / "D3.html"
+    teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", said, tilt_deg=30.0, report=page)
+    for text in (said.export_text(), page.read_text()):
+        assert "D3.step: 11 of 11 curves lie where it has them" in text
     where = lying(small_rig(), 20.0, 60.0, 130.0)
     left, right = write_pair(tmp_path, "seen", see(where, seed=4))
     capsys.readouterr()

@@ -163,3 +163,24 @@ def test_without_the_reader_its_package_is_named(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     with pytest.raises(FileFormatError, match=re.escape("pip install 'edged[cad]'")):
         read_step(DATA / "D3.step")
+
+
+def test_a_reader_that_cannot_be_loaded_is_not_a_damaged_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half an installation is named as such."""
+    (tmp_path / "cascadio.py").write_text("raise ImportError('libTKernel.so: no such file')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(FileFormatError, match=r"cascadio: libTKernel\.so: no such file"):
+        read_step(DATA / "D3.step")
+
+
+@pytest.mark.parametrize(("limit", "most", "expected"), [
+    ("MAX_MESH_BYTES", 1000, "bytes of triangles, at most 1000"),
+    ("MAX_MEMORY_BYTES", 64 << 20, "D3.step: "),
+])  # fmt: skip
+def test_the_reader_is_bounded(monkeypatch: pytest.MonkeyPatch, limit: str, most: int, expected: str) -> None:
+    """What takes more than it may ends in a message that names the file."""
+    monkeypatch.setattr(f"edged.files.step.{limit}", most)
+    with pytest.raises(FileFormatError, match=expected):
+        read_step(DATA / "D3.step")

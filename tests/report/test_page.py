@@ -21,6 +21,7 @@ MODEL = {
     "warnings": (),
     "picture": "",
     "cuts": (),
+    "settled": (),
     "levels": (),
     "facts": Table([("size", "radius 9 px")]),
     "noise": "3",
@@ -39,11 +40,14 @@ def test_a_text_comes_out_as_it_is(text: str) -> None:
     chart = Chart((0.0, 1.0), (0.0, 1.0), text, "y").figure(text)
     rows = Table([(text, text)])
     page = HtmlPage(
-        render("teaching.html", **{**MODEL, "warnings": (text,), "facts": rows, "drawing": chart})
+        render(
+            "teaching.html",
+            **{**MODEL, "warnings": (text,), "settled": (text,), "facts": rows, "drawing": chart},
+        )
     )
 
     assert [] == page.open
-    assert page.text.count(text) >= 5
+    assert page.text.count(text) >= 6
 
 
 def test_markup_in_a_name_is_not_run() -> None:
