@@ -45,7 +45,7 @@ from edged.vision.part.sizes import measure_sizes
 from edged.vision.shape.search import ShapeMatch
 
 STRETCHES = 48
-"""Of a curve, each of which has a sign of its own."""
+"""Of a curve, each of which has a sign of its own; fewer where it has fewer samples."""
 RIVAL_PX = 4.5
 """A second edge nearer than this displaces the first one, whatever the operator."""
 REACH_PX = 8.0
@@ -281,8 +281,9 @@ def _with_signs(
     """
     outline, starts = spread(images, curves, pose, SPACING_PX)
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    signs = np.zeros((len(curves), 2, STRETCHES), np.int64)
-    lone = np.zeros((len(curves), 2, STRETCHES), bool)
+    counts = np.diff(starts)
+    signs = [np.zeros((2, min(STRETCHES, count)), np.int64) for count in counts]
+    lone = [np.zeros(one.shape, bool) for one in signs]
     for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
         seen = project_outline(images.rig, name, face, outline)
         edges = candidates(image, seen, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
@@ -293,14 +294,13 @@ def _with_signs(
         gap[rows, own] = np.inf
         single = ~(np.nan_to_num(gap, nan=np.inf) < RIVAL_PX).any(axis=1)
         for k in range(len(curves)):
-            rows_of = slice(starts[k], starts[k + 1])
-            count = starts[k + 1] - starts[k]
-            stretch = ((np.arange(count) + 0.5) / count * STRETCHES).astype(np.int64)
-            many = np.bincount(stretch, minlength=STRETCHES)
-            total = np.bincount(stretch, sign[rows_of], STRETCHES)
-            signs[k, side] = np.where(np.abs(total) > 0.5 * many, np.sign(total), 0)
-            lone[k, side] = np.bincount(stretch, single[rows_of], STRETCHES) > 0.5 * many
-    lone &= signs != 0
+            rows_of, wanted = slice(starts[k], starts[k + 1]), signs[k].shape[1]
+            stretch = ((np.arange(counts[k]) + 0.5) / counts[k] * wanted).astype(np.int64)
+            many = np.bincount(stretch, minlength=wanted)
+            total = np.bincount(stretch, sign[rows_of], wanted)
+            signs[k][side] = np.where(np.abs(total) > 0.5 * many, np.sign(total), 0)
+            lone[k][side] = np.bincount(stretch, single[rows_of], wanted) > 0.5 * many
+            lone[k][side] &= signs[k][side] != 0
     found, clear = [], set()
     for k, curve in enumerate(curves):
         enough = lone[k].mean(axis=1) >= ENOUGH

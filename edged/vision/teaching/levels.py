@@ -36,10 +36,6 @@ APART_MM = 0.3
 """Faces less far apart are one; edge breaks are smaller, too."""
 BREAK_MM = 1.0
 """Two edges of one curve that differ by less in radius and height are those of a chamfer: one feature."""
-REACH = 1.5
-"""How far from the face other faces may be, in shares of the part's size."""
-MARGIN = 0.3
-"""How far beyond the outline of the part's edges a feature may lie, in shares of its size."""
 DOMINANT = 1.2
 """By so much more edges another face must show than the reference circle's, to be searched for instead."""
 CIRCLE_PARAMS = FitParams(reach_px=(4.0, 3.0, 2.0))
