@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from edged.config import Config, config_of, read
+from edged.config.configuration import Config
+from edged.config.reading import config_of, read
 from edged.domain import SetupSource
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import read_bytes

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from edged.cellfiles import fingerprint
-from edged.config import load
+from edged.config.reading import load
 from edged.errors import ConfigError
 
 GOOD = """

@@ -40,7 +40,7 @@ from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusSettings
 from edged.app.cameras import head_of
 from edged.capture.stereohead import StereoHead
-from edged.config import CamerasSection, TriggerSection
+from edged.config.cameras import CamerasSection, TriggerSection
 from edged.domain import SIDES, FramePair, Outcome, Status
 from edged.errors import CaptureError
 from edged.logs import fields_of

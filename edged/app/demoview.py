@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rich.console import Console
 
 from edged.adapters.terminal import DemoView, reading_hints
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.domain import FloatArray, Snapshot
 from edged.sim.cell import VirtualCell
 

@@ -26,7 +26,10 @@ from edged.adapters.modbus import (
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import LoadedCell
 from edged.app.status import Running, config_summary, facts, job_list, register_rows
-from edged.config import Config, ModbusSection, OpcUaSection, RecorderSection, WebSection, ZenohSection
+from edged.config.cell import RecorderSection
+from edged.config.configuration import Config
+from edged.config.servers import ModbusSection, OpcUaSection, WebSection
+from edged.config.zenoh import ZenohSection
 from edged.errors import EdgedError, ListenError
 from edged.ports import Commander, Commissioner, Publisher
 from edged.robot.orientations import Brand, Convention

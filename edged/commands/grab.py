@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from edged.app.cameras import head_of
-from edged.config import load
+from edged.config.reading import load
 from edged.domain import FloatArray, FramePair, Image
 from edged.errors import CaptureError, FileFormatError
 from edged.files.atomic import write_atomically

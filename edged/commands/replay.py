@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 
 from edged.commissioning.regression import COMPARED, compare, decided, drawn, inspected
-from edged.config import limits_of
+from edged.config.reading import limits_of
 from edged.domain import Bounds
 from edged.errors import FileFormatError, UserError
 from edged.files import recording

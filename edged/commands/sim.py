@@ -16,7 +16,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.config import CameraSection, load
+from edged.config.cameras import CameraSection
+from edged.config.reading import load
 from edged.domain import SIDES, Image
 from edged.errors import UserError
 from edged.files.images import load_image

@@ -28,7 +28,7 @@ from edged.app.fleet import (
     is_name_pattern,
     news_of_cells,
 )
-from edged.config import check_endpoint
+from edged.config.zenoh import check_endpoint
 from edged.errors import UserError
 
 REFRESH_S = 0.25

@@ -34,7 +34,7 @@ from typing import Any
 
 from edged import __version__
 from edged.cellfiles import read_cell
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.jobs import job_folders

@@ -7,7 +7,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 
 from edged.app.discovery import CameraInfo, aravis_missing, control_state, list_cameras
-from edged.config import CameraSection, Config
+from edged.config.cameras import CameraSection
+from edged.config.configuration import Config
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces

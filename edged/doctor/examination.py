@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edged.cellfiles import exposed_secrets, read_cell
-from edged.config import load
+from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports

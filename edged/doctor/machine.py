@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numba
 
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from edged.app.discovery import CameraInfo
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.host import CAP_NET_RAW, Interface, has_capability, owners, read, route
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 
 from edged.app.cameras import camera_facts, camera_gammas, head_of
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.doctor.findings import Check, Verdict
 from edged.errors import (
     CameraBusy,

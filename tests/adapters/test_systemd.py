@@ -18,7 +18,7 @@ from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import server
 from edged.adapters.zenoh import session
 from edged.app.process import DESCRIPTORS
-from edged.config import ModbusSection
+from edged.config.servers import ModbusSection
 from edged.domain import CellPhase, CellState, Event, Idle, SetupSource
 
 UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"

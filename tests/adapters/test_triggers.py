@@ -9,7 +9,7 @@ import zenoh
 
 from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
-from edged.config import load
+from edged.config.reading import load
 from edged.domain import CommandKind
 from edged.errors import CommandRefused, ConfigError
 

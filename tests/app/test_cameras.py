@@ -7,7 +7,7 @@ import pytest
 from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun, Line, Output, Software
 from edged.app.cameras import Triggering, camera_facts, triggering_of
 from edged.capture.stereohead import StereoHead
-from edged.config import TriggerSection
+from edged.config.cameras import TriggerSection
 from edged.domain import SIDES
 
 DEVICES = ("192.0.2.1", "192.0.2.2")

@@ -20,7 +20,7 @@ from edged.cellfiles import exposed_secrets, read_cell
 from edged.commands.check import check
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import replay
-from edged.config import load
+from edged.config.reading import load
 from edged.doctor.examination import examine
 from edged.errors import ConfigError
 from edged.files import private, recording

@@ -16,7 +16,8 @@ from zenohcell import ask
 
 from edged.app.servers import Servers, wanted_servers
 from edged.app.status import Running
-from edged.config import Config, load
+from edged.config.configuration import Config
+from edged.config.reading import load
 from edged.domain import Command
 from edged.errors import CommandRefused, ConfigError, ListenError
 

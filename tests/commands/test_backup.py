@@ -24,7 +24,7 @@ from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commissioning import releases as module
 from edged.commissioning.releases import Backup, pack, unpack
-from edged.config import load
+from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.passwords import hash_password
 from edged.sim.cell import VirtualCell, demo_part

@@ -20,7 +20,8 @@ from rich.console import Console
 from edged.adapters.aravis import CameraInfo, aravis_missing
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
-from edged.config import CameraSection, load
+from edged.config.cameras import CameraSection
+from edged.config.reading import load
 from edged.doctor import cameras, firewall, machine, network
 from edged.doctor.examination import examine
 from edged.doctor.findings import Check, Verdict

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
 from edged.cli.main import app
-from edged.config import Config
+from edged.config.configuration import Config
 from edged.domain import Calibrated, CommandKind, Reject, Status
 from edged.files.jobs.schema import JobFile
 from edged.files.rig import save_rig

@@ -16,7 +16,7 @@ from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_
 from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
 from edged.capture.stereohead import StereoHead
-from edged.config import CamerasSection
+from edged.config.cameras import CamerasSection
 from edged.domain import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.sim.gige import genicam as g

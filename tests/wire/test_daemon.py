@@ -22,7 +22,7 @@ from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.aravis import aravis_missing
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.config import load
+from edged.config.reading import load
 from edged.plc.registers import ADDRESS, BLOCKS, Option, decode
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 

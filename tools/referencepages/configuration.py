@@ -10,7 +10,8 @@ from pydantic import BaseModel, SecretStr
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from edged.config import MODE_KEYS, Config
+from edged.config.cameras import MODE_KEYS
+from edged.config.configuration import Config
 from referencepages.jsonschema import Schema, in_words
 from referencepages.markdown import code, first_line, table
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from edged.config import not_toml, not_utf8, problem_of
+from edged.config.reading import not_toml, not_utf8, problem_of
 from edged.errors import FileFormatError
 from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import read_folder, replace_folder

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from edged.config import Zones
+from edged.config.cell import Zones
 from edged.domain import Bounds, FloatArray, Grasp, Order, Picking
 from edged.robot.orientations import matrix_fixed_xyz
 from edged.vision.geometry.rigid import transform

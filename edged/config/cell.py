@@ -1,0 +1,103 @@
+"""What is measured and when, where the robot may go, and what is kept of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from edged.config.fields import FilePath, Name, Section
+from edged.domain import Bounds, Box
+
+
+class CellSection(Section):
+    """What is measured, and with which rig."""
+
+    name: Name = Field(description="name of the cell; part of every Zenoh key")
+    rig: FilePath = Field(description="calibrated rig, written by `edged calibrate`")
+    jobs: FilePath = Field(description="folder with one folder for each taught job")
+    job: Name = Field(description="the job that is active after start")
+
+
+class CycleSection(Section):
+    """When it is measured."""
+
+    mode: Literal["free", "command", "external"] = Field(
+        "command",
+        description='"free": every period; "command": when asked over Modbus or Zenoh; '
+        '"external": each exposure that somebody else triggers',
+    )
+    period_s: float = Field(0.5, ge=0.0, le=3600, description="time from trigger to trigger in free mode")
+
+
+class DriftSection(Section):
+    """When the calibration is said to drift, and when no result is given any more (means over cycles)."""
+
+    warn_rows_px: float = Field(0.5, gt=0, le=100, description="row difference of corresponding points, rms")
+    invalid_rows_px: float = Field(1.0, gt=0, le=100, description="the same: beyond it results are refused")
+    warn_length_percent: float = Field(
+        0.1, gt=0, le=100, description="deviation of the job's witness, a size that is known"
+    )
+    invalid_length_percent: float = Field(
+        0.3, gt=0, le=100, description="the same: beyond it results are refused"
+    )
+    min_cycles: int = Field(20, ge=2, le=100_000, description="before any verdict")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> DriftSection:
+        for what in ("rows_px", "length_percent"):
+            warn, invalid = getattr(self, f"warn_{what}"), getattr(self, f"invalid_{what}")
+            if warn > invalid:
+                raise ValueError(f"warn_{what} {warn:g} is beyond invalid_{what} {invalid:g}")
+        return self
+
+
+Corner = Annotated[list[Annotated[float, Field(ge=-100_000, le=100_000)]], Field(min_length=3, max_length=3)]
+
+
+class ZoneSection(Section):
+    """A part must lie in a box, and in no keep-out zone; of the robot's frame, without one of the rig's."""
+
+    name: Name = Field(description="for people")
+    min_mm: Corner = Field(description="least x, y, z")
+    max_mm: Corner = Field(description="largest x, y, z, each more than the least")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ZoneSection:
+        if not all(low < high for low, high in zip(self.min_mm, self.max_mm, strict=True)):
+            raise ValueError(f"min_mm {self.min_mm} must be less than max_mm {self.max_mm} along each axis")
+        return self
+
+    def box(self) -> Box:
+        """The value that is measured by."""
+        (a, b, c), (d, e, f) = self.min_mm, self.max_mm
+        return Box(self.name, (a, b, c), (d, e, f))
+
+
+Zones = Annotated[list[ZoneSection], Field(max_length=64)]
+
+
+class LimitsSection(Section):
+    """Where the robot may go, whatever the job; each job's `[limits]` may say more. Left out: everywhere."""
+
+    box: Zones = Field(default_factory=list, description="a part in none of them is not good")
+    keep_out: Zones = Field(default_factory=list, description="a part in one of them is not good")
+
+    def bounds(self) -> Bounds:
+        """The value that is measured by."""
+        return Bounds(tuple(one.box() for one in self.box), tuple(one.box() for one in self.keep_out))
+
+
+class RecorderSection(Section):
+    """What is kept on disk of the cycles, for `edged replay`. Left out: nothing."""
+
+    folder: FilePath = Field(description="where recordings go")
+    keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
+    keep_bad: int = Field(500, ge=0, le=1_000_000, description="others: no target, low quality, faults")
+    max_mib: int = Field(2000, ge=1, le=100_000_000, description="of all recordings")
+    max_age_days: float = Field(
+        30.0, gt=0, le=36_500, description="older ones are removed; a gap counts a tenth of it at most"
+    )
+    min_free_mib: int = Field(
+        1000, ge=0, le=100_000_000, description="of the disk, which is never filled further"
+    )

@@ -1,0 +1,104 @@
+"""The whole file: its sections, what must hold between them, and the files that they name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import model_validator
+
+from edged.config.cameras import CamerasSection
+from edged.config.cell import CellSection, CycleSection, DriftSection, LimitsSection, RecorderSection
+from edged.config.fields import Section
+from edged.config.servers import ModbusSection, OpcUaSection, WebSection
+from edged.config.zenoh import ZenohSection, tcp_port
+
+
+class Config(Section):
+    """The whole file."""
+
+    cell: CellSection
+    cycle: CycleSection = CycleSection()
+    cameras: CamerasSection
+    modbus: ModbusSection = ModbusSection()
+    zenoh: ZenohSection = ZenohSection()
+    drift: DriftSection = DriftSection()
+    limits: LimitsSection = LimitsSection()
+    recorder: RecorderSection | None = None
+    web: WebSection | None = None
+    opcua: OpcUaSection | None = None
+
+    @model_validator(mode="after")
+    def _triggered(self) -> Config:
+        if self.cycle.mode == "external" and not self.cameras.trigger.can_be_external:
+            raise ValueError(
+                'cycle.mode "external" needs cameras that others trigger: cameras.trigger.mode "line", '
+                '"action", "free-run", or "chain" with first_line'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _opcua_has_registers(self) -> Config:
+        if self.opcua is not None and not self.modbus.enabled:
+            raise ValueError(
+                "opcua serves the registers of modbus, which is off: modbus.enabled = true, "
+                'with modbus.host = "127.0.0.1" where no PLC may reach it'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _ports_differ(self) -> Config:
+        ports = [] if self.web is None else [("web.port", self.web.port)]
+        if self.modbus.enabled:
+            ports.append(("modbus.port", self.modbus.port))
+            if self.modbus.socket is not None:
+                ports.append(("modbus.socket.port", self.modbus.socket.port))
+        if self.opcua is not None:
+            ports.append(("opcua.port", self.opcua.port))
+        if self.zenoh.enabled:
+            ports += [("zenoh.listen", port) for port in map(tcp_port, self.zenoh.listen) if port]
+        for index, (place, port) in enumerate(ports):
+            for other, same in ports[index + 1 :]:
+                if port == same and place != other:
+                    raise ValueError(f"{place} and {other} are both {port}")
+        return self
+
+    def secret_files(self) -> dict[str, Path]:
+        """Private keys by their dotted path. This file is one more where there is a `password_hashes`."""
+        return {place: file for place, file in self.machine_files().items() if place.endswith(".key")}
+
+    @property
+    def password_hash(self) -> str:
+        """Of the status page; "" for none."""
+        return self.password_hashes().get("web.password_hash", "")
+
+    def password_hashes(self) -> dict[str, str]:
+        """Those that are set, by their dotted path."""
+        found = {
+            f"{name}.password_hash": section.password_hash.get_secret_value()
+            for name, section in (("web", self.web), ("opcua", self.opcua))
+            if section is not None
+        }
+        return {place: hashed for place, hashed in found.items() if hashed}
+
+    def machine_files(self) -> dict[str, Path]:
+        """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
+        found: dict[str, Path] = {}
+        if (tls := self.modbus.tls) is not None:
+            found |= {
+                f"modbus.tls.{name}": getattr(tls, name) for name in ("certificate", "key", "authority")
+            }
+        if (web := self.web) is not None and web.certificate is not None and web.key is not None:
+            found |= {"web.certificate": web.certificate, "web.key": web.key}
+        if (opcua := self.opcua) is not None and opcua.certificate is not None and opcua.key is not None:
+            found |= {"opcua.certificate": opcua.certificate, "opcua.key": opcua.key}
+        return found
+
+    def missing_files(self) -> list[str]:
+        """A line for each file or folder that is named and not there; rig and jobs are judged elsewhere."""
+        named = self.machine_files()
+        if self.zenoh.enabled and self.zenoh.config_file is not None:
+            named["zenoh.config_file"] = self.zenoh.config_file
+        missing = [f"{place}: {file}: no such file" for place, file in named.items() if not file.is_file()]
+        if self.opcua is not None and self.opcua.trusted is not None and not self.opcua.trusted.is_dir():
+            missing.append(f"opcua.trusted: {self.opcua.trusted}: no such folder")
+        return missing

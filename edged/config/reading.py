@@ -1,0 +1,135 @@
+"""How the file is read, and its mistakes in the words of who writes it."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from edged.config.cell import LimitsSection
+from edged.config.configuration import Config
+from edged.errors import ConfigError
+
+MAX_CONFIG_BYTES = 1024 * 1024
+
+EXPECTED = {
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+    "finite_number": "expected a finite number",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "bool_type": "expected true or false",
+    "string_type": 'expected a text in "quotes"',
+    "list_type": "expected a list in [brackets]",
+    "dict_type": "expected a table",
+    "model_type": "expected a table",
+    "greater_than": "expected more than {gt:g}",
+    "greater_than_equal": "expected at least {ge:g}",
+    "less_than": "expected less than {lt:g}",
+    "less_than_equal": "expected at most {le:g}",
+    "literal_error": "expected {expected}",
+    "string_too_short": "expected a text that is not empty",
+    "string_pattern_mismatch": "expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first",
+}
+"""pydantic's kinds of mistakes in the words of who writes a file."""
+
+
+def _known_keys(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Keys of the section at a path; none where it is no section of fixed keys."""
+    for part in path:
+        if isinstance(part, int):
+            return []
+        field = model.model_fields.get(part)
+        inner = () if field is None else (field.annotation, *get_args(field.annotation))
+        models = [one for one in inner if isinstance(one, type) and issubclass(one, BaseModel)]
+        if not models:
+            return []
+        model = models[0]
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def load(path: Path) -> Config:
+    """Read and check a configuration file.
+
+    Raises `ConfigError` with one line for each mistake. Files that the configuration names are
+    not opened here; `edged check` and the daemon do that.
+    """
+    path = Path(path)
+    return config_of(read(path), path)
+
+
+def read(path: Path) -> bytes:
+    """What is in a configuration file. Raises `ConfigError`."""
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+
+
+def config_of(content: bytes, path: Path) -> Config:
+    """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
+    try:
+        data = tomllib.loads(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [not_utf8(error)]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(path), [not_toml(error, content)]) from error
+    except RecursionError:
+        raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
+    try:
+        return Config.model_validate(data, context={"directory": path.resolve().parent})
+    except ValidationError as error:
+        raise ConfigError(str(path), [problem_of(detail, Config) for detail in error.errors()]) from error
+
+
+def limits_of(content: bytes) -> LimitsSection:
+    """`[limits]` of a configuration that was in use, whatever else is missing in it by now.
+
+    Raises `ValueError` for what is no configuration.
+    """
+    data = tomllib.loads(content.decode("utf-8-sig"))
+    return LimitsSection.model_validate(data.get("limits", {}))
+
+
+def not_utf8(error: UnicodeDecodeError) -> str:
+    """What is wrong with a text file, and where."""
+    line = error.object.count(b"\n", 0, error.start) + 1
+    return f"line {line}: not UTF-8 text (a byte 0x{error.object[error.start]:02x}): save it as UTF-8"
+
+
+def not_toml(error: tomllib.TOMLDecodeError, content: bytes) -> str:
+    """The parser's words, with the line that it did not understand."""
+    message, lines = str(error), content.decode("utf-8-sig").splitlines()
+    found = re.search(r" \(at line (\d+), column \d+\)$", message)
+    if found is None or int(found[1]) > len(lines):
+        return f"not TOML: {message}"
+    return f"line {found[1]}: not TOML: {message[: found.start()]}, got {lines[int(found[1]) - 1].strip()!r}"
+
+
+def problem_of(detail: Any, model: type[BaseModel]) -> str:
+    """One line of `edged check` for a mistake that pydantic found in what should be a `model`.
+
+    The dotted path, what is wrong, what was expected and found.
+    """
+    place = ".".join(str(part) for part in detail["loc"]) or "(file)"
+    if detail["type"] == "extra_forbidden":
+        known = _known_keys(model, detail["loc"][:-1])
+        close = difflib.get_close_matches(str(detail["loc"][-1]), known, 1)
+        return f"{place}: unknown key" + (f", did you mean {close[0]}?" if close else "")
+    if detail["type"] == "missing":
+        return f"{place}: missing"
+    form = EXPECTED.get(detail["type"])
+    message = form.format(**detail.get("ctx", {})) if form else detail["msg"].removeprefix("Value error, ")
+    if place.endswith("password_hash") or "private key" in message:  # what was found may be the secret
+        return f"{place}: {message}"
+    shown = repr(detail["input"])
+    if isinstance(detail["input"], dict) or len(shown) > 60:
+        return f"{place}: {message}"
+    return f"{place}: {message}, got {shown}"
