@@ -39,6 +39,8 @@ from edged.vision.geometry.rigid import rotation_matrix, transform
 WAIT_S = 20.0
 Lie = tuple[Callable[[Brand, str], bytes], int]
 """What is answered to the request of that sequence, and what the robot says of it."""
+Taken = tuple[tuple[float, ...], ...]
+"""Poses of a part, of the tool that takes it, and of the tool before."""
 
 
 def honest(brand: Brand, sequence: str, **changes: str) -> str:
@@ -143,13 +145,23 @@ class Fanuc:
         self.program = karel.load(source, self.controller)
         self.given = 0
 
-    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
-        self.controller.arguments = (job, int(timeout_s * 1000), 81, 91, 3)
+    def locate(
+        self, job: int = 0, timeout_s: float = 5.0, grasps: tuple[int, ...] = ()
+    ) -> tuple[float, ...] | None:
+        self.controller.arguments = (job, int(timeout_s * 1000), 81, 91, 3, *grasps)
         self.controller.positions.clear()
         self.program.call("RUN")
         self.given = 0
         assert (self.controller.registers[81] == 0) == (self.controller.registers[82] > 0)
         return self.next()
+
+    def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
+        if self.locate(0, timeout_s, (71, 81)) is None:
+            return None
+        poses = {number: tuple(one.plain().values())[:6] for number, one in self.controller.positions.items()}
+        return [
+            (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
+        ]
 
     def next(self) -> tuple[float, ...] | None:
         if self.given >= self.controller.registers[82]:
@@ -207,7 +219,18 @@ class Kuka:
         if self.given >= self.count():
             return None
         self.given += 1
-        return tuple(self.program.named("EDGED_PART").element(self.given).get().plain().values())
+        return self.pose("PART", self.given)
+
+    def pose(self, name: str, number: int) -> tuple[float, ...]:
+        return tuple(self.program.named(f"EDGED_{name}").element(number).get().plain().values())
+
+    def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
+        is_found = self.program.call("EDGED_LOCATE_GRASPS", 0, timeout_s)
+        assert is_found == (self.count() > 0)
+        if not is_found:
+            return None
+        poses = ("PART", "GRASP", "APPROACH")
+        return [tuple(self.pose(name, i + 1) for name in poses) for i in range(self.count())]
 
     def error(self) -> int:
         return int(self.program.named("EDGED_ERROR").get())
@@ -388,6 +411,8 @@ SIDES += [Kawasaki, KawasakiThatHearsNothing, Epson]
 TALKERS = [one for one in SIDES if one is Doosan or one is Abb or issubclass(one, Shared)]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
+callers = pytest.mark.parametrize("make", [Fanuc, FanucWithEnds, Kuka], ids=lambda one: one.__name__)
+"""Those that fetch all targets in one call."""
 sides = pytest.mark.parametrize("make", SIDES, ids=lambda one: one.__name__)
 
 
@@ -539,6 +564,74 @@ def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
             np.testing.assert_allclose(given[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.2e-3)
             np.testing.assert_allclose(given[:3, :3], tool[:3, :3], atol=5e-5)
         side.acknowledge()
+
+
+@callers
+@pytest.mark.parametrize("found", [1, 3])
+def test_one_call_fetches_every_grasp(make: type[Any], found: int) -> None:
+    """Each part with its own, the sigmas are the first tool's; then the result is withdrawn."""
+    with running(make) as (cell, side):
+        cell.call(lambda: cell.cycle.exchange(cell.pick(GRASPS).setup))
+        for _ in range(2):
+            cell.targets = tuple(make_target(x_mm=10.0 + 7 * i) for i in range(found))
+            taken = side.locate_grasps()
+            assert found == len(taken), side.error()
+            for target, (part, *tools) in zip(cell.targets, taken, strict=True):
+                np.testing.assert_allclose(
+                    transform_of(side.brand, part)[:3, 3], target.rig_from_part[:3, 3], atol=1.2e-3
+                )
+                tool = target.rig_from_part @ PART_FROM_TCP
+                for pose, away_mm in zip(tools, (0.0, 50.0), strict=True):
+                    given = transform_of(side.brand, pose)
+                    np.testing.assert_allclose(given[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.2e-3)
+                    np.testing.assert_allclose(given[:3, :3], tool[:3, :3], atol=5e-5)
+            assert not bits(cell) & StatusBit.RESULT_VALID
+            of_tool = side.sigma_age()[:3]
+            assert side.locate() is not None
+            assert side.sigma_age()[:3] == pytest.approx(cell.targets[0].sigma_mm, abs=1e-4)
+            assert all(tool > part for tool, part in zip(of_tool, side.sigma_age(), strict=False))
+
+
+@callers
+def test_a_part_without_a_grasp_is_not_taken_by_one(make: type[Any]) -> None:
+    """119 and no pose; without asking for grasps the part is given."""
+    with running(make) as (_, side):
+        assert (None, LineStatus.NO_GRASP) == (side.locate_grasps(), side.error())
+        assert side.locate() is not None
+
+
+@callers
+@pytest.mark.parametrize("honest_ones", [1, 2])
+@pytest.mark.parametrize("lie", ["of the request before", "one field more", "half a line", "another failure"])
+def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, honest_ones: int) -> None:
+    """Neither of the tool nor of the part; and the next call is answered as ever."""
+    said, failure = LIES[lie]
+    brand: Brand = make.brand
+
+    def right(request: str) -> bytes:
+        return f"{honest(brand, request.partition(',')[0].strip())}\n".encode()
+
+    def wrong(request: str) -> bytes:
+        return said(brand, request.partition(",")[0].strip())
+
+    with Liar(*[right] * honest_ones, wrong, *[right] * 4) as liar:
+        side = make(liar.port, 1024)
+        try:
+            assert (None, failure) == (side.locate_grasps(timeout_s=0.3), side.error())
+            assert (1, 0) == (len(side.locate_grasps()), side.error())
+            asked = ["".join(one.split()).partition(",")[2] for one in liar.requests]
+            whole = ["LOCATE,0", "GRASP", "APPROACH"]
+            assert [*whole[: honest_ones + 1], *whole, "ACK"] == asked
+        finally:
+            side.close()
+
+
+def test_karel_says_which_register_it_could_not_write() -> None:
+    """The approach has none: 204, and nothing may be used."""
+    with running(Fanuc) as (cell, side):
+        cell.call(lambda: cell.cycle.exchange(cell.pick(GRASPS).setup))
+        assert (None, 204) == (side.locate(grasps=(71,)), side.error())
+        assert 0 == side.controller.registers[82]
 
 
 @pytest.mark.parametrize("make", [Fanuc, FanucWithEnds])

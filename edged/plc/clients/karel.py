@@ -32,6 +32,9 @@ PROGRAM edged
 --   R[81] 0: PR[81] is the pose of the part, and may be used; anything else: do not move
 --   R[82] how many PR were written        R[83] how many more were found
 --   R[84] seconds since the exposure      R[85] R[86] R[87] sigma of X, Y, Z in mm (-1: not known)
+--   CALL EDGED(0,5000,81,81,1,91,92)
+--     the same, and of each part where the tool takes it (from PR[91] on) and from where it comes (from
+--     PR[92] on); the sigmas are then the tool's
 -- PR are in the frame that the rig was registered to: normally UFRAME 0.
 -- R[81] is, beside 0:
 @STATUSES@
@@ -54,6 +57,9 @@ VAR
   p_digits : INTEGER
   is_minus : BOOLEAN
   has_point : BOOLEAN
+  first_r : INTEGER
+  grasp_pr : INTEGER
+  approach_pr : INTEGER
 
 ROUTINE new_number
 BEGIN
@@ -199,6 +205,7 @@ BEGIN
   ENDIF
 END next_number
 
+-- The pose of an answer.
 ROUTINE put_pose(pr_number : INTEGER) : INTEGER
 VAR
   pose : XYZWPR
@@ -212,51 +219,94 @@ BEGIN
   pose.p = field[@B@]
   pose.r = field[@C@]
   SET_POS_REG(pr_number, pose, status)
-  RETURN(status)
+  IF status <> 0 THEN
+    RETURN(@NO_REGISTER@)
+  ENDIF
+  RETURN(0)
 END put_pose
 
--- Measure, fetch the targets, acknowledge. Returns what R[first] becomes.
-ROUTINE locate(job : INTEGER; wait_ms : INTEGER; r : INTEGER; first_pr : INTEGER; n_pr : INTEGER) : INTEGER
+-- How good and how old what an answer says is.
+ROUTINE put_quality
+VAR
+  status : INTEGER
+BEGIN
+  SET_REAL_REG(first_r + 3, field[@AGE@], status)
+  SET_REAL_REG(first_r + 4, field[@SIGMA_X@], status)
+  SET_REAL_REG(first_r + 5, field[@SIGMA_Y@], status)
+  SET_REAL_REG(first_r + 6, field[@SIGMA_Z@], status)
+END put_quality
+
+-- Where the tool takes the part that was given last, and from where it comes; i : of the part, from 0.
+ROUTINE put_grasp(i : INTEGER; wait_ms : INTEGER) : INTEGER
+VAR
+  result : INTEGER
+BEGIN
+  next_number
+  result = ask('GRASP', sequence, wait_ms)
+  IF result = 0 THEN
+    result = put_pose(grasp_pr + i)
+  ENDIF
+  IF result = 0 THEN
+    next_number
+    result = ask('APPROACH', sequence, wait_ms)
+  ENDIF
+  IF result = 0 THEN
+    result = put_pose(approach_pr + i)
+  ENDIF
+  RETURN(result)
+END put_grasp
+
+-- Measure, fetch the targets, acknowledge. Returns what R[first_r] becomes.
+ROUTINE locate(job : INTEGER; wait_ms : INTEGER; first_pr : INTEGER; n_pr : INTEGER) : INTEGER
 VAR
   command : INTEGER
   result : INTEGER
   status : INTEGER
   taken : INTEGER
+  more : INTEGER
   text : STRING[40]
 BEGIN
   next_number
   command = sequence
   CNV_INT_STR(job, 1, 0, text)
   result = ask('LOCATE,' + text, command, wait_ms)
-  IF result <> 0 THEN
-    RETURN(result)
-  ENDIF
-  SET_REAL_REG(r + 3, field[@AGE@], status)
-  SET_REAL_REG(r + 4, field[@SIGMA_X@], status)
-  SET_REAL_REG(r + 5, field[@SIGMA_Y@], status)
-  SET_REAL_REG(r + 6, field[@SIGMA_Z@], status)
   taken = 0
-  WHILE result = 0 DO
-    IF put_pose(first_pr + taken) <> 0 THEN
-      RETURN(@NO_REGISTER@)
+  more = 1
+  WHILE (result = 0) AND (more > 0) DO
+    more = ROUND(field[@REMAINING@])
+    result = put_pose(first_pr + taken)
+    IF (result = 0) AND (grasp_pr > 0) THEN
+      result = put_grasp(taken, wait_ms)
     ENDIF
-    taken = taken + 1
-    SET_INT_REG(r + 1, taken, status)
-    SET_INT_REG(r + 2, ROUND(field[@REMAINING@]), status)
-    result = 1
-    IF (ROUND(field[@REMAINING@]) > 0) AND (taken < n_pr) THEN
-      next_number
-      result = ask('NEXT', sequence, wait_ms)
-      IF (result <> 0) AND (result <> @NO_FURTHER@) THEN
-        RETURN(result)
+    IF result = 0 THEN
+      IF taken = 0 THEN
+        put_quality
+      ENDIF
+      taken = taken + 1
+      SET_INT_REG(first_r + 1, taken, status)
+      SET_INT_REG(first_r + 2, more, status)
+      IF taken >= n_pr THEN
+        more = 0
+      ENDIF
+      IF more > 0 THEN
+        next_number
+        result = ask('NEXT', sequence, wait_ms)
+        IF result = @NO_FURTHER@ THEN
+          result = 0
+          more = 0
+        ENDIF
       ENDIF
     ENDIF
   ENDWHILE
+  IF result <> 0 THEN
+    RETURN(result)
+  ENDIF
   -- the result was taken: it is withdrawn. If this fails, the cell withdraws it by its age
   status = ask('ACK', command, 1000)
   RETURN(0)
 END locate
 
+-- An argument of the call; -1: it has none.
 ROUTINE argument(number : INTEGER) : INTEGER
 VAR
   kind : INTEGER
@@ -265,6 +315,7 @@ VAR
   str_value : STRING[40]
   status : INTEGER
 BEGIN
+  kind = 0
   GET_TPE_PRM(number, kind, int_value, real_value, str_value, status)
   IF (status <> 0) OR (kind <> 1) THEN
     RETURN(-1)
@@ -274,7 +325,6 @@ END argument
 
 ROUTINE run_edged
 VAR
-  first_r : INTEGER
   result : INTEGER
   status : INTEGER
 BEGIN
@@ -297,7 +347,9 @@ BEGIN
   IF status <> 0 THEN
     result = @NO_LINK@
   ELSE
-    result = locate(argument(1), argument(2), first_r, argument(4), argument(5))
+    grasp_pr = argument(6)
+    approach_pr = argument(7)
+    result = locate(argument(1), argument(2), argument(4), argument(5))
     CLOSE FILE link
   ENDIF
   MSG_DISCO(tag, status)
