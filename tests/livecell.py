@@ -14,9 +14,10 @@ import numpy as np
 from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.cycle import Cycle, LoadedJob, Setup
+from edged.cycle import Cycle
 from edged.domain import Frame, FramePair, Grasp, Outcome, Picking, Status, Target
 from edged.errors import FrameTimeout
+from edged.loop.loaded import LoadedJob, Setup
 
 T = TypeVar("T")
 PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))

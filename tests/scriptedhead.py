@@ -9,7 +9,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edged.cycle import LoadedJob, Setup
 from edged.domain import (
     CellPhase,
     CellState,
@@ -25,6 +24,7 @@ from edged.domain import (
     Status,
 )
 from edged.errors import FrameTimeout
+from edged.loop.loaded import LoadedJob, Setup
 
 
 class Head:

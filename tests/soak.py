@@ -39,7 +39,7 @@ from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.zenoh.triggers import Triggers
-from edged.cycle import Cycle, LoadedJob, Setup
+from edged.cycle import Cycle
 from edged.domain import (
     CommandFailed,
     CommandKind,
@@ -55,6 +55,7 @@ from edged.domain import (
     Target,
 )
 from edged.errors import CommandRefused, FrameTimeout
+from edged.loop.loaded import LoadedJob, Setup
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.plc.clients import structured_text_source

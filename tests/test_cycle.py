@@ -14,7 +14,7 @@ import pytest
 from scriptedhead import Ear, Head, held, locate_command, make_setup, until
 from snapshots import make_target, make_transform
 
-from edged.cycle import FAULT_REST_S, QUEUE_LENGTH, Cycle, LoadedJob, Setup
+from edged.cycle import FAULT_REST_S, Cycle
 from edged.domain import (
     PLC_SOURCE,
     Bounds,
@@ -37,6 +37,8 @@ from edged.domain import (
     Status,
 )
 from edged.errors import CameraUnreachable, CommandRefused, FrameUnpaired
+from edged.loop.loaded import LoadedJob, Setup
+from edged.loop.queue import QUEUE_LENGTH
 
 
 def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
@@ -203,7 +205,7 @@ def test_trying_all_jobs_ends_in_time(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """No further job is begun after the bound; what was tried counts, and the log says so."""
-    monkeypatch.setattr("edged.cycle.TRY_ALL_S", 0.001)
+    monkeypatch.setattr("edged.loop.measurement.TRY_ALL_S", 0.001)
     snapshot, order = tried({1: score(0.9), 2: score(0.7), 3: score(0.8)}, slow=True)
     assert (2, [2]) == (snapshot.job_number, order)
     assert "1 of 3 jobs were tried" in caplog.text

@@ -15,9 +15,10 @@ from snapshots import make_target
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.cycle import Cycle, LoadedJob, Setup
+from edged.cycle import Cycle
 from edged.domain import Calibrated, CellPhase, CellState, Event, Measurement, Outcome, Reject, Status, Target
 from edged.drift import DriftLimits, DriftMonitor
+from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import locate, prepare
 from edged.plc import registers as reg
 from edged.vision.geometry.camera import StereoRig

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from scriptedhead import Ear, Head, until
 from snapshots import make_snapshot, make_transform
 
-from edged.cycle import Cycle, LoadedJob, Setup
+from edged.cycle import Cycle
 from edged.domain import Event, FramePair, Outcome, Snapshot
 from edged.errors import FrameTimeout
+from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach

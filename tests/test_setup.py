@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
 
-from edged.cycle import Cycle, Setup
+from edged.cycle import Cycle
 from edged.domain import (
     CellPhase,
     CellState,
@@ -26,6 +26,7 @@ from edged.domain import (
 )
 from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
 from edged.files.setupnote import SetupNote
+from edged.loop.loaded import Setup
 from edged.session.desk import LEASE_S, SetupDesk
 
 LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
-from edged.cycle import LoadedJob, Setup
 from edged.domain import Frame, FramePair, Outcome
 from edged.drift import DriftLimits
+from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job

@@ -11,8 +11,10 @@ from soak import Soak
 
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import Triggers
-from edged.cycle import Cycle, LoadedJob
+from edged.cycle import Cycle
 from edged.domain import PLC_SOURCE
+from edged.loop.loaded import LoadedJob
+from edged.loop.queue import CommandQueue
 from edged.plc import handshake as hs
 
 
@@ -173,7 +175,7 @@ def test_a_missing_job_that_is_measured_as_the_active_one_is_caught(monkeypatch:
         mine["_setup"] = dataclasses.replace(mine["_setup"], jobs=_AnyJob(self))
         return await real(self, command, heard)
 
-    monkeypatch.setattr(Cycle, "_check_waiting", lambda _self, _gone: None)
+    monkeypatch.setattr(CommandQueue, "sort_out", lambda _self, _setup, _gone: ())
     monkeypatch.setattr(Cycle, "_measure", anything)
     assert found("for a trigger of job")
 

@@ -16,10 +16,11 @@ from snapshots import make_target, make_transform
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.cycle import Cycle, LoadedJob, Setup
+from edged.cycle import Cycle
 from edged.domain import CellPhase, Command, CommandKind, Event, FloatArray, Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
 from edged.files.rig import load_rig, save_rig
+from edged.loop.loaded import LoadedJob, Setup
 from edged.payload import command_to_json
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
