@@ -137,16 +137,24 @@ def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> N
             client.next_part()
 
 
-def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -> None:
-    """Their names by number; of all jobs the one whose part agrees best; counters go on."""
+def two_kinds(n_better: int = 1) -> LiveCell:
+    """A cell where job 1 finds a part at 10 mm, and job 2 better ones from 20 mm on, 5 mm apart."""
     cell = LiveCell()
     jobs = {**cell.setup.jobs}
-    for number, value in ((1, 0.7), (2, 0.9)):
-        target = make_target(x_mm=10.0 * number)
-        part = dataclasses.replace(target, match=dataclasses.replace(target.match, score=value))
-        found = Outcome(Status.OK, (part,))
+    for number, value, count in ((1, 0.7, 1), (2, 0.9, n_better)):
+        parts = []
+        for i in range(count):
+            target = make_target(x_mm=10.0 * number + 5.0 * i)
+            parts.append(dataclasses.replace(target, match=dataclasses.replace(target.match, score=value)))
+        found = Outcome(Status.OK, tuple(parts))
         jobs[number] = dataclasses.replace(jobs[number], locate=lambda _pair, _lap, found=found: found)
     cell.setup = dataclasses.replace(cell.setup, jobs=jobs)
+    return cell
+
+
+def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -> None:
+    """Their names by number; of all jobs the one whose part agrees best; counters go on."""
+    cell = two_kinds()
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         until(lambda: "READY" in client.status()["bits"], "READY")
         assert {1: "job1", 2: "job2"} == client.jobs()
@@ -861,6 +869,28 @@ def test_urscript_gives_part_after_part() -> None:
         assert [(0.010, 2), (0.020, 1), (0.030, 0)] == seen
         robot["edged_next"](5.0)
         assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
+
+
+def test_urscript_tries_all_jobs_when_asked_to() -> None:
+    """The best part, its job and that job's next one; the command after tries the active job again."""
+    with two_kinds(n_better=2) as cell, Controller(cell.port) as controller:
+        robot = started(controller)
+        asked: list[tuple[str, tuple[Any, ...]]] = [
+            ("edged_locate", (0,)),
+            ("edged_locate_all_jobs", ()),
+            ("edged_next", ()),
+            ("edged_locate", (0,)),
+            ("edged_locate_all_jobs", ()),
+            ("edged_locate", (1,)),
+        ]
+        seen = []
+        for name, arguments in asked:
+            x_m = robot[name](*arguments, 5.0)[0]
+            assert robot["edged_ok"], (name, robot["edged_error"])
+            seen.append((robot["edged_job"], round(x_m * 1000)))
+        assert [(1, 10), (2, 20), (2, 25), (1, 10), (2, 20), (1, 10)] == seen
+        robot["edged_next"](5.0)
+        assert (False, 9, 0) == (robot["edged_ok"], robot["edged_error"], robot["edged_job"])
 
 
 def test_urscript_says_where_the_tool_takes_the_part() -> None:

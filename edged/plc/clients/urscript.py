@@ -17,7 +17,7 @@ from __future__ import annotations
 from edged.domain import CommandKind
 from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
-from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, StatusBit
+from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, Option, StatusBit
 
 REFRESH_HZ = 50
 STALE_S = 1.0
@@ -40,6 +40,7 @@ SCRIPT = """\
 #         target = edged_next(5.0)        # the next part of the same picture, in the order of the job
 #         ...
 #     end
+# edged_locate_all_jobs(5.0) tries every job; edged_job is then the one whose part agrees best.
 # Where the job has grasps, edged_grasp() after edged_locate or edged_next is where the tool takes the part,
 # and edged_approach from where it comes.
 # The cell listens on port 502 (a robot's Modbus client knows no other). Positions are in m and rad in the
@@ -52,6 +53,7 @@ SCRIPT = """\
 global edged_ok = False
 global edged_error = 0
 global edged_remaining = 0
+global edged_job = 0
 global edged_approach = p[0, 0, 0, 0, 0, 0]
 global edged_sequence = 0
 global edged_allow_simulated = False
@@ -156,7 +158,7 @@ def edged_fail(reason):
 end
 
 # Run a command and wait for its end. Returns True for ACK; edged_in is then the picture that says so.
-def edged_run(command, job, timeout):
+def edged_run(command, job, options, timeout):
     local waited = 0.0
     local stale = 0.0
     local beat = -1
@@ -169,6 +171,7 @@ def edged_run(command, job, timeout):
     edged_ok = False
     edged_error = 0
     edged_remaining = 0
+    edged_job = 0
     while waited < timeout:
         edged_in = modbus_get_signal_status("edged_in", False)
         if edged_in[@HEARTBEAT@] != beat:
@@ -188,6 +191,7 @@ def edged_run(command, job, timeout):
                 edged_out[@O_COMMAND@] = command
                 edged_out[@O_JOB@] = job
                 edged_out[@O_ACK_SEQ@] = 0
+                edged_out[@O_OPTIONS@] = options
                 edged_out[@O_TIMEOUT@] = floor(timeout * 1000)
                 if timeout > 60:
                     edged_out[@O_TIMEOUT@] = 60000
@@ -233,15 +237,23 @@ end
 
 # Measure. Returns the pose; it may be used only if edged_ok is True.
 def edged_locate(job, timeout):
-    if edged_run(@LOCATE@, job, timeout):
+    if edged_run(@LOCATE@, job, 0, timeout):
         return edged_pose(edged_in, job)
+    end
+    return p[0, 0, 0, 0, 0, 0]
+end
+
+# The same with every job on one picture: the part that agrees best, edged_job is the number of its job.
+def edged_locate_all_jobs(timeout):
+    if edged_run(@LOCATE@, 0, @ALL_JOBS@, timeout):
+        return edged_pose(edged_in, 0)
     end
     return p[0, 0, 0, 0, 0, 0]
 end
 
 # The next part of the picture that edged_locate took. Without one edged_error is @NO_LIST@.
 def edged_next(timeout):
-    if edged_run(@NEXT_PART@, 0, timeout):
+    if edged_run(@NEXT_PART@, 0, 0, timeout):
         return edged_pose(edged_in, 0)
     end
     return p[0, 0, 0, 0, 0, 0]
@@ -267,7 +279,7 @@ def edged_grasp():
     return p[0, 0, 0, 0, 0, 0]
 end
 
-# The pose in a block of words; sets edged_ok and edged_remaining.
+# The pose in a block of words; sets edged_ok, edged_remaining and edged_job.
 def edged_pose(words, job):
     if words[@HEAD@] != edged_sequence or words[@TAIL@] != edged_sequence:
         edged_error = 105
@@ -282,6 +294,7 @@ def edged_pose(words, job):
     else:
         edged_ok = True
         edged_remaining = words[@REMAINING@]
+        edged_job = words[@JOB@]
         return p[@POSE@]
     end
     return p[0, 0, 0, 0, 0, 0]
@@ -328,10 +341,12 @@ def _values() -> dict[str, str]:
         "VALID": Flag.VALID.value,
         "ROBOT_FRAME": Flag.ROBOT_FRAME.value,
         "SIMULATED": Flag.SIMULATED.value,
+        "ALL_JOBS": Option.ALL_JOBS.value,
         "ACK": StatusBit.ACK.value,
         "NACK": StatusBit.NACK.value,
         **{f"O_{name}": ADDRESS[name] - COMMAND.address for name in ("COMMAND", "JOB", "CMD_SEQ", "ACK_SEQ")},
         "O_BEAT": ADDRESS["CLIENT_HEARTBEAT"] - COMMAND.address,
+        "O_OPTIONS": ADDRESS["OPTIONS"] - COMMAND.address,
         "O_TIMEOUT": ADDRESS["TIMEOUT"] - COMMAND.address,
     }
     return {name: str(value) for name, value in numbers.items()} | {
