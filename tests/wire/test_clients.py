@@ -798,7 +798,8 @@ class Controller:
         self._outputs[name] = (address, count, list(words))
 
     def _sleep(self, seconds: float) -> None:
-        time.sleep(seconds / 20)
+        # the program waits 1 s for a heartbeat, which the cell counts every 0.1 s however fast the robot is
+        time.sleep(seconds / 4)
         self.refresh()
 
     def refresh(self) -> None:
