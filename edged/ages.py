@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from edged.domain import ExposureDone, Snapshot
+from edged.domain.events import ExposureDone, Snapshot
 
 
 class ExposureClock:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from edged.config.configuration import Config
 from edged.config.reading import config_of, read
-from edged.domain import SetupSource
+from edged.domain.cell import SetupSource
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.jobs import job_folders, job_of, read_job

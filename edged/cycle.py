@@ -17,23 +17,19 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from edged.capture.tasks import cancel_and_await
-from edged.domain import (
-    CellPhase,
-    CellState,
+from edged.domain.cell import CellPhase, CellState, DriftState, SetupSource
+from edged.domain.events import (
     Command,
     CommandFailed,
     CommandKind,
-    DriftState,
     ExposureDone,
-    FramePair,
     Idle,
     JobChanged,
-    Outcome,
     Reloaded,
-    SetupSource,
     Snapshot,
-    Status,
 )
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Status
 from edged.drift import DriftMonitor
 from edged.errors import (
     BeingSetUp,

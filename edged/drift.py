@@ -18,7 +18,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from edged.domain import Calibrated, DriftState, Outcome, Reject, Status, Target
+from edged.domain.cell import Calibrated, DriftState
+from edged.domain.measurement import Outcome, Reject, Status, Target
 
 WEIGHT = 0.05
 """Of the newest cycle: the mean remembers about forty."""

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-from edged.domain import Snapshot
+from edged.domain.events import Snapshot
 
 cycle_number: ContextVar[int | None] = ContextVar("cycle_number", default=None)
 """The cycle that the running code works for; inherited by its tasks."""

@@ -16,26 +16,24 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import (
-    CellState,
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import CellState, SetupSource
+from edged.domain.events import Command, Snapshot
+from edged.domain.measurement import (
     Circle3D,
-    Command,
     Corner3D,
     Edge3D,
-    FloatArray,
-    GraspPose,
     Match,
     Measurement,
     Nearest,
     NotMeasured,
     Outcome,
     Reject,
-    SetupSource,
     Slot3D,
-    Snapshot,
     Status,
     Target,
 )
+from edged.domain.picking import GraspPose
 from edged.robot.budget import Budget, budget_of
 from edged.robot.covariance import robot_covariance
 

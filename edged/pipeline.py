@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from edged.domain import FramePair, Image, Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.stereoimages import StereoImages

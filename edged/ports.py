@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from edged.domain import Command, Event, Frame, FramePair
+from edged.domain.events import Command, Event
+from edged.domain.frames import Frame, FramePair
 
 
 class Camera(Protocol):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import Samples
 
 

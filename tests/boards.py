@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 from scipy.special import erf
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Board, Chessboard, CircleGrid, Detection, DotGrid, StereoView
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, rotation_vector, transform

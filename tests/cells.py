@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Frame, FramePair, Image
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.frames import Frame, FramePair
 from edged.sim.cell import demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import Part, Placed, Scene, Surface, Table
 from edged.vision.geometry.camera import CameraModel, StereoRig

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.geometry.rigid import rotation_2d
 
 

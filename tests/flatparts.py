@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from cells import pictures, pose, region_around, scene, small_rig
 
-from edged.domain import FloatArray, Image, Outcome, Target
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Target
 from edged.pipeline import PreparedRig, prepare
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Slot, Surface
 from edged.vision.geometry.rigid import invert

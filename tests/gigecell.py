@@ -12,7 +12,8 @@ import numpy as np
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.capture.stereohead import StereoHead
-from edged.domain import Frame, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame
 from edged.errors import CaptureError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera

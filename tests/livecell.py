@@ -15,7 +15,9 @@ from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.cycle import Cycle
-from edged.domain import Frame, FramePair, Grasp, Outcome, Picking, Status, Target
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome, Status, Target
+from edged.domain.picking import Grasp, Picking
 from edged.errors import FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel, LensModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 

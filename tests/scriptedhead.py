@@ -9,20 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-    CommandFailed,
-    CommandKind,
-    Event,
-    Frame,
-    FramePair,
-    JobChanged,
-    Outcome,
-    Snapshot,
-    Status,
-)
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome, Status
 from edged.errors import FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
 

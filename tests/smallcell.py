@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.sim.cell import SIDES, Motion, VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera

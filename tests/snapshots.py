@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import (
+from edged.domain.arrays import FloatArray
+from edged.domain.events import Command, Snapshot
+from edged.domain.measurement import (
     Circle3D,
-    Command,
     Corner3D,
     Edge3D,
-    FloatArray,
     Match,
     Measurement,
     Reject,
     Slot3D,
-    Snapshot,
     Status,
     Target,
 )

@@ -40,20 +40,10 @@ from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle
-from edged.domain import (
-    CommandFailed,
-    CommandKind,
-    Event,
-    Frame,
-    FramePair,
-    Grasp,
-    Outcome,
-    Picking,
-    Reject,
-    Snapshot,
-    Status,
-    Target,
-)
+from edged.domain.events import CommandFailed, CommandKind, Event, Snapshot
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome, Reject, Status, Target
+from edged.domain.picking import Grasp, Picking
 from edged.errors import CommandRefused, FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
 from edged.plc import handshake as hs

@@ -18,7 +18,9 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.cellfiles import read_cell
 from edged.commands.backup import backup, restore
 from edged.commissioning.releases import unpack
-from edged.domain import Event, ExposureDone, Frame, FramePair, Status
+from edged.domain.events import Event, ExposureDone
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Status
 from edged.files import atomic, recording
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import keep_old_rig, load_rig, save_rig

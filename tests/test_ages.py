@@ -7,7 +7,8 @@ import dataclasses
 from snapshots import make_snapshot
 
 from edged.ages import ExposureClock
-from edged.domain import ExposureDone, Snapshot, Status
+from edged.domain.events import ExposureDone, Snapshot
+from edged.domain.measurement import Status
 
 EXPOSED_NS = 1_700_000_000_000_000_000
 

@@ -12,7 +12,7 @@ import pytest
 from edged import cellfiles
 from edged.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.domain import SetupSource
+from edged.domain.cell import SetupSource
 from edged.errors import ConfigError
 from edged.files.jobs import job_of
 from edged.sim.cell import VirtualCell, demo_part, demo_rig

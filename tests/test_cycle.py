@@ -15,27 +15,21 @@ from scriptedhead import Ear, Head, held, locate_command, make_setup, until
 from snapshots import make_target, make_transform
 
 from edged.cycle import FAULT_REST_S, Cycle
-from edged.domain import (
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import (
     PLC_SOURCE,
-    Bounds,
-    Box,
-    CellPhase,
-    CellState,
     Command,
     CommandFailed,
     CommandKind,
     ExposureDone,
-    FramePair,
     Idle,
     JobChanged,
-    Order,
-    Outcome,
-    Picking,
-    Reject,
     Reloaded,
     Snapshot,
-    Status,
 )
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Reject, Status
+from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.errors import CameraUnreachable, CommandRefused, FrameUnpaired
 from edged.loop.loaded import LoadedJob, Setup
 from edged.loop.queue import QUEUE_LENGTH

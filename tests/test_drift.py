@@ -16,7 +16,9 @@ from snapshots import make_target
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.cycle import Cycle
-from edged.domain import Calibrated, CellPhase, CellState, Event, Measurement, Outcome, Reject, Status, Target
+from edged.domain.cell import Calibrated, CellPhase, CellState
+from edged.domain.events import Event
+from edged.domain.measurement import Measurement, Outcome, Reject, Status, Target
 from edged.drift import DriftLimits, DriftMonitor
 from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import locate, prepare

@@ -13,20 +13,10 @@ from hypothesis import strategies as st
 from schema_check import load_schema, violations
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-    CommandKind,
-    GraspPose,
-    Match,
-    Nearest,
-    NearMiss,
-    NotMeasured,
-    Outcome,
-    Reject,
-    Status,
-)
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Command, CommandKind
+from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
+from edged.domain.picking import GraspPose
 from edged.payload import (
     encode,
     message,

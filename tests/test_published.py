@@ -17,7 +17,9 @@ from scriptedhead import Ear, Head, until
 from snapshots import make_snapshot, make_transform
 
 from edged.cycle import Cycle
-from edged.domain import Event, FramePair, Outcome, Snapshot
+from edged.domain.events import Event, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome
 from edged.errors import FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate, prepare

@@ -13,17 +13,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
 
 from edged.cycle import Cycle
-from edged.domain import (
-    CellPhase,
-    CellState,
-    CommandFailed,
-    ExposureDone,
-    Idle,
-    Outcome,
-    SetupSource,
-    Snapshot,
-    Status,
-)
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import CommandFailed, ExposureDone, Idle, Snapshot
+from edged.domain.measurement import Outcome, Status
 from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
 from edged.files.setupnote import SetupNote
 from edged.loop.loaded import Setup

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from cells import PLACE_MM, TEXTURED, pose
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Part, Placed, Scene, Surface, Table
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, cross, invert, rotation_matrix, transform, unit

@@ -16,11 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-)
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Command
 
 PEER = Path(__file__).parent / "wire" / "zenoh_peer.py"
 

@@ -43,7 +43,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from edged.commands.progress import shown_on
 from edged.commissioning.calibration import Views
 from edged.commissioning.pairs import Pair
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs

@@ -24,7 +24,7 @@ from rich.console import Console
 from edged.commands.progress import shown_on
 from edged.commissioning.calibration import Views
 from edged.commissioning.pairs import Pair
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import load_rig

@@ -41,7 +41,9 @@ from edged.adapters.modbus import ModbusSettings
 from edged.app.cameras import head_of
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CamerasSection, TriggerSection
-from edged.domain import SIDES, FramePair, Outcome, Status
+from edged.domain.arrays import SIDES
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Status
 from edged.errors import CaptureError
 from edged.logs import fields_of
 from edged.plc.registers import Flag

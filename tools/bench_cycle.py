@@ -38,7 +38,8 @@ import scenes
 from bench_shape import PARTS
 
 from edged.commands.demo import region_of_part
-from edged.domain import Frame, FramePair, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame, FramePair
 from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import Placed

@@ -43,7 +43,8 @@ from cells import PLACE_MM, frame_pair, pose, region_around, small_rig
 from distinguished import DESIGNS, Design, without_holes
 from imperfections import KINDS
 
-from edged.domain import FloatArray, Image, Outcome, Reject, Target
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Reject, Target
 from edged.errors import EdgedError, TeachError
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import stereo_views

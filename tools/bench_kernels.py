@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.edges.contours import ramer
 from edged.vision.edges.subpixel import tops
 from edged.vision.kernels.jit import kernel

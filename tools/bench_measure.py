@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Disc, Part, Sensor, Surface
 from edged.vision.curves.outlineprojection import circle_axes, project_circle

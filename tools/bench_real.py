@@ -30,7 +30,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.geometry.rigid import wrapped
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel

@@ -53,7 +53,8 @@ from statewriters import survive
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import SWITCH_INTERVAL_S
-from edged.domain import Event, Snapshot, Status
+from edged.domain.events import Event, Snapshot
+from edged.domain.measurement import Status
 
 MIB = 1024 * 1024
 

@@ -33,7 +33,8 @@ from cells import frame_pair
 from table3 import true_rig
 
 from edged.commands.teach import read_model
-from edged.domain import FloatArray, Image, Outcome, Reject
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Reject
 from edged.errors import EdgedError
 from edged.files.images import load_image
 from edged.pictures.overlay import draw_pair

@@ -27,7 +27,8 @@ from cells import frame_pair, pictures, pose, region_around, scene
 from flatparts import DISC, METAL, PLATE
 from tilted import lying, thick, thin
 
-from edged.domain import FloatArray, Image, Reject
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Surface

@@ -18,7 +18,7 @@ from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import SWITCH_INTERVAL_S
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.domain import Event, Snapshot
+from edged.domain.events import Event, Snapshot
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera
 

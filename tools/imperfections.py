@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.files.images import load_image
 
 KNOCK_ALONG_PX, KNOCK_ACROSS_PX = 1.2, 0.1

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.errors import CalibrationError
 
 MIN_PAIRS = 3

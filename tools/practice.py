@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, Image
+from edged.domain.arrays import SIDES, Image
 from edged.sim.cell import VirtualCell, calibration_views, demo_part, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import chessboard_plate

@@ -34,7 +34,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = re.compile(r"(?P<terminal>\w*)\$ (?P<command>.+)")

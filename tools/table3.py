@@ -27,7 +27,7 @@ import numpy as np
 from imperfections import KINDS, degraded
 from plainopencv import PlainRig, calibrate_plain, measure_circle, true_plain_rig
 
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.rig import save_rig
 from edged.vision.geometry.camera import CameraModel, StereoRig

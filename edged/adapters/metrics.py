@@ -19,7 +19,9 @@ from prometheus_client import (
 from prometheus_client.core import GaugeMetricFamily, Metric
 
 from edged import __version__
-from edged.domain import CellPhase, CellState, CommandFailed, Event, Reject, Snapshot, Status
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import CommandFailed, Event, Snapshot
+from edged.domain.measurement import Reject, Status
 from edged.errors import CaptureError
 from edged.payload import reject_names
 

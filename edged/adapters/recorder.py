@@ -23,7 +23,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from edged.domain import Event, ExposureDone, FramePair, Snapshot, Status
+from edged.domain.events import Event, ExposureDone, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Status
 from edged.errors import ImageError
 from edged.files import recording
 from edged.files.atomic import make_folders

@@ -11,7 +11,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from edged.domain import SIDES, Frame, Image
+from edged.domain.arrays import SIDES, Image
+from edged.domain.frames import Frame
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs

@@ -17,7 +17,8 @@ import socket
 import time
 from collections.abc import Callable, Mapping
 
-from edged.domain import CellPhase, CellState, Event, Snapshot
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Event, Snapshot
 
 log = logging.getLogger(__name__)
 

@@ -21,7 +21,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from edged.domain import Event, FloatArray, Snapshot, Status
+from edged.domain.arrays import FloatArray
+from edged.domain.events import Event, Snapshot
+from edged.domain.measurement import Status
 from edged.vision.geometry.rigid import rotation_vector
 
 REFRESH_HZ = 8

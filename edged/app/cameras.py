@@ -20,7 +20,7 @@ from edged.adapters.aravis import (
 from edged.adapters.replay import replay_cameras
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
-from edged.domain import SIDES
+from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
 from edged.ports import Camera
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
-from edged.domain import Frame, FramePair, Outcome
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome
 from edged.drift import DriftLimits
 from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate

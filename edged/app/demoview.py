@@ -8,7 +8,8 @@ from rich.console import Console
 
 from edged.adapters.terminal import DemoView, reading_hints
 from edged.config.configuration import Config
-from edged.domain import FloatArray, Snapshot
+from edged.domain.arrays import FloatArray
+from edged.domain.events import Snapshot
 from edged.sim.cell import VirtualCell
 
 

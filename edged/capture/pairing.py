@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from edged.domain import Frame, TimeBase
+from edged.domain.frames import Frame, TimeBase
 
 CLOCK_DRIFT = 400e-6
 """Two camera clocks run apart by no more than this: crystals of ±200 ppm over temperature and age."""

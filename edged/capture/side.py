@@ -7,7 +7,8 @@ import asyncio
 import numpy as np
 
 from edged.capture.tasks import cancel_and_await
-from edged.domain import Frame, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame
 from edged.errors import FrameFrozen, FrameRepeated, FrameTimeout, PairingError
 from edged.ports import Camera
 

@@ -18,7 +18,7 @@ from typing import Any
 from edged.capture.pairing import Pairing
 from edged.capture.side import Side
 from edged.capture.tasks import both, cancel_and_await
-from edged.domain import Frame, FramePair
+from edged.domain.frames import Frame, FramePair
 from edged.errors import (
     CameraBusy,
     CameraSetupError,

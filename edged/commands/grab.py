@@ -16,7 +16,8 @@ from rich.console import Console
 
 from edged.app.cameras import head_of
 from edged.config.reading import load
-from edged.domain import FloatArray, FramePair, Image
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.frames import FramePair
 from edged.errors import CaptureError, FileFormatError
 from edged.files.atomic import write_atomically
 from edged.files.outputs import check_folder

@@ -7,7 +7,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.domain import FloatArray, Frame, FramePair, Grasp, Reject, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Reject, Target
+from edged.domain.picking import Grasp
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.images import load_image

@@ -13,7 +13,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain import FloatArray, Frame, FramePair, GraspPose, Image, Outcome, Status, Target
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome, Status, Target
+from edged.domain.picking import GraspPose
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.images import load_image

@@ -14,7 +14,7 @@ from rich.progress import track
 
 from edged.commissioning.regression import COMPARED, compare, decided, drawn, inspected
 from edged.config.reading import limits_of
-from edged.domain import Bounds
+from edged.domain.picking import Bounds
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import write_atomically, write_file

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from edged.config.cameras import CameraSection
 from edged.config.reading import load
-from edged.domain import SIDES, Image
+from edged.domain.arrays import SIDES, Image
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.pairs import find_pairs

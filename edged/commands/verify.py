@@ -16,7 +16,7 @@ from rich.table import Table
 from edged.commissioning.boards import boards_in, stated_boards
 from edged.commissioning.checking import Finding, Limits, by_board, by_part
 from edged.commissioning.pairs import Picture
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import ImageError, UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job

@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.commissioning.boards import check_board_shown
 from edged.commissioning.pairs import Pair, Picture, Progress, silent, work_on
-from edged.domain import SIDES, Image, Side
+from edged.domain.arrays import SIDES, Image, Side
 from edged.errors import CalibrationError
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import SIDES, Circle3D, FloatArray, Frame, FramePair, Image, Target
+from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Circle3D, Target
 from edged.drift import TELLING
 from edged.errors import UserError
 from edged.pipeline import locate, prepare

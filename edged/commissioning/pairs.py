@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, Self, TypeVar
 
-from edged.domain import Image, Side
+from edged.domain.arrays import Image, Side
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
 

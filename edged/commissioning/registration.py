@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from edged.commissioning.pairs import Pair
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.errors import UserError
 from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
 from edged.robot.handeye import HandEye, Mount, hand_eye

@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import Calibrated, FloatArray, Outcome, Picking, Snapshot, Status
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import Calibrated
+from edged.domain.events import Snapshot
+from edged.domain.measurement import Outcome, Status
+from edged.domain.picking import Picking
 from edged.drift import refused
 from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError, UserError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.report.teaching import Taught

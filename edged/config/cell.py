@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from edged.config.fields import FilePath, Name, Section
-from edged.domain import Bounds, Box
+from edged.domain.picking import Bounds, Box
 
 
 class CellSection(Section):

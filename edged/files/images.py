@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import ImageError
 
 SENSOR_BITS = (8, 10, 12, 14, 16)

@@ -26,7 +26,9 @@ from typing import Any
 import cv2
 
 from edged import __version__
-from edged.domain import SIDES, Frame, FramePair, Image, Snapshot
+from edged.domain.arrays import SIDES, Image
+from edged.domain.events import Snapshot
+from edged.domain.frames import Frame, FramePair
 from edged.errors import FileFormatError, ImageError
 from edged.files.atomic import (
     MAX_FILE_BYTES,

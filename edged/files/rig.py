@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig

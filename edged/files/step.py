@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 
-from edged.domain import CellState, CommandKind, DriftState, Event, Snapshot, Status
+from edged.domain.cell import CellState, DriftState
+from edged.domain.events import CommandKind, Event, Snapshot
+from edged.domain.measurement import Status
 from edged.logs import FaultLog, fields
 from edged.ports import Publisher
 

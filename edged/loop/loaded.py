@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from edged.domain import Bounds, Command, CommandKind, FloatArray, FramePair, Outcome, Picking, SetupSource
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import SetupSource
+from edged.domain.events import Command, CommandKind
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome
+from edged.domain.picking import Bounds, Picking
 from edged.drift import DriftLimits
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, narrowed, within

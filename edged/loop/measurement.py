@@ -9,7 +9,10 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
-from edged.domain import Calibrated, Command, FramePair, Outcome, Snapshot, Status
+from edged.domain.cell import Calibrated
+from edged.domain.events import Command, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Status
 from edged.drift import DriftMonitor, refused
 from edged.errors import CaptureError
 from edged.loop.loaded import LoadedJob, Setup

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
-from edged.domain import PLC_SOURCE, Command, CommandKind
+from edged.domain.events import PLC_SOURCE, Command, CommandKind
 from edged.errors import CommandRefused
 from edged.loop.loaded import LoadedJob, Setup
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray, Measurement, NearMiss, NotMeasured, Reject, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Measurement, NearMiss, NotMeasured, Reject, Target
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 

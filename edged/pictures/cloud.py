@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.pictures.lettering import Canvas, write
 from edged.vision.part.pointcloud import CONTOUR, FACE, PointCloud
 

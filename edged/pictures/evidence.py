@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Target
+from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.measurement import Target
 from edged.pictures.captions import measured_names, reference_name
 from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
 from edged.pictures.view import Box, View

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image, NearMiss, NotMeasured, Status, Target
+from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.measurement import NearMiss, NotMeasured, Status, Target
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,

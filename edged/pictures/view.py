@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.pictures.lettering import Canvas, Colour
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from edged.domain import SIDES, Image
+from edged.domain.arrays import SIDES, Image
 from edged.report.figures import coverage, lengths, radial, sigma_maps, thumbnail, view_bars
 from edged.report.page import Table, render
 from edged.vision.boards.board import NotDetected, StereoView

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # room for axes, px
 _HALF = 480.0  # two of these stand side by side, on screen and on A4

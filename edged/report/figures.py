@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from edged.domain import SIDES, FloatArray, Image, Side
+from edged.domain.arrays import SIDES, FloatArray, Image, Side
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
 from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration

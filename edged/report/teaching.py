@@ -12,7 +12,7 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from edged import __version__
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart

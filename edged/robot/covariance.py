@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import (
-    FloatArray,
-    Target,
-)
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Target
 from edged.vision.geometry.rigid import skew
 
 

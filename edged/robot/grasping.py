@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from edged.domain import FloatArray, Grasp, GraspPose, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Target
+from edged.domain.picking import Grasp, GraspPose
 from edged.robot.orientations import about
 from edged.vision.geometry.rigid import rotation_vector, skew, transform
 

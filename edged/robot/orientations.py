@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import quaternion, rotation_matrix, rotation_vector, skew, wrapped
 
 SINGULAR = 1e-9

@@ -13,18 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import (
-    Bounds,
-    Box,
-    FloatArray,
-    GraspPose,
-    Order,
-    Outcome,
-    Picking,
-    Reject,
-    Status,
-    Target,
-)
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Outcome, Reject, Status, Target
+from edged.domain.picking import Bounds, Box, GraspPose, Order, Picking
 from edged.robot.grasping import best_grasp
 from edged.vision.geometry.camera import StereoRig
 

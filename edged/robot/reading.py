@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Target
 from edged.robot.covariance import robot_covariance
 from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.robot.handeye import Mount, hand_eye
 from edged.vision.geometry.rigid import transform

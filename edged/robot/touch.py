@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 
 from edged.capture.tasks import cancel_and_await
-from edged.domain import FramePair
+from edged.domain.frames import FramePair
 from edged.errors import FrameTimeout
 from edged.ports import Head
 

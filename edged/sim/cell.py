@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import (

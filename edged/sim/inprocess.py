@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import Frame, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 from edged.sim.exposure import ExposureRequest
 

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from edged.domain import Image, Side
+from edged.domain.arrays import Image, Side
 from edged.sim.cell import HISTORY, PAIR_WINDOW_NS
 from edged.sim.exposure import ExposureRequest
 

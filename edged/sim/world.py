@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from edged.domain import SIDES
+from edged.domain.arrays import SIDES
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera

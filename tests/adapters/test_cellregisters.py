@@ -8,16 +8,8 @@ from snapshots import make_snapshot
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-    CommandFailed,
-    CommandKind,
-    ExposureDone,
-    JobChanged,
-    SetupSource,
-)
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
 from edged.errors import BeingSetUp
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason

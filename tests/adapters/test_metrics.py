@@ -9,16 +9,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from snapshots import make_snapshot, make_target
 
 from edged.adapters.metrics import MetricsPublisher
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-    CommandFailed,
-    CommandKind,
-    Reject,
-    SetupSource,
-    Status,
-)
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import Command, CommandFailed, CommandKind
+from edged.domain.measurement import Reject, Status
 
 
 def samples(metrics: MetricsPublisher) -> dict[tuple[str, tuple[str, ...]], float]:

@@ -14,7 +14,7 @@ import zenoh.ext
 from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.zenoh import ros2
-from edged.domain import Reject, Status
+from edged.domain.measurement import Reject, Status
 from edged.errors import ConfigError
 from edged.vision.geometry.rigid import rotation_matrix
 

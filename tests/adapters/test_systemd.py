@@ -19,7 +19,8 @@ from edged.adapters.web import server
 from edged.adapters.zenoh import session
 from edged.app.process import DESCRIPTORS
 from edged.config.servers import ModbusSection
-from edged.domain import CellPhase, CellState, Event, Idle, SetupSource
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import Event, Idle
 
 UNIT = Path(__file__).parents[2] / "systemd" / "edged.service"
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)

@@ -13,7 +13,10 @@ from rich.console import Console
 from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.terminal import DemoView, reading_hints
-from edged.domain import CellPhase, CellState, FloatArray, Snapshot, Status
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Snapshot
+from edged.domain.measurement import Status
 
 TRUTH = make_target().rig_from_part
 

@@ -10,7 +10,7 @@ import zenoh
 from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.config.reading import load
-from edged.domain import CommandKind
+from edged.domain.events import CommandKind
 from edged.errors import CommandRefused, ConfigError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edged.adapters.opcua.state import CellStates, Top, vision_state
-from edged.domain import CellPhase
+from edged.domain.cell import CellPhase
 from edged.plc.registers import Number
 
 

@@ -8,7 +8,7 @@ from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun,
 from edged.app.cameras import Triggering, camera_facts, triggering_of
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import TriggerSection
-from edged.domain import SIDES
+from edged.domain.arrays import SIDES
 
 DEVICES = ("192.0.2.1", "192.0.2.2")
 

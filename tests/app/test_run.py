@@ -94,7 +94,7 @@ from pathlib import Path
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 from edged.app.cell import load_cell, warm_up
-from edged.domain import Frame, FramePair
+from edged.domain.frames import Frame, FramePair
 from edged.files.images import load_image
 
 folder = Path(sys.argv[1])

@@ -18,7 +18,7 @@ from edged.app.servers import Servers, wanted_servers
 from edged.app.status import Running
 from edged.config.configuration import Config
 from edged.config.reading import load
-from edged.domain import Command
+from edged.domain.events import Command
 from edged.errors import CommandRefused, ConfigError, ListenError
 
 HEAD = """

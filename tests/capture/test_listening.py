@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edged.capture.stereohead import REOPEN_AFTER, StereoHead
-from edged.domain import Frame, FramePair, TimeBase
+from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 
 

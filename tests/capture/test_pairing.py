@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edged.capture.pairing import Pairing
-from edged.domain import Frame, TimeBase
+from edged.domain.frames import Frame, TimeBase
 
 MS = 1_000_000
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -14,7 +14,8 @@ import pytest
 from edged import errors
 from edged.capture.stereohead import REOPEN_AFTER, StereoHead
 from edged.capture.tasks import both
-from edged.domain import Frame, FramePair, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame, FramePair
 from edged.errors import (
     CameraBusy,
     CameraSetupError,

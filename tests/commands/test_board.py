@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from edged.commands.board import PAPERS, board
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import CalibrationError, UserError
 from edged.vision.boards.board import Detection, parse_board
 from edged.vision.boards.detection import detect_board

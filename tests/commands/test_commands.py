@@ -16,7 +16,8 @@ from cells import flange, frame_pair, small_rig
 
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.domain import Image, Status
+from edged.domain.arrays import Image
+from edged.domain.measurement import Status
 from edged.files.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.orientations import zyx

@@ -19,7 +19,8 @@ from rich.console import Console
 from edged.commands import grab as module
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.grab import Grab, Movement, grab
-from edged.domain import Frame, FramePair, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame, FramePair
 from edged.errors import CaptureError, FrameTimeout, UserError
 from edged.files.pairs import find_pairs
 from edged.sim.cell import VirtualCell, demo_part, demo_rig

@@ -19,7 +19,8 @@ from tilted import BELOW_MM, lying, stacked
 
 from edged.commands.locate import locate
 from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_model, teach
-from edged.domain import FloatArray, Image, Reject
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Reject
 from edged.errors import FileFormatError, TeachError, UserError
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import save_rig

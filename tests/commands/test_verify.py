@@ -17,7 +17,7 @@ from rigs import make_rig
 
 from edged.commands.verify import verify
 from edged.commissioning.checking import Limits
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import ImageError, UserError
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig

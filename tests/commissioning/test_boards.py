@@ -9,7 +9,7 @@ from rigs import make_rig
 
 from edged.commissioning.boards import boards_in, check_board_shown, stated_boards
 from edged.commissioning.pairs import Picture
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import CalibrationError
 from edged.vision.boards.board import NominalBoard, parse_board
 

@@ -20,7 +20,7 @@ from edged.commands.verify import verify
 from edged.commissioning.calibration import Calibrated, Views, solve
 from edged.commissioning.checking import Limits, by_board
 from edged.commissioning.pairs import Pair, Picture
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import CalibrationError, ImageError
 from edged.files.pairs import ImagePair
 from edged.files.rig import load_rig, load_rig_quality, save_rig

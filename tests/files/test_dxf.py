@@ -13,7 +13,7 @@ from ezdxf.document import Drawing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.dxf import area, read_contour, read_dxf
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from edged.domain import Bounds, Box, Order, Picking
+from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.errors import FileFormatError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.vision.part.job import (

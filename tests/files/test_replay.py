@@ -12,7 +12,7 @@ import pytest
 
 from edged.adapters.replay import ReplayCamera, replay_cameras
 from edged.capture.stereohead import StereoHead
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 
 

@@ -18,7 +18,7 @@ from rigs import make_rig, random_points, rigs
 from scipy.spatial.transform import Rotation
 
 from edged.commands.rig import convert
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError, UserError
 from edged.files.rig import load_rig, save_rig
 from edged.files.rigformats import Options, RigFormat, read_rig, rig_format, write_rig

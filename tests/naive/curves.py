@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import Samples
 from edged.vision.curves.outlines import Outline
 from edged.vision.geometry.camera import CameraModel

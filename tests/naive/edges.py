@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from naive.stereo import cubic_value
 
 

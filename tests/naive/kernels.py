@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 
 
 def median_scale(residuals: FloatArray, base: FloatArray) -> float:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 
 
 def row_edges(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 
 
 def coverage(outline: FloatArray, height: int, width: int, n: int = 12) -> FloatArray:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from cells import flange, frame_pair, pictures, pose, scene
 
-from edged.domain import FloatArray, Image, Match, NearMiss, Reject, Slot3D, Status
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Match, NearMiss, Reject, Slot3D, Status
 from edged.pictures.captions import REASONS, feature_lines, headline, pose_lines, reasons, size_lines
 from edged.pictures.evidence import (
     GOLD,

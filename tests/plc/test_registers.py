@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.domain import Command, CommandKind, GraspPose, Reject, Snapshot, Status
+from edged.domain.events import Command, CommandKind, Snapshot
+from edged.domain.measurement import Reject, Status
+from edged.domain.picking import GraspPose
 from edged.errors import UserError
 from edged.plc import registers as reg
 from edged.plc.texts import render

@@ -12,7 +12,7 @@ from soak import Soak
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle
-from edged.domain import PLC_SOURCE
+from edged.domain.events import PLC_SOURCE
 from edged.loop.loaded import LoadedJob
 from edged.loop.queue import CommandQueue
 from edged.plc import handshake as hs

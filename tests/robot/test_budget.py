@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from snapshots import make_target, make_transform
 
-from edged.domain import FloatArray, Outcome, Status, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Outcome, Status, Target
 from edged.payload import outcome_to_json
 from edged.pipeline import locate, prepare
 from edged.robot.budget import budget_of

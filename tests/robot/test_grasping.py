@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from snapshots import make_target, make_transform
 
-from edged.domain import Bounds, Box, FloatArray, Grasp, GraspPose, Outcome, Picking, Reject, Status, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Outcome, Reject, Status, Target
+from edged.domain.picking import Bounds, Box, Grasp, GraspPose, Picking
 from edged.robot.grasping import alternatives, best_grasp, lever_covariance
 from edged.robot.picking import RobotFrame, picked
 

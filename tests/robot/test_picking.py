@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from snapshots import make_target, make_transform
 
-from edged.domain import Bounds, Box, Match, Order, Outcome, Picking, Reject, Status, Target
+from edged.domain.measurement import Match, Outcome, Reject, Status, Target
+from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.robot.picking import RobotFrame, narrowed, picked, within
 
 

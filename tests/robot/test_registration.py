@@ -19,7 +19,7 @@ from scipy.stats import f as f_dist
 from snapshots import make_target, make_transform
 
 from edged.commands.register import hand_eye_command, read_poses, read_touched, self_test, touch
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.rig import load_rig, load_rig_quality, save_rig
 from edged.robot.covariance import robot_covariance

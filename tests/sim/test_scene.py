@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import sim as naive
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import ImageError
 from edged.sim.cell import (
     PAIR_WINDOW_NS,

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from cells import frame_pair, pose
 
-from edged.domain import Image, Reject
+from edged.domain.arrays import Image
+from edged.domain.measurement import Reject
 from edged.pipeline import locate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))

@@ -11,7 +11,7 @@ import pytest
 from cells import frame_pair
 
 from edged.commands.register import read_touched
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.files.images import load_image
 from edged.files.pairs import find_pairs
 from edged.pipeline import PreparedRig, locate, prepare

@@ -19,7 +19,9 @@ from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
 from edged.cli.main import app
 from edged.config.configuration import Config
-from edged.domain import Calibrated, CommandKind, Reject, Status
+from edged.domain.cell import Calibrated
+from edged.domain.events import CommandKind
+from edged.domain.measurement import Reject, Status
 from edged.files.jobs.schema import JobFile
 from edged.files.rig import save_rig
 from edged.pictures.captions import REASONS

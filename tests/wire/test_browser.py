@@ -14,7 +14,9 @@ from snapshots import make_snapshot, make_target
 from wire.test_web import sources
 
 from edged.adapters.web import WebPublisher, WebSettings
-from edged.domain import CellPhase, CellState, ExposureDone, Reject, Status
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import ExposureDone
+from edged.domain.measurement import Reject, Status
 from edged.vision.geometry.rectification import make_rectification
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")

@@ -17,7 +17,7 @@ from edged.app.cameras import head_of
 from edged.capture.pairing import Pairing
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
-from edged.domain import Frame, FramePair, TimeBase
+from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired
 from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock

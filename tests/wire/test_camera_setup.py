@@ -17,7 +17,7 @@ from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
-from edged.domain import Frame, FramePair, TimeBase
+from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.sim.gige import genicam as g
 from edged.vision.kernels.pixelformats import FORMATS

@@ -26,7 +26,9 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
-from edged.domain import Bounds, Box, FramePair, Outcome, Reject, Status
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Reject, Status
+from edged.domain.picking import Bounds, Box
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.plc.texts import render
 from edged.vision.geometry.rigid import rotation_vector

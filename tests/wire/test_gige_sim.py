@@ -14,7 +14,7 @@ import pytest
 from gigeclient import Client
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import CaptureError, ListenError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige import genicam as g

@@ -21,7 +21,9 @@ from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.adapters.modbus.lines import parse
-from edged.domain import Bounds, Box, FramePair, Outcome, Picking, Reject, Status
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome, Reject, Status
+from edged.domain.picking import Bounds, Box, Picking
 from edged.plc import registers as reg
 from edged.plc.lines import LineStatus
 from edged.plc.registers import Option

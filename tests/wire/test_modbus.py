@@ -42,7 +42,9 @@ from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSetting
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
 from edged.commands.readregisters import read as read_command
-from edged.domain import CellPhase, CellState, Command, CommandKind, ExposureDone, JobChanged, Status
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Command, CommandKind, ExposureDone, JobChanged
+from edged.domain.measurement import Status
 from edged.errors import CommandRefused, ListenError, UserError
 from edged.logs import LogLimit, fields_of
 from edged.plc import registers as reg

@@ -20,7 +20,7 @@ from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
 from edged.adapters.modbus.cell import CellRegisters
-from edged.domain import CommandKind
+from edged.domain.events import CommandKind
 from edged.errors import ListenError
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit

@@ -27,7 +27,7 @@ from snapshots import make_target
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of
 from edged.adapters.opcua.model import read_model
-from edged.domain import Reject
+from edged.domain.measurement import Reject
 from edged.errors import ListenError
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason

@@ -25,7 +25,7 @@ from robotlanguage import Program
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
-from edged.domain import Target
+from edged.domain.measurement import Target
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.robotlines import Failure

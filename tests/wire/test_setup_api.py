@@ -16,7 +16,7 @@ from scriptedhead import Ear, Head, make_setup, until
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.cycle import Cycle
-from edged.domain import CellPhase
+from edged.domain.cell import CellPhase
 from edged.passwords import hash_password
 from edged.robot.orientations import Convention
 

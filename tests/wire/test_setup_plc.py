@@ -23,7 +23,8 @@ from pymodbus.client import ModbusTcpClient
 from smallcell import DaemonProcess, SmallCell
 
 from edged.adapters.modbus import ModbusSettings
-from edged.domain import CommandKind, SetupSource
+from edged.domain.cell import SetupSource
+from edged.domain.events import CommandKind
 from edged.errors import SetupRefused
 from edged.passwords import hash_password
 from edged.plc import registers as reg

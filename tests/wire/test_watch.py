@@ -22,7 +22,9 @@ from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor
 from edged.app.fleet import ClientTls, News
 from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
-from edged.domain import Calibrated, DriftState, Snapshot, Status
+from edged.domain.cell import Calibrated, DriftState
+from edged.domain.events import Snapshot
+from edged.domain.measurement import Status
 from edged.errors import UserError
 
 

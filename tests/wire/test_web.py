@@ -27,23 +27,10 @@ from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, outlines, picture
 from edged.adapters.web.server import FREE, STATIC
-from edged.domain import (
-    Calibrated,
-    CellPhase,
-    CellState,
-    DriftState,
-    ExposureDone,
-    Frame,
-    FramePair,
-    Match,
-    Nearest,
-    NearMiss,
-    NotMeasured,
-    Reject,
-    SetupSource,
-    Snapshot,
-    Status,
-)
+from edged.domain.cell import Calibrated, CellPhase, CellState, DriftState, SetupSource
+from edged.domain.events import ExposureDone, Snapshot
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
 from edged.errors import ListenError
 from edged.passwords import hash_password
 from edged.plc.registers import Kind, Register

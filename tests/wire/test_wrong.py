@@ -19,7 +19,7 @@ from snapshots import make_snapshot
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
-from edged.domain import Command, CommandKind, ExposureDone
+from edged.domain.events import Command, CommandKind, ExposureDone
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit
 

@@ -34,16 +34,9 @@ from edged.adapters.zenoh import (
 )
 from edged.adapters.zenoh.routers import PATIENCE, Routers
 from edged.adapters.zenoh.worker import Worker
-from edged.domain import (
-    Command,
-    CommandFailed,
-    CommandKind,
-    ExposureDone,
-    Frame,
-    FramePair,
-    JobChanged,
-    Status,
-)
+from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Status
 from edged.errors import CommandRefused, ConfigError, ListenError
 
 SCHEMA = load_schema()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from edged.domain import Calibrated, Status
+from edged.domain.cell import Calibrated
+from edged.domain.measurement import Status
 from edged.errors import CaptureError, EdgedError
 from referencepages.markdown import code, first_line, member_docs, table
 from referencepages.registers import rejects

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import enum
 
-from edged.domain import CommandKind, Reject, SetupSource
+from edged.domain.cell import SetupSource
+from edged.domain.events import CommandKind
+from edged.domain.measurement import Reject
 from edged.pictures.captions import REASONS
 from edged.plc.handshake import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn

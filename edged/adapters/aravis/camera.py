@@ -27,7 +27,7 @@ from edged.adapters.aravis.session import Health, Session
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.stream import Arrival
 from edged.adapters.aravis.trigger import FreeRun
-from edged.domain import Frame, TimeBase
+from edged.domain.frames import Frame, TimeBase
 from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 
 log = logging.getLogger(__name__)

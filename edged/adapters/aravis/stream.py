@@ -12,7 +12,7 @@ import numpy as np
 
 from edged.adapters.aravis.clock import host_ns
 from edged.adapters.aravis.setup import Placement
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.kernels.pixelformats import BY_CODE, grey8
 
 PUMP_POLL_US = 20_000

@@ -15,20 +15,17 @@ import numpy as np
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.ages import ExposureClock
-from edged.domain import (
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import Calibrated, CellPhase, CellState, SetupSource
+from edged.domain.events import (
     PLC_SOURCE,
-    Calibrated,
-    CellPhase,
-    CellState,
     Command,
     CommandFailed,
     CommandKind,
     Event,
     ExposureDone,
-    FloatArray,
     JobChanged,
     Reloaded,
-    SetupSource,
     Snapshot,
 )
 from edged.errors import BeingSetUp, CommandRefused

@@ -25,7 +25,9 @@ from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
-from edged.domain import CommandKind, FloatArray, Reject
+from edged.domain.arrays import FloatArray
+from edged.domain.events import CommandKind
+from edged.domain.measurement import Reject
 from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit

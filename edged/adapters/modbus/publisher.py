@@ -15,7 +15,7 @@ from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.rtu import RtuServer
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
-from edged.domain import Event
+from edged.domain.events import Event
 from edged.errors import CommandRefused
 from edged.plc.registers import BLOCKS, COMMAND, JOBS, Number, Register, decode, encode
 from edged.ports import Commander

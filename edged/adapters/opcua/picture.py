@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from edged.domain import Snapshot
+from edged.domain.events import Snapshot
 from edged.payload import encode, message, snapshot_to_json
 from edged.plc.registers import Number
 

@@ -20,7 +20,7 @@ from edged.adapters.opcua.picture import Picture, ResultRecord
 from edged.adapters.opcua.security import Identity, identity_of
 from edged.adapters.opcua.server import ServerThread
 from edged.adapters.opcua.settings import OpcUaSettings
-from edged.domain import Event, Snapshot
+from edged.domain.events import Event, Snapshot
 from edged.errors import CommandRefused
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason

@@ -38,7 +38,8 @@ from edged.adapters.opcua.structures import (
     structure,
     text_of,
 )
-from edged.domain import CommandKind, Snapshot, Status
+from edged.domain.events import CommandKind, Snapshot
+from edged.domain.measurement import Status
 from edged.logs import LogLimit
 from edged.plc import registers as reg
 

@@ -17,21 +17,11 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 
-from edged.domain import (
-    SIDES,
-    CellPhase,
-    CellState,
-    CommandKind,
-    Event,
-    ExposureDone,
-    FloatArray,
-    FramePair,
-    Nearest,
-    Side,
-    Snapshot,
-    Status,
-    Target,
-)
+from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import CommandKind, Event, ExposureDone, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Nearest, Status, Target
 from edged.logs import RELAPSE_S
 from edged.payload import Json, snapshot_to_json, state_to_json
 from edged.pictures.captions import reasons, why_nothing

@@ -30,7 +30,9 @@ from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
 from edged.adapters.web.setup import SetupApi
-from edged.domain import Event, Nearest, Side
+from edged.domain.arrays import Side
+from edged.domain.events import Event
+from edged.domain.measurement import Nearest
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
 from edged.logs import LogLimit

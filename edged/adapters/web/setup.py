@@ -18,7 +18,8 @@ from typing import Any
 import cv2
 from aiohttp import web
 
-from edged.domain import FramePair, Image
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
 from edged.errors import CaptureError, SetupRefused
 from edged.payload import Json
 from edged.ports import Commissioner

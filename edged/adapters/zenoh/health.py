@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from edged.domain import Snapshot
+from edged.domain.events import Snapshot
 from edged.payload import Json
 
 RATE_WINDOW = 32  # cycles over which the rate is taken

@@ -14,7 +14,9 @@ import numpy as np
 import zenoh
 
 from edged.adapters.zenoh.worker import Worker
-from edged.domain import SIDES, ExposureDone, Frame, Image
+from edged.domain.arrays import SIDES, Image
+from edged.domain.events import ExposureDone
+from edged.domain.frames import Frame
 from edged.payload import encode
 
 PERIOD_S = 0.2

@@ -32,16 +32,8 @@ from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
 from edged.ages import ExposureClock
-from edged.domain import (
-    CellPhase,
-    CellState,
-    Command,
-    CommandFailed,
-    Event,
-    ExposureDone,
-    JobChanged,
-    Snapshot,
-)
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Command, CommandFailed, Event, ExposureDone, JobChanged, Snapshot
 from edged.errors import CommandRefused, ConfigError, ListenError
 from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
 from edged.ports import Commander

@@ -19,7 +19,9 @@ from importlib import import_module
 import numpy as np
 import zenoh
 
-from edged.domain import CommandKind, FloatArray, Reject, Snapshot, Status
+from edged.domain.arrays import FloatArray
+from edged.domain.events import CommandKind, Snapshot
+from edged.domain.measurement import Reject, Status
 from edged.errors import ConfigError
 from edged.robot.covariance import robot_covariance
 from edged.vision.geometry.rigid import quaternion

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import zenoh
 
 from edged.adapters.zenoh.keys import TRIGGER_PARAMETERS
-from edged.domain import CommandKind, FloatArray
+from edged.domain.arrays import FloatArray
+from edged.domain.events import CommandKind
 from edged.errors import CommandRefused
 from edged.robot.orientations import Brand, transform_of
 

@@ -6,7 +6,8 @@ import asyncio
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from edged.domain import Command, CommandKind, FloatArray
+from edged.domain.arrays import FloatArray
+from edged.domain.events import Command, CommandKind
 
 SOURCE = "zenoh"  # of our commands
 

@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edged.config.cell import Zones
-from edged.domain import Bounds, FloatArray, Grasp, Order, Picking
+from edged.domain.arrays import FloatArray
+from edged.domain.picking import Bounds, Grasp, Order, Picking
 from edged.robot.orientations import matrix_fixed_xyz
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (

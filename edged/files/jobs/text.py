@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from edged.domain import Bounds, Grasp
+from edged.domain.picking import Bounds, Grasp
 from edged.robot.orientations import fixed_xyz
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec, nominal_size
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.vision.geometry.camera import CameraModel, StereoRig, calibration_identity

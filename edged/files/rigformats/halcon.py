@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
 from edged.files.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation

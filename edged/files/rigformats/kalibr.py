@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from edged.domain import SIDES
+from edged.domain.arrays import SIDES
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import write_file
 from edged.files.rigformats.files import Fields, Imported, Options, holds, load_yaml, make_rig, relation

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import write_file
 from edged.files.rigformats.files import (

@@ -14,7 +14,7 @@ integers, hence `floor`.
 
 from __future__ import annotations
 
-from edged.domain import CommandKind
+from edged.domain.events import CommandKind
 from edged.plc.clients.units import filled
 from edged.plc.handshake import Reason
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, Option, StatusBit

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from edged.domain import CommandKind, Reject, SetupSource
+from edged.domain.cell import SetupSource
+from edged.domain.events import CommandKind
+from edged.domain.measurement import Reject
 from edged.plc.registers.schema import (
     JOB_ROWS,
     NAME_WORDS,

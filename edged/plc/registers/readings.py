@@ -9,7 +9,8 @@ import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from edged.domain import Reject, SetupSource
+from edged.domain.cell import SetupSource
+from edged.domain.measurement import Reject
 from edged.plc.registers.schema import (
     INT32_MIN,
     Flag,

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import CommandKind, FloatArray, Snapshot, Status, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.events import CommandKind, Snapshot
+from edged.domain.measurement import Status, Target
 from edged.plc.registers.layout import AXES
 from edged.plc.registers.schema import (
     INT32_MAX,

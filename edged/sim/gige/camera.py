@@ -25,7 +25,7 @@ from types import TracebackType
 
 import numpy as np
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import ListenError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige import genicam as g

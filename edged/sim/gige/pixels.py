@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.kernels.pixelformats import PixelFormat
 
 

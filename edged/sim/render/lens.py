@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel
 
 TOLERANCE = 1e-15  # of normalised coordinates: 3e-12 px at f = 3000 px

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, DotGrid, NominalBoard
 
 FRAME_OUTER, FRAME_INNER = 1.0, 0.75

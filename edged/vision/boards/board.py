@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Side
+from edged.domain.arrays import FloatArray, Side
 from edged.errors import CalibrationError
 
 IntArray = npt.NDArray[np.int64]

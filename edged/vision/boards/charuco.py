@@ -8,7 +8,7 @@ from collections import Counter
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Charuco, Detection, NotDetected
 from edged.vision.boards.chessboard import judge_corners, reduced, refine_corners
 from edged.vision.geometry.camera import CameraModel

@@ -17,7 +17,7 @@ import math
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Chessboard, Detection, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_corners
 from edged.vision.geometry.camera import CameraModel

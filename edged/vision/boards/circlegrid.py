@@ -24,7 +24,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.geometry.camera import CameraModel

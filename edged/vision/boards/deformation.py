@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Board, NominalBoard, ShapedBoard
 
 _DEGREE = 4  # a saddle, a wave, and the corners' own way; more is noise of single marks

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Charuco, Chessboard, Detection, DotGrid, NominalBoard, NotDetected
 from edged.vision.boards.charuco import (
     detect_charuco,

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 

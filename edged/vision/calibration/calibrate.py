@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Side
+from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
 from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
 from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped

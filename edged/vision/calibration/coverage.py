@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Side
+from edged.domain.arrays import Side
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.geometry.rigid import apply, invert

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.errors import CalibrationError
 from edged.vision.calibration.bundle import BundleState, adjust, adjust_poses
 from edged.vision.calibration.calibrate import (

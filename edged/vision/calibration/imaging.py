@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
 from edged.vision.boards.deformation import nominal
 from edged.vision.geometry.camera import StereoRig, calibration_identity

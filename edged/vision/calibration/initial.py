@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Side
+from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Detection, NotDetected, StereoView
 from edged.vision.geometry.camera import CameraModel, LensModel

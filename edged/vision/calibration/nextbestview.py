@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Side
+from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.vision.boards.board import Board
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration.calibrate import Calibration, freedom_of

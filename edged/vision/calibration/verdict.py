@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import SIDES
+from edged.domain.arrays import SIDES
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.boards.board import Detection, NotDetected, StereoView
 from edged.vision.calibration.calibrate import marks_in_both
 from edged.vision.calibration.initial import renumbered

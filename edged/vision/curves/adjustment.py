@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.systematic import DOUBT_PX, estimate_variance_components
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel

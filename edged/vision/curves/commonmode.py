@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import Samples
 from edged.vision.curves.systematic import FAMILIES, shrunk
 from edged.vision.kernels.jit import kernel

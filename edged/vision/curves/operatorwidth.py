@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import kernel

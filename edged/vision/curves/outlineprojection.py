@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import Curve, Face, Outline
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel

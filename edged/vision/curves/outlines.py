@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.kernels.jit import F2
 
 Kind = Literal["circle", "edge", "slot"]

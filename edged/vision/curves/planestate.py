@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
 from edged.vision.curves.commonmode import pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths

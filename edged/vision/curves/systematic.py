@@ -24,7 +24,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.kernels.jit import kernel
 
 F64 = npt.NDArray[np.float64]

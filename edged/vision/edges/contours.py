@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.fitting import fit_circle, fit_line
 from edged.vision.edges.hysteresis import strong_edges
 from edged.vision.edges.subpixel import edges_along_normals

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.hysteresis import strong_edges
 from edged.vision.geometry.rigid import rotation_2d
 

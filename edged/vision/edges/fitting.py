@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
 ROUNDS = 12

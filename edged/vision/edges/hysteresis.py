@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import TeachError
 
 MIN_POINTS = 24

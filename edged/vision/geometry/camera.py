@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 
 LensModel = Literal["brown", "division"]
 DISTORTION_NAMES: dict[str, tuple[str, ...]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 
 Angles = TypeVar("Angles", float, FloatArray)

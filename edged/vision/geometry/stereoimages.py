@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image, Side
+from edged.domain.arrays import FloatArray, Image, Side
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, check_size
 

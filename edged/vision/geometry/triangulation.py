@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rectification import Rectification

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.kernels.jit import kernel
 
 Layout = Literal["bytes", "words", "pairs", "bits"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import Measurement, Reject, Target
+from edged.domain.measurement import Measurement, Reject, Target
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.consistency import doubt_by_rows, doubt_by_sizes, doubted
 from edged.vision.part.job import Job, Limits

@@ -10,7 +10,8 @@ from statistics import median
 
 import numpy as np
 
-from edged.domain import Circle3D, FloatArray, Reject, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Circle3D, Reject, Target
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.curves.planestate import FitParams

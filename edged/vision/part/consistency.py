@@ -23,7 +23,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Measurement, Slot3D, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Slot3D, Target
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.job import Job

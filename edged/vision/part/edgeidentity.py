@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.curves.outlineprojection import project_circle
 from edged.vision.curves.planefit import fit_circle
 from edged.vision.curves.planestate import FitParams

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Measurement
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Measurement
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job

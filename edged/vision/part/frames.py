@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import Circle3D, Corner3D, Edge3D, FloatArray, Slot3D, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Slot3D, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, derived
 from edged.vision.part.job import Job

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import Measurement
+from edged.domain.measurement import Measurement
 from edged.vision.curves.outlines import Face
 from edged.vision.curves.planefit import CurveFit, fit_plane
 from edged.vision.curves.planestate import FitParams

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.stereoimages import StereoImages

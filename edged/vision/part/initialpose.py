@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals

@@ -9,7 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain import FloatArray, Picking
+from edged.domain.arrays import FloatArray
+from edged.domain.picking import Picking
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 

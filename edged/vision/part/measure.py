@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Reject, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Reject, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, derived, fit_plane
 from edged.vision.curves.planestate import FitParams

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from edged.domain import Target
+from edged.domain.measurement import Target
 from edged.vision.curves.planefit import CurveFit
 
 

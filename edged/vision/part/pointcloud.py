@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import Curve
 from edged.vision.curves.planefit import PlaneFit
 from edged.vision.geometry.rigid import rotation_2d, wrapped

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Match, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Match, Target
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
 from edged.vision.curves.outlines import Curve, Face, Outline
 from edged.vision.edges.subpixel import edge_profiles

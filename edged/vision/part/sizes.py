@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from edged.domain import Circle3D, FloatArray, Measurement
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Circle3D, Measurement
 from edged.vision.curves.planefit import PlaneFit, derived
 from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import SIDES, FloatArray, Reject, Target
+from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.measurement import Reject, Target
 from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import PlaneFit, fit_plane

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Side
+from edged.domain.arrays import FloatArray, Side
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
 from edged.vision.part.job import Job

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel

@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams

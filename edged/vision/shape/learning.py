@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges.hysteresis import MIN_POINTS, EdgeThresholds, strong_edges
 from edged.vision.edges.subpixel import edges_along_normals

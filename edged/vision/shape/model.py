@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.edges.hysteresis import MIN_POINTS
 from edged.vision.shape.modelparams import MAX_LEVELS
 

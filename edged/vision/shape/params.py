@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import UserError
 
 Polarity = Literal["same", "global", "local", "ignore"]

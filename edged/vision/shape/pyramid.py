@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import scan
 from edged.vision.shape.scan import STEP_PX

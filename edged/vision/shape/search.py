@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
 from edged.vision.geometry.rigid import angle_between

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape import refine, scan

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 
 MIN_LEVEL_SIZE_PX = 16
 _ALL_VALID = np.ones((1, 1), np.uint8)

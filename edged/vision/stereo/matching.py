@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.leastsquares import (

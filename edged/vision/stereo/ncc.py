@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.kernels.jit import kernel
 
 TEMPLATE_SCALE = 16  # grey values of a sheared window are kept as integers, so that sums are exact

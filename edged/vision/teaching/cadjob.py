@@ -14,7 +14,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve
 from edged.vision.geometry.rectification import Rectification

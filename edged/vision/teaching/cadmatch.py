@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.vision.geometry.rigid import about_z, transform, unit
 from edged.vision.part.job import CircleFeature, EdgeFeature

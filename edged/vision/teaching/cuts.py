@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification

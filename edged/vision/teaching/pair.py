@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain import Circle3D, FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Circle3D
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, fit_circle, fit_plane

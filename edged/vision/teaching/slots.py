@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 

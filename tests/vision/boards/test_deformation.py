@@ -9,7 +9,7 @@ import pytest
 from boards import board_poses, parameter_error, synthetic_views
 from rigs import make_rig
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, nominal, plate_basis, shaped
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo

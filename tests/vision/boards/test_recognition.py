@@ -10,7 +10,7 @@ import pytest
 from boards import board_poses, draw_board
 from rigs import make_rig
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.boards.board import Charuco, CircleGrid, Detection, DotGrid, NominalBoard, parse_board
 from edged.vision.boards.detection import agreed_board, detect_board, of_size, recognise_board
 

@@ -9,7 +9,7 @@ import pytest
 from boards import board_poses, parameter_error, synthetic_views
 from rigs import make_rig
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Chessboard, Detection, NotDetected, StereoView
 from edged.vision.calibration.bundle import BundleState, LensFreedom, Observations, adjust

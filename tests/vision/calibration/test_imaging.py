@@ -10,7 +10,7 @@ import pytest
 from boards import board_poses, draw_board
 from rigs import make_rig
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.boards.board import Chessboard, Detection, DotGrid
 from edged.vision.calibration.imaging import (
     UNKNOWN,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, small_rig
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_rig
 from edged.sim.render.scene import Box, Disc, Hole, Part, Sensor, Surface
 from edged.vision.curves.outlineprojection import circle_axes, project_circle

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from naive import curves as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.operatorwidth import ChosenEdges, choose_widths, variance_of_mean
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples, edges_at_widths
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adjustments import problem
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import solve
 from edged.vision.curves.systematic import FAMILIES, shift_basis, slants
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from naive import edges as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.edges.contours import Contour, find_contours, link, misfit_px, pieces, ramer, split
 from edged.vision.teaching.slots import fit_slot, slot_distance

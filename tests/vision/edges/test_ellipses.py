@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 
 SIZE = (220, 260)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.vision.edges.fitting import fit_circle, fit_line
 
 

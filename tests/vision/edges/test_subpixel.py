@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import edges as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edge_profiles, edges_along_normals, edges_at_widths
 
 SIZE = (64, 80)  # rows, columns

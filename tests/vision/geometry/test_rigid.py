@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.geometry.rigid import (
     angle_between,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from naive.kernels import grey_of_mosaic, nearest_of_256, pack_pixels
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.vision.kernels.pixelformats import BY_CODE, FORMATS, PixelFormat, grey8
 
 EVERY = pytest.mark.parametrize("pixels", FORMATS.values(), ids=FORMATS)

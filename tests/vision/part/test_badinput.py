@@ -10,7 +10,8 @@ import pytest
 from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
 from flatparts import HONEST, METAL, cell, chi2, only
 
-from edged.domain import Image, Outcome, Reject, Status, Target
+from edged.domain.arrays import Image
+from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.errors import ImageError
 from edged.pipeline import locate
 from edged.sim.render.scene import Box, Disc, Part, Surface

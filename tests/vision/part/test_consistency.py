@@ -12,7 +12,8 @@ import pytest
 from cells import frame_pair, pose
 from flatparts import HONEST, cell, chi2, only
 
-from edged.domain import FloatArray, Image, Outcome, Reject, Status, Target
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.pipeline import locate
 from edged.vision.part.consistency import doubted, scale_deviation, undoubted
 from edged.vision.part.job import usual_tolerance_mm

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import part as naive
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification, make_rectification

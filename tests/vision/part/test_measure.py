@@ -14,7 +14,8 @@ from cells import PLACE_MM, frame_pair, pictures, pose, scene, small_rig
 from flatparts import METAL, PLATE, Cell, cell, only
 
 from edged import pipeline
-from edged.domain import FloatArray, Image, Outcome, Reject, Status
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Reject, Status
 from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import cloud, inspect, judge, locate

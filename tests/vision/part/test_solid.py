@@ -12,7 +12,8 @@ from cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from flatparts import METAL, only
 from tilted import BELOW_MM, lying, stacked
 
-from edged.domain import FloatArray, Image, Outcome, Reject, Target
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Outcome, Reject, Target
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tilted import lying, thick, thin
 
-from edged.domain import FloatArray, Reject, Target
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Reject, Target
 from edged.pipeline import inspect, judge, locate, prepare
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Scene, Surface

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import shape as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rigid import angle_between

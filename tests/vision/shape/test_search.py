@@ -13,7 +13,7 @@ from drawings import BRACKET, disc, draw, flange
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import Image
+from edged.domain.arrays import Image
 from edged.errors import ImageError, TeachError, UserError
 from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape.ambiguity import turns

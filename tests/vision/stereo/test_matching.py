@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import stereo as naive
 
-from edged.domain import FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.errors import ImageError
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.render.scene import Surface

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.stereoimages import StereoImages

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edged.domain import FloatArray
+from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import about_z, apply, invert, rotation_matrix, transform

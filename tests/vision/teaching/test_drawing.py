@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from naive import teaching as naive
 
 from edged.commands.teach import DrawingSource, PairSource, chosen_source
-from edged.domain import FloatArray, Status
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Status
 from edged.errors import TeachError, UserError
 from edged.files.dxf import read_dxf
 from edged.files.jobs import load_job, save_job

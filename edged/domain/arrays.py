@@ -1,0 +1,13 @@
+"""What travels as an array, and which of the two cameras it is of."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")

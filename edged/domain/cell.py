@@ -1,0 +1,84 @@
+"""The state of the cell: what it is doing, and whether its calibration holds."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+
+class Calibrated(enum.IntEnum):
+    """Whether the calibration holds, by what the parts show."""
+
+    HOLDS = 0
+    """Nothing speaks against it, or too little has been seen to tell."""
+    DRIFTS = 1
+    """Rows or the known length are beyond the first limit: calibrate soon."""
+    INVALID = 2
+    """Beyond the second limit: results are refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftState:
+    """The verdict, the mean row difference (px rms) and the known length's mean deviation; NaN: unknown."""
+
+    verdict: Calibrated = Calibrated.HOLDS
+    rows_px: float = math.nan
+    length_percent: float = math.nan
+
+
+class CellPhase(enum.StrEnum):
+    """What the daemon is doing."""
+
+    STARTING = "STARTING"
+    READY = "READY"
+    BUSY = "BUSY"
+    FAULT = "FAULT"
+    STOPPING = "STOPPING"
+    SETUP = "SETUP"
+
+
+class SetupSource(enum.IntEnum):
+    """Why the cell is in SETUP."""
+
+    NONE = 0
+    """It is not."""
+    PERSON = 1
+    """Somebody has it, to calibrate, teach or look."""
+    NO_CALIBRATION = 2
+    """There is no rig file yet."""
+    NO_JOB = 3
+    """There is no job yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """The daemon's own state, published on change.
+
+    setup : why it is in SETUP. setup_by : who has it; "" for nobody: unattended, or nothing to measure by.
+    """
+
+    state: CellPhase
+    ready: bool
+    cameras_ok: bool
+    job: str
+    job_number: int
+    missed_triggers: int
+    error: str = ""
+    error_code: int = 0
+    calibrated: Calibrated = Calibrated.HOLDS
+    setup: SetupSource = SetupSource.NONE
+    setup_by: str = ""
+
+    @property
+    def why(self) -> str:
+        """Why the cell does not measure, in words for people; "" when it does, or nothing is wrong."""
+        match self.setup:
+            case SetupSource.NONE:
+                return self.error
+            case SetupSource.NO_CALIBRATION:
+                return "setup: no calibration yet"
+            case SetupSource.NO_JOB:
+                return "setup: no job yet"
+            case SetupSource.PERSON:
+                return f"setup by {self.setup_by}" if self.setup_by else "setup, and nobody looks after it"

@@ -1,0 +1,147 @@
+"""What the cell is asked, and what it tells."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import CellState, DriftState
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Nearest, NotMeasured, Status, Target
+
+
+class CommandKind(enum.IntEnum):
+    """Command register values."""
+
+    LOCATE = 1
+    """Measure; a good result has coordinates."""
+    CHANGE_JOB = 2
+    """Load another job; ended when it is loaded and warm."""
+    GRAB = 3
+    """Take the pictures only."""
+    VERIFY = 4
+    """Measure and say OK or NOK, without coordinates."""
+    NEXT_PART = 5
+    """Give the next good part that the last LOCATE found, without another picture."""
+
+
+PLC_SOURCE = "modbus"
+"""Source of the commands of whoever holds the right to write registers; nobody else's go before them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A request to measure, or to change the job.
+
+    source : who asks (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
+    job : job number, 0 for the active one.
+    robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
+    tries_all : every job is tried, and the part that agrees best counts; job is then 0.
+    box : of the cell's boxes this one alone counts, from 1; 0: each of them.
+    """
+
+    kind: CommandKind
+    source: str
+    sequence: int
+    job: int = 0
+    robot_from_flange: FloatArray | None = field(default=None, compare=False)
+    tries_all: bool = False
+    box: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureDone:
+    """Both images of a cycle are in memory: the part may move.
+
+    pair : the images, for previews; whoever keeps them keeps their memory.
+    """
+
+    cycle: int
+    command: Command | None
+    pair: FramePair | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class JobChanged:
+    """The job with this number and name is loaded, warm and active."""
+
+    number: int
+    name: str
+    command: Command | None
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFailed:
+    """A command that was accepted and then could not be carried out."""
+
+    command: Command
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Everything that is published of one cycle; immutable, also its arrays: publishers keep it on threads.
+
+    exposed_ns : UTC ns of the exposure; 0 if there was none.
+    exposed_bound_ns : bound of its error; None: not known.
+    published_ns : UTC ns when the result was complete.
+    timing_ms : stage name to duration.
+    error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
+    dismissed, nearest : see `Outcome`.
+    robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
+    of it, or None where it is not known.  drift : of the calibration, this cycle included.
+    """
+
+    cycle: int
+    status: Status
+    command: Command | None
+    job: str
+    job_number: int
+    calibration_id: str
+    fingerprint: str
+    simulated: bool
+    exposed_ns: int
+    published_ns: int
+    targets: tuple[Target, ...] = ()
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
+    error: str = ""
+    error_code: int = 0
+    robot_from_rig: FloatArray | None = None
+    registration_covariance: FloatArray | None = None
+    drift: DriftState = field(default_factory=DriftState)
+    exposed_bound_ns: int | None = None
+    dismissed: tuple[NotMeasured, ...] = ()
+    nearest: Nearest | None = None
+
+    def __post_init__(self) -> None:
+        for part in (self.targets, self.robot_from_rig, self.registration_covariance):
+            _seal(part)
+
+
+def _seal(value: object) -> None:
+    """Let no array of a value be written any more."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, tuple):
+        for part in value:
+            _seal(part)
+    elif is_dataclass(value):
+        for one in fields(value):
+            _seal(getattr(value, one.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Jobs, rig or cameras have been exchanged: what was measured before was measured by those before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Idle:
+    """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
+
+
+Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Reloaded | Idle

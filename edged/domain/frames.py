@@ -1,0 +1,65 @@
+"""The images of one exposure."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+from edged.domain.arrays import Image
+
+
+class TimeBase(enum.StrEnum):
+    """Where the time of an exposure comes from, best first."""
+
+    PTP = "ptp"
+    CAMERA = "camera"
+    HOST = "host"
+    ARRIVAL = "arrival"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image of one camera.
+
+    image : (H, W) uint8, owned by the frame (never a view of a driver's buffer).
+    frame_id : the camera's own counter.
+    device_ns : the camera's time stamp, its own epoch; with `TimeBase.PTP` the epoch of all such cameras.
+    exposed_ns : host UTC ns of the exposure's begin, as well as it is known.
+    exposed_bound_ns : the true time, by the host's clock, is no further away; None: not known.
+    time_base : PTP and CAMERA: the camera's stamp, by a map between its clock and the host's. HOST: when the
+        command left. ARRIVAL: when the image came.
+    """
+
+    camera: str
+    frame_id: int
+    image: Image
+    device_ns: int
+    exposed_ns: int
+    exposed_bound_ns: int | None = None
+    time_base: TimeBase = TimeBase.HOST
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePair:
+    """The two frames of one exposure.
+
+    missed : exposures since the pair before that were lost, or that nobody had time for.
+    """
+
+    left: Frame
+    right: Frame
+    missed: int = field(default=0, kw_only=True)
+
+    @property
+    def exposed_ns(self) -> int:
+        """The earlier of both exposures, UTC ns."""
+        return self._earlier.exposed_ns
+
+    @property
+    def exposed_bound_ns(self) -> int | None:
+        """The bound of its error; None: not known."""
+        return self._earlier.exposed_bound_ns
+
+    @property
+    def _earlier(self) -> Frame:
+        return min(self.left, self.right, key=lambda frame: frame.exposed_ns)

@@ -1,0 +1,284 @@
+"""What is found and measured of the parts in one pair of images."""
+
+from __future__ import annotations
+
+import enum
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.picking import GraspPose
+
+
+class Status(enum.StrEnum):
+    """How a cycle ended."""
+
+    OK = "OK"
+    """At least one part is within all limits."""
+    NO_TARGET = "NO_TARGET"
+    """The shape was not found, or nothing that was found could be measured."""
+    LOW_QUALITY = "LOW_QUALITY"
+    """Parts were measured, and none of them is within all limits."""
+    CAPTURE_FAULT = "CAPTURE_FAULT"
+    """The cameras gave no pair of images."""
+
+
+class Reject(enum.IntFlag):
+    """Why a target is not good enough; bits of the reject register."""
+
+    NONE = 0
+    FEW_EDGES = 1 << 0
+    """Too little of the reference, or of what is to be measured, was seen: covered, glare, no contrast."""
+    RESIDUAL = 1 << 1
+    """The edges scatter about their curve more than `max_rms_px`: blur, a burr, another part."""
+    SIGMA_LIMIT = 1 << 2
+    """A coordinate is less certain than `max_sigma_mm`."""
+    LEFT_RIGHT_MISMATCH = 1 << 3
+    """The cameras contradict each other: rows do not meet; moved between exposures, or a knock."""
+    OUT_OF_VOLUME = 1 << 4
+    """Nearer or farther than `depth_mm` allows."""
+    TOLERANCE = 1 << 5
+    """A size or the form is not the taught one: another part or edge, or the distance is wrong."""
+    AMBIGUOUS_ROTATION = 1 << 6
+    """Another rotation explains the image nearly as well."""
+    LOW_SCORE = 1 << 7
+    """Reserved; the search leaves out what scores less than `min_score`."""
+    CALIBRATION = 1 << 8
+    """The calibration has drifted beyond its limits (`[drift]`): no result is given."""
+    AMBIGUOUS_EDGE = 1 << 9
+    """The reference may lie on another edge than the taught one: a chamfer, a step, a burr."""
+    OUT_OF_LIMITS = 1 << 10
+    """In none of the boxes of `[[limits.box]]`: the robot must not go there."""
+    KEEP_OUT = 1 << 11
+    """In a zone of `[[limits.keep_out]]`: the robot must not go there."""
+    NO_GRASP = 1 << 12
+    """No `[[grasp]]` of the job lies where the robot may go."""
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Where the shape was found.
+
+    x_px, y_px : the model's origin in the left image as the camera delivers it (not rectified).
+    angle_rad : rotation against the taught view, positive from x to y (clockwise on screen).
+    scale_x, scale_y : size against the taught view, along the model's own axes.
+    score : visible share of the model that agrees, [0, 1].
+    """
+
+    x_px: float
+    y_px: float
+    angle_rad: float
+    scale_x: float
+    scale_y: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle3D:
+    """A measured circle in the rig frame.
+
+    centre_mm (3,), normal (3,) unit and towards the cameras (normal z < 0), radius_mm,
+    covariance (4, 4) of (centre x, y, z, radius) in mm².
+    """
+
+    name: str
+    centre_mm: FloatArray
+    normal: FloatArray
+    radius_mm: float
+    covariance: FloatArray
+
+    @property
+    def sigma_centre_mm(self) -> FloatArray:
+        """(3,) one sigma of the centre."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+    @property
+    def sigma_radius_mm(self) -> float:
+        """One sigma of the radius."""
+        return float(np.sqrt(self.covariance[3, 3]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge3D:
+    """A measured straight edge in the rig frame.
+
+    start_mm, end_mm (3,) : the taught ends, laid on the measured line; no edge has an end of its own.
+    covariance (2, 2) of (shift across the edge in its face in mm, angle in its face in rad).
+    """
+
+    name: str
+    start_mm: FloatArray
+    end_mm: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot3D:
+    """A measured slot in the rig frame: two half circles joined by straight edges.
+
+    centre_mm (3,), direction (3,) unit along it, length_mm over all, width_mm, covariance (5, 5) of
+    (centre x, y, z, length, width) in mm².
+    """
+
+    name: str
+    centre_mm: FloatArray
+    direction: FloatArray
+    length_mm: float
+    width_mm: float
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corner3D:
+    """Where two straight edges meet, rig frame: position_mm (3,), covariance (3, 3) in mm²."""
+
+    name: str
+    position_mm: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One measured size of a part.
+
+    unit : "mm" or "deg", of value, sigma, nominal and tolerance.  value, sigma : NaN when the features it
+    needs were not seen.  nominal, tolerance : None where the job has none.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    value: float
+    sigma: float
+    nominal: float | None = None
+    tolerance: float | None = None
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether it is within its tolerance; what was not seen is not; None without a tolerance."""
+        if self.tolerance is None:
+            return None
+        return abs(self.value - (self.nominal or 0.0)) <= self.tolerance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """One located part.
+
+    rig_from_part (4, 4): the part frame has its origin at the job's reference point, z along
+    the normal of the part's face away from the cameras, x the rig's x axis projected into
+    that face as it lay at teaching.
+    covariance (6, 6): of (x, y, z in mm, rotation vector in rad), rig frame, small rotation
+    applied on the left (rig axes).
+    epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
+    free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
+    rotation about it is not known; None where the part has no such axis.
+    grasp : how a tool takes it; None where the job has none, or none that is allowed.
+    rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
+    doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
+    rows that do not meet, sizes that are all wrong alike.
+    by_edges, by_doubt (3, 3) : what of the position's covariance comes from the edges, and from the doubt;
+    the rest comes from the calibration. by_edges None: not known.
+    """
+
+    job: str
+    match: Match
+    rig_from_part: FloatArray
+    covariance: FloatArray
+    circles: tuple[Circle3D, ...]
+    epipolar_rms_px: float
+    reject: Reject = Reject.NONE
+    edges: tuple[Edge3D, ...] = ()
+    slots: tuple[Slot3D, ...] = ()
+    corners: tuple[Corner3D, ...] = ()
+    measurements: tuple[Measurement, ...] = ()
+    free_axis: FloatArray | None = None
+    doubt_mm: float = 0.0
+    by_edges: FloatArray | None = None
+    by_doubt: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    grasp: GraspPose | None = None
+    rig_from_model: FloatArray | None = None
+
+    @property
+    def position_mm(self) -> FloatArray:
+        """(3,) reference point in the rig frame."""
+        return self.rig_from_part[:3, 3]
+
+    @property
+    def sigma_mm(self) -> FloatArray:
+        """(3,) one sigma of the position."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+
+@dataclass(frozen=True, slots=True)
+class NotMeasured:
+    """What the left image showed and could not be measured, and why."""
+
+    match: Match
+    reject: Reject
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearMiss:
+    """Where the left image is most like the part, though not enough: its score is below the one needed."""
+
+    match: Match
+    needed_score: float
+
+
+class Nearest:
+    """The place that is most like a part which was not found: looked for when somebody asks, and once.
+
+    A look takes as long as a cycle, or longer, and helps people only: whoever publishes for machines does
+    without.  look : gives the same answer to whoever is first, in whichever thread.
+    """
+
+    def __init__(self, look: Callable[[], NearMiss | None]) -> None:
+        self._look: Callable[[], NearMiss | None] | None = look
+        self._answer: NearMiss | None = None
+        self._answered = False
+        self._lock = threading.Lock()
+
+    def ask(self) -> NearMiss | None:
+        """Look, or wait for whoever looks; None where no place is like the part, or all is forgotten."""
+        with self._lock:
+            look = self._look
+            if look is not None:
+                self._answer, self._answered = look(), True
+                self._look = None
+            return self._answer
+
+    def forget(self) -> None:
+        """Let go of the pair: who asks later gets the answer that is there, if one is."""
+        self._look = None
+
+    @property
+    def open(self) -> bool:
+        """Whether asking still means to look."""
+        return self._look is not None
+
+    @property
+    def answered(self) -> bool:
+        """Whether somebody has looked."""
+        return self._answered
+
+    @property
+    def answer(self) -> NearMiss | None:
+        """The answer as far as it is there; None also before somebody asked."""
+        return self._answer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What the pipeline says of one pair: pure result, no time, no identity.
+
+    nearest : where nothing was found at all, who knows the place that is most like the part.
+    """
+
+    status: Status
+    targets: tuple[Target, ...] = ()
+    dismissed: tuple[NotMeasured, ...] = ()
+    nearest: Nearest | None = None
