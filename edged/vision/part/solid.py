@@ -35,6 +35,7 @@ from edged.vision.part.prediction import match_in_raw, poses_of_match
 from edged.vision.part.rigidlock import (
     AGREE_PX,
     ALONG_PX,
+    GOOD_SHARE,
     SPACING_PX,
     Lock,
     candidates,
@@ -62,8 +63,6 @@ MIN_MARGIN = 0.012
 """Share of all curves by which one turn must agree better than every other: an odd hole is about 0.04."""
 MIN_SHARE, LEAST_SHARE = 0.58, 0.4
 """Of all curves, that the cameras must agree with in the mean, and each; at a wrong pose it is about 0.5."""
-GOOD_SHARE = 0.75
-"""Of a start that both cameras agree with this much there is no better one."""
 RIVAL_SHARE = 0.25
 """Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
 MIN_FOUND = 0.5

@@ -18,7 +18,10 @@ from edged.pipeline import PreparedRig, locate, prepare
 from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job, MeasurementSpec
+from edged.vision.part.rigidlock import lock
+from edged.vision.part.solid import curves_of
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.teaching.pair import teach
 
@@ -129,11 +132,16 @@ def hub() -> TaughtBlock:
     return TaughtBlock(rig, job, invert(where) @ job.rig_from_part)
 
 
-def hub_at(where: FloatArray) -> Scene:
-    """The hub where it lies."""
-    holes = (Hole("a", Disc(8, 2, 1.5)), Hole("b", Disc(-6, 6, 1.2)), Hole("t", Disc(-2, -2, 2.3)))
-    plate = Part("plate", Disc(0, 0, 13), METAL, holes)
-    boss = Part("boss", Disc(-2, -2, 4.0), replace(METAL, seed=5), (Hole("bore", Disc(-2, -2, 2.0)),))
+def hub_at(where: FloatArray, break_mm: float = 0.0) -> Scene:
+    """The hub where it lies; break_mm : by which rims are wider, and holes smaller."""
+    holes = (
+        Hole("a", Disc(8, 2, 1.5 - break_mm)),
+        Hole("b", Disc(-6, 6, 1.2 - break_mm)),
+        Hole("t", Disc(-2, -2, 2.3)),
+    )
+    plate = Part("plate", Disc(0, 0, 13 + break_mm), METAL, holes)
+    bore = Hole("bore", Disc(-2, -2, 2.0 - break_mm))
+    boss = Part("boss", Disc(-2, -2, 4.0), replace(METAL, seed=5), (bore,))
     return Scene(table(), (*stacked(plate, where, 6.0, DARK), *stacked(boss, where @ up(2.0), 2.0, DARK)))
 
 
@@ -146,6 +154,22 @@ def test_a_round_part_is_not_turned(turn_deg: float) -> None:
     between = (where @ here.part_from_job)[:3, :3].T @ target.rig_from_part[:3, :3]
     assert target.reject is Reject.NONE
     assert abs(math.degrees(math.atan2(between[1, 0], between[0, 0]))) < 1.0
+
+
+def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None:
+    """Half of one picture shows each edge as a break displaces it: most edges agree with the pose taken."""
+    here = hub()
+    where = lying(here.rig.rig, 15.0, 40.0, 30.0)
+    left, right = pictures(here.rig.rig, hub_at(where), 7)
+    _, broken = pictures(here.rig.rig, hub_at(where, break_mm=0.36), 7)
+    true = where @ here.part_from_job
+    middle = here.rig.rig.right.project(true[None, :3, 3])[0]
+    y, x = np.mgrid[: right.shape[0], : right.shape[1]]
+    beyond = (x - middle[0]) * math.cos(math.radians(120)) + (y - middle[1]) * math.sin(math.radians(120))
+    images = StereoImages.of(here.rig.rectification, left, np.where(beyond > 20, broken, right))
+    found = lock(images, curves_of(here.job), true)
+    assert found is not None
+    assert found.share > 0.5
 
 
 @pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0)])
