@@ -194,11 +194,12 @@ def teach(
     console.print(f"  reference {job.reference} at ({x:.3f}, {y:.3f}, {z:.3f}) mm in the rig frame")
     for circle in job.circles:
         cx, cy, down = circle.centre_mm
-        above = f", {-down:.3f} mm above the face" if abs(down) > SOLID_MM else ""
+        side = "above" if down < 0 else "below"
+        level = f", {abs(down):.3f} mm {side} the face" if abs(down) > SOLID_MM else ""
         kind = "hole" if circle.polarity > 0 else "disc"
         console.print(
             f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm "
-            f"at ({cx:.3f}, {cy:.3f}) mm in the part frame{above}"
+            f"at ({cx:.3f}, {cy:.3f}) mm in the part frame{level}"
         )
     limits = job.limits
     kind, tolerance_mm = "radius", limits.radius_tolerance_mm

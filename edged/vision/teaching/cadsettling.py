@@ -144,9 +144,10 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
         ("lower", {one.name: one.deeper for one in broken if one.wider < one.deeper}),
     ):
         if seen:
+            low, high = f"{min(seen.values()):.3f}", f"{max(seen.values()):.3f}"
+            size = low if low == high else f"{low} to {high}"
             said.append(
-                f"an edge break of {min(seen.values()):.3f} to {max(seen.values()):.3f} mm that the model "
-                f"does not show, seen by its {which} edge: {', '.join(seen)}: kept as seen"
+                f"an edge break of {size} mm that the model does not show, seen by its {which} edge: {', '.join(seen)}: kept as seen"
             )
     for one in others:
         if one not in broken:
