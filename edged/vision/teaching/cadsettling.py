@@ -147,7 +147,8 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
             low, high = f"{min(seen.values()):.3f}", f"{max(seen.values()):.3f}"
             size = low if low == high else f"{low} to {high}"
             said.append(
-                f"an edge break of {size} mm that the model does not show, seen by its {which} edge: {', '.join(seen)}: kept as seen"
+                f"an edge break of {size} mm that the model does not show, seen by its {which} edge: "
+                f"{', '.join(seen)}: kept as seen"
             )
     for one in others:
         if one not in broken:
