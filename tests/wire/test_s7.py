@@ -169,7 +169,7 @@ def test_scl_locates_a_part() -> None:
         plc.until("xReady")
         plc.run(uiCommand=1, uiJob=99)
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
-        assert [(103, 200, 18), (103, 300, 48), (103, 540, 35), (116, 100, 19)] == plc.client.requests[:4]
+        assert [(103, 200, 19), (103, 300, 48), (103, 540, 35), (116, 100, 19)] == plc.client.requests[:4]
         assert 2 == cell.head.captures
 
 
