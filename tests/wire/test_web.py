@@ -608,8 +608,13 @@ def test_log_ins_at_once_cost_one_hash(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who breaks off each guess has spent it all the same: after five the sixth is not looked at."""
-    hashed = list[str]()
-    monkeypatch.setattr("edged.adapters.web.access.is_password", lambda _, password: hashed.append(password))
+    hashed, looked_at = list[str](), threading.Semaphore(0)
+
+    def check(_: str, password: str) -> None:
+        hashed.append(password)
+        looked_at.release()
+
+    monkeypatch.setattr("edged.adapters.web.access.is_password", check)
 
     async def test() -> None:
         access = Access(HASH, lambda: 0.0)
@@ -621,9 +626,8 @@ def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch)
             refused = None if guess.cancelled() else guess.exception()
             if isinstance(refused, TooManyAttempts) and refused.wait_s == 30.0:
                 break
-        async with asyncio.timeout(10.0):  # the last one may still be on its way to a thread
-            while len(hashed) < 5:
-                await asyncio.sleep(0.01)
+        for _ in range(5):  # the last one may still be on its way to a thread
+            assert await asyncio.to_thread(looked_at.acquire, timeout=10.0)
         assert 5 == len(hashed)
 
     run(test)
