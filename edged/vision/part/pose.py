@@ -12,7 +12,7 @@ from edged.vision.curves.outlines import Curve
 from edged.vision.curves.planefit import PlaneFit
 from edged.vision.geometry.rigid import rotation_2d, wrapped
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
-from edged.vision.part.job import EdgeFeature, Job, SlotFeature
+from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature
 
 TAUGHT_SIGMA_MM = 0.003
 """What a feature's taught place is worth: the precision of one measurement of a machined edge."""
@@ -22,6 +22,13 @@ MIN_SPARE = 2
 
 Observation = tuple[FloatArray, FloatArray, FloatArray]
 """Of one curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance."""
+
+
+def circle_curve(circle: CircleFeature, free_polarity: bool) -> Curve:
+    """A taught circle as a curve of the part's face."""
+    x, y, height = (float(value) for value in circle.centre_mm)
+    parameters = np.array([x, y, circle.radius_mm])
+    return Curve(circle.name, "circle", parameters, 0 if free_polarity else circle.polarity, height_mm=height)
 
 
 def edge_curve(edge: EdgeFeature, free_polarity: bool, sign: int = 1) -> Curve:

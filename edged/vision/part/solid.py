@@ -30,7 +30,7 @@ from edged.vision.part.frames import circles_in_rig, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.measured import Evidence, Measured
-from edged.vision.part.pose import edge_curve, slot_curve
+from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
 from edged.vision.part.prediction import match_in_raw, poses_of_match
 from edged.vision.part.rigidlock import (
     AGREE_PX,
@@ -80,18 +80,8 @@ RIGID_PX = 0.08
 
 def curves_of(job: Job) -> list[Curve]:
     """All features of a job as curves of its part frame."""
-    circles = [
-        Curve(
-            one.name,
-            "circle",
-            np.append(one.centre_mm[:2], one.radius_mm),
-            one.polarity,
-            height_mm=float(one.centre_mm[2]),
-        )
-        for one in job.circles
-    ]
     return [
-        *circles,
+        *(circle_curve(circle, free_polarity=False) for circle in job.circles),
         *(edge_curve(edge, free_polarity=False) for edge in job.edges),
         *(slot_curve(slot, free_polarity=False) for slot in job.slots),
     ]
@@ -113,8 +103,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     fit, rigid = whole.fit, whole.fit.rigid
     target = target_of(images.rectification, job, match, fit)
     reject = Reject.NONE
-    untried = match.ambiguous and not _is_roundish(job) and not _rival_motions(job)
-    if margin < MIN_MARGIN or untried:
+    if margin < MIN_MARGIN:
         reject |= Reject.AMBIGUOUS_ROTATION
     circles = sum(one.curve.kind == "circle" for one in fit.fits)
     if len(fit.fits) < MIN_FOUND * len(whole.curves) or circles < MIN_FOUND * len(job.circles):
@@ -142,7 +131,10 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
 
 
 def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
-    """The pose that most of the part agrees with, and by which share more than with any other turn."""
+    """The pose that most of the part agrees with, and by which share more than with any other turn.
+
+    0 where the search could not tell turns apart, and the features have none to try.
+    """
     curves = curves_of(job)
     poses = _starts(images, job, match)
     best = _best_of(images, curves, poses)
@@ -150,12 +142,12 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         best = _best_of(images, curves, _turned(images, curves, job, poses), best)
     if best is None or best.share < POOR_SHARE:
         return None
-    found = [best]
-    if _is_roundish(job):
+    found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
+    if roundish:
         others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
         found += [one for one in others if one is not None]
         best = max(found, key=lambda one: float(one.agreeing.sum()))
-    for motion in _rival_motions(job):
+    for motion in motions:
         turned = best.pose @ motion
         if glance(images, curves, turned) > float(best.agreeing.mean()) - RIVAL_SHARE:
             one = lock(images, curves, turned, near=True)
@@ -164,6 +156,8 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     best = found[0]
     if best.share < LEAST_SHARE or float(best.agreeing.mean()) < MIN_SHARE:
         return None
+    if match.ambiguous and not roundish and not motions:
+        return best, 0.0
     other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
     return best, 1.0 if other is None else float(best.agreeing.mean() - other.agreeing.mean())
 

@@ -29,7 +29,7 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
-from edged.vision.part.pose import edge_curve
+from edged.vision.part.pose import circle_curve, edge_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
@@ -122,10 +122,7 @@ def _snapped(point: FloatArray) -> FloatArray:
 
 def _curves(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> list[Curve]:
     return [
-        *(
-            Curve("", "circle", np.append(c.centre_mm[:2], c.radius_mm), 0, height_mm=float(c.centre_mm[2]))
-            for c in circles
-        ),
+        *(circle_curve(circle, True) for circle in circles),
         *(edge_curve(edge, True) for edge in edges),
     ]
 

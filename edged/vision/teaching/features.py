@@ -260,8 +260,8 @@ def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
     origin_z = float(fit.face.origin[2])
     gap_mm = CORNER_GAP_PX * origin_z / view.images.rig.left.fx
     return FoundFeatures(
-        tuple(_edge_feature(curve) for curve in named),
-        tuple(_slot_feature(curve, f"s{k}") for k, curve in enumerate(slots)),
+        tuple(edge_feature(curve) for curve in named),
+        tuple(slot_feature(replace(curve, name=f"s{k}")) for k, curve in enumerate(slots)),
         _corners(named, gap_mm),
     )
 
@@ -280,15 +280,18 @@ def _ends(curve: Curve) -> npt.NDArray[np.float64]:
     return np.stack([curve.parameters[:2] - half, curve.parameters[:2] + half])
 
 
-def _edge_feature(curve: Curve) -> EdgeFeature:
-    start, end = np.column_stack([_ends(curve), np.zeros(2)])
+def edge_feature(curve: Curve) -> EdgeFeature:
+    """A fitted edge as a feature of the frame that it was fitted in."""
+    start, end = np.column_stack([_ends(curve), np.full(2, curve.height_mm)])
     return EdgeFeature(curve.name, start, end, curve.polarity)
 
 
-def _slot_feature(curve: Curve, name: str) -> SlotFeature:
+def slot_feature(curve: Curve) -> SlotFeature:
+    """A fitted slot as a feature of the frame that it was fitted in."""
     x, y, angle, length, width = (float(value) for value in curve.parameters)
     upright = wrapped(angle, math.pi)  # both ends look the same
-    return SlotFeature(name, np.array([x, y, 0.0]), upright, length, width, curve.polarity)
+    centre = np.array([x, y, curve.height_mm])
+    return SlotFeature(curve.name, centre, upright, length, width, curve.polarity)
 
 
 def _corners(edges: list[Curve], gap_mm: float) -> tuple[CornerFeature, ...]:

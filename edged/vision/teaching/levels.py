@@ -23,14 +23,21 @@ from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, invert, transform, unit, wrapped
+from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
-from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
-from edged.vision.part.pose import edge_curve, slot_curve
+from edged.vision.part.job import CircleFeature, CornerFeature, EdgeFeature, SlotFeature
+from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
 from edged.vision.teaching.background import agreeing_with
-from edged.vision.teaching.features import FoundFeatures, TeachingView, find_features, part_frame
+from edged.vision.teaching.features import (
+    FoundFeatures,
+    TeachingView,
+    edge_feature,
+    find_features,
+    part_frame,
+    slot_feature,
+)
 
 APART_MM = 0.3
 """Faces less far apart are one; edge breaks are smaller, too."""
@@ -202,8 +209,8 @@ class SolidFeatures:
     """What a part of several heights consists of.
 
     rig_from_part (4, 4) : its origin in the centre of the reference circle, z = 0 the face that is searched
-    for.  fits : circles, reference first, then by falling radius; edges and slots, those of that face first.
-    found : edges, slots and corners as features.
+    for.  circles : reference first, then that face's, then by falling radius.  found : edges, slots and
+    corners as features, those of that face first.
     """
 
     rig_from_part: FloatArray
@@ -241,17 +248,13 @@ def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
     return _as_features(fit, found)
 
 
-def main_face_mask(view: TeachingView, solid: SolidFeatures) -> Image:
+def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: SolidFeatures) -> Image:
     """(h, w) uint8: the rectified left image about the features of the face that is searched for.
 
-    Edges of other heights would lie elsewhere as soon as the part does.
+    circles : those of the part, as features. Edges of other heights would lie elsewhere as soon as the part
+    does.
     """
-    into_part = invert(solid.rig_from_part)
-    curves = []
-    for one in solid.circles:
-        x, y, z = apply(into_part, one.circle.centre_mm)
-        parameters = np.array([x, y, one.circle.radius_mm])
-        curves.append(Curve(one.circle.name, "circle", parameters, 0, height_mm=float(z)))
+    curves = [circle_curve(circle, True) for circle in circles]
     curves += [edge_curve(edge, True) for edge in solid.found.edges]
     curves += [slot_curve(slot, True) for slot in solid.found.slots]
     flat = [curve for curve in curves if abs(curve.height_mm) <= APART_MM]
@@ -364,28 +367,8 @@ def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:
     circles = circles_in_rig(fit)
     origin = fit.face.to_rig(np.append(fit.fits[0].curve.parameters[:2], 0.0)[None])[0]
     shift = -np.append(fit.fits[0].curve.parameters[:2], 0.0)
-    curves = {one.name: one.curve for one in fit.fits}
-    edges, slots = [], []
-    for edge in found.edges:
-        if edge.name in curves:
-            curve = curves[edge.name]
-            middle = np.array([*curve.parameters[:2], curve.height_mm])
-            half = 0.5 * curve.length_mm * np.append(curve.direction, 0.0)
-            edges.append(replace(edge, start_mm=middle - half, end_mm=middle + half, polarity=curve.polarity))
-    for slot in found.slots:
-        if slot.name in curves:
-            x, y, angle, length, width = curves[slot.name].parameters
-            centre = np.array([x, y, curves[slot.name].height_mm])
-            slots.append(
-                replace(
-                    slot,
-                    centre_mm=centre,
-                    angle_rad=wrapped(float(angle), math.pi),
-                    length_mm=float(length),
-                    width_mm=float(width),
-                    polarity=curves[slot.name].polarity,
-                )
-            )
+    edges = [edge_feature(one.curve) for one in fit.fits if one.curve.kind == "edge"]
+    slots = [slot_feature(one.curve) for one in fit.fits if one.curve.kind == "slot"]
     kept = {edge.name for edge in edges}
     corners = tuple(corner for corner in found.corners if kept.issuperset(corner.edges))
     features = FoundFeatures(tuple(edges), tuple(slots), corners).moved(shift)

@@ -22,6 +22,7 @@ from edged.vision.part.edgeidentity import is_double
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
+from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
@@ -90,29 +91,28 @@ def teach(
     reference = circles[0].circle
     rig_from_part = part_frame(reference.normal, reference.centre_mm)
     view = replace(view, mask=without_background(view, rig_from_part, view.mask))
-    features = tuple(
+    features = _circle_features(view, circles, rig_from_part)
+    curves = [circle_curve(circle, free_polarity=False) for circle in features]
+    found, _ = find_features(view, rig_from_part, curves)
+    sigma_mm = reference.sigma_radius_mm
+    return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
+
+
+def _circle_features(
+    view: TeachingView, circles: Sequence[FoundCircle], rig_from_part: FloatArray
+) -> tuple[CircleFeature, ...]:
+    """Measured circles as features of the part's frame (4, 4)."""
+    into_part = invert(rig_from_part)
+    return tuple(
         CircleFeature(
             one.circle.name,
-            apply(invert(rig_from_part), one.circle.centre_mm),
+            apply(into_part, one.circle.centre_mm),
             one.circle.radius_mm,
             one.fit.curve.polarity,
             is_double(view.images, one),
         )
         for one in circles
     )
-    curves = [
-        Curve(
-            one.name,
-            "circle",
-            np.append(one.centre_mm[:2], one.radius_mm),
-            one.polarity,
-            height_mm=float(one.centre_mm[2]),
-        )
-        for one in features
-    ]
-    found, _ = find_features(view, rig_from_part, curves)
-    sigma_mm = reference.sigma_radius_mm
-    return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
 def _circles(
@@ -130,17 +130,7 @@ def _solid_job(
     view: TeachingView, params: ModelParams | None, name: str, number: int, solid: SolidFeatures
 ) -> Job:
     """The job of a part of several heights; what is searched for is its main face."""
-    into_part = invert(solid.rig_from_part)
-    features = tuple(
-        CircleFeature(
-            one.circle.name,
-            apply(into_part, one.circle.centre_mm),
-            one.circle.radius_mm,
-            one.fit.curve.polarity,
-            is_double(view.images, one),
-        )
-        for one in solid.circles
-    )
+    features = _circle_features(view, solid.circles, solid.rig_from_part)
     reference = solid.circles[0].circle
     job = _job(
         view,
@@ -152,7 +142,7 @@ def _solid_job(
         solid.found,
         features,
         reference.sigma_radius_mm,
-        main_face_mask(view, solid),
+        main_face_mask(view, features, solid),
     )
     return for_solid(job)
 
