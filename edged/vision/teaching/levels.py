@@ -110,13 +110,27 @@ def _measured(
     if not np.isfinite(middle).all() or middle[2] <= 0:
         return None
     parallel = Plane(normal, float(normal @ middle))
-    ring = parallel.meet(images.rays("left", points))
-    if not np.isfinite(ring).all():
+    return circle_on(parallel, images, points, ellipse.polarity, fixed_normal=True)
+
+
+def circle_on(
+    plane: Plane, images: StereoImages, points_px: FloatArray, polarity: int, *, fixed_normal: bool
+) -> FoundCircle | None:
+    """The circle that an outline (N, 2) of the rectified left image is on a plane; None if it is not seen."""
+    ring = plane.meet(images.rays("left", points_px))
+    if not np.isfinite(ring).all() or (ring[:, 2] <= 0).any():
         return None
     centre = ring.mean(axis=0)
     radius = float(np.linalg.norm(ring - centre, axis=1).mean())
     fit = fit_circle(
-        images.rig, images.raw, centre, normal, radius, ellipse.polarity, CIRCLE_PARAMS, fixed_normal=True
+        images.rig,
+        images.raw,
+        centre,
+        plane.normal,
+        radius,
+        polarity,
+        CIRCLE_PARAMS,
+        fixed_normal=fixed_normal,
     )
     return None if fit is None else circle_in_rig(fit, "circle")
 

@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Circle3D
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.planefit import CurveFit, fit_circle, fit_plane
+from edged.vision.curves.planefit import CurveFit, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.plane import Plane
@@ -19,7 +19,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.edgeidentity import is_double
-from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
+from edged.vision.part.frames import FoundCircle, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
 from edged.vision.part.pose import circle_curve
@@ -35,7 +35,7 @@ from edged.vision.teaching.features import (
     outline_mask,
     part_frame,
 )
-from edged.vision.teaching.levels import SolidFeatures, find_levels, main_face_mask, solid_features
+from edged.vision.teaching.levels import SolidFeatures, circle_on, find_levels, main_face_mask, solid_features
 from edged.vision.teaching.region import Area, Region, painted_region
 
 FACE_TOLERANCE_MM = 0.15
@@ -250,7 +250,7 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
         plane = find_plane(images, points, normals, ellipse.polarity, depths_mm)
         if plane is None:
             continue
-        found = _fit_on(plane, images, ellipse, fixed_normal=False)
+        found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=False)
         if found is not None and _is_clear(found.fit):
             circle = found.circle
             return Plane(circle.normal, float(circle.normal @ circle.centre_mm)), found
@@ -271,7 +271,7 @@ def _others(
     """The other circles of the face, each verified in both images."""
     found: list[FoundCircle] = []
     for ellipse in ellipses:
-        one = _fit_on(face, images, ellipse, fixed_normal=True)
+        one = circle_on(face, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
         if one is None or not _is_clear(one.fit):
             continue
         circle = one.circle
@@ -292,29 +292,6 @@ def _others(
 def _are_duplicates(one: Circle3D, other: Circle3D) -> bool:
     apart = float(np.linalg.norm(one.centre_mm - other.centre_mm))
     return apart < 0.3 and abs(one.radius_mm - other.radius_mm) < 0.3
-
-
-def _fit_on(
-    plane: Plane, images: StereoImages, ellipse: ImageEllipse, *, fixed_normal: bool
-) -> FoundCircle | None:
-    outline, _ = ellipse.outline(32)
-    space = plane.meet(images.rays("left", outline))
-    if not np.isfinite(space).all() or (space[:, 2] <= 0).any():
-        return None
-    centre = space.mean(axis=0)
-    radius = float(np.linalg.norm(space - centre, axis=1).mean())
-    params = FitParams(reach_px=(4.0, 3.0, 2.0))
-    fit = fit_circle(
-        images.rig,
-        images.raw,
-        centre,
-        plane.normal,
-        radius,
-        ellipse.polarity,
-        params,
-        fixed_normal=fixed_normal,
-    )
-    return None if fit is None else circle_in_rig(fit, "circle")
 
 
 def _laid_in_face(found: list[FoundCircle]) -> tuple[Face, list[Curve]]:
