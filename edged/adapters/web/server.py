@@ -18,7 +18,6 @@ from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
@@ -27,6 +26,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts
+from edged.adapters.web.assets import read_assets, type_of
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
 from edged.adapters.web.setup import SetupApi
@@ -60,12 +60,6 @@ COOKIE = "edged_session"
 CACHED_BYTES = 4 * 1024 * 1024
 """Of JPEGs that were drawn for one viewer, and may be asked for by the next."""
 WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
-STATIC = {
-    "app.js": "text/javascript",
-    "style.css": "text/css",
-    "login.css": "text/css",
-    "icon.svg": "image/svg+xml",
-}
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
@@ -152,6 +146,7 @@ class WebPublisher:
         self._html = {
             name: render(f"{name}.html", __package__, cell=cell) for name in ("index", "login", "nomanual")
         }
+        self._assets = read_assets()
         self._runner: web.AppRunner | None = None
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
@@ -181,7 +176,7 @@ class WebPublisher:
             "/picture/{cycle:[0-9]{1,15}}/{side:left|right}{size:(/small|/full)?}", self._picture
         )
         app.router.add_get("/cycle/{cycle:[0-9]{1,15}}.json", self._cycle)
-        app.router.add_get("/static/{name}", self._static)
+        app.router.add_get("/static/{name:.+}", self._static)
         app.router.add_get("/manual", self._manual_index)
         app.router.add_get("/manual/{path:.*}", self._manual_file)
         app.router.add_get("/metrics", self._metrics)
@@ -320,9 +315,9 @@ class WebPublisher:
 
     async def _static(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
-        if name not in STATIC:
+        if name not in self._assets:
             raise web.HTTPNotFound
-        return _file(name, STATIC[name])
+        return _text(self._assets[name], type_of(name))
 
     async def _manual_index(self, _request: web.Request) -> web.Response:
         raise web.HTTPMovedPermanently("/manual/")
@@ -490,10 +485,6 @@ def is_loopback(host: str) -> bool:
 
 def _event(name: str, data: Json) -> bytes:
     return f"event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n".encode()
-
-
-def _file(name: str, content_type: str) -> web.Response:
-    return _text((files(__package__) / "static" / name).read_text("utf-8"), content_type)
 
 
 def _text(text: str, content_type: str) -> web.Response:

@@ -1,0 +1,29 @@
+"""What a browser may load of the pages: scripts, styles, drawings and texts, by their names below static/."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import PurePosixPath
+
+TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".ftl": "text/plain"}
+"""By the end of the name; what ends otherwise (licences, check sums) is for who looks into the package."""
+
+
+def read_assets() -> dict[str, str]:
+    """Names, such as "setup/main.js", to texts."""
+    found: dict[str, str] = {}
+    folders = [(files(__package__) / "static", "")]
+    while folders:
+        folder, place = folders.pop()
+        for entry in folder.iterdir():
+            name = f"{place}{entry.name}"
+            if entry.is_dir():
+                folders.append((entry, f"{name}/"))
+            elif type_of(name):
+                found[name] = entry.read_text("utf-8")
+    return found
+
+
+def type_of(name: str) -> str:
+    """Its media type; "" for what is not served."""
+    return TYPES.get(PurePosixPath(name).suffix, "")
