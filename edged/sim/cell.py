@@ -13,11 +13,11 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES, FloatArray, Image, Side
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import (
@@ -35,6 +35,7 @@ from edged.sim.render.scene import (
     View,
     extent_mm,
 )
+from edged.sim.showing import Pose, Showing, Thing, fingers, waving_hand
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 PAIR_WINDOW_NS = 50_000_000
@@ -81,24 +82,28 @@ class Truth:
     """What was really there.
 
     number : counts scenes from 0. exposed_ns : of the first exposure of the pair.
+    rig_from_part : (4, 4) of what was shown, the board's too; of nothing, where the part would lie.
     """
 
     number: int
     exposed_ns: int
     rig_from_part: FloatArray
     circles: tuple[TrueCircle, ...]
+    thing: Thing = Thing.PART
 
 
 @dataclass(slots=True)
 class _Moment:
     truth: Truth
+    scene: Scene
     seen: dict[str, tuple[int, int]] = field(default_factory=dict)  # camera: frame id, exposed_ns
 
 
 class VirtualCell:
     """Scenes, their pictures and their truth; every one follows from the seed and its number.
 
-    Thread-safe: cameras expose from threads of their own.
+    board : what `show` may hold before the cameras. Thread-safe: cameras expose from threads of their own,
+    and what is shown may change at any time; both pictures of a pair show one moment.
     Raises ValueError where the part fits nowhere into the view of both cameras.
     """
 
@@ -109,16 +114,18 @@ class VirtualCell:
         *,
         seed: int = 0,
         motion: Motion | None = None,
+        board: Plate | None = None,
         table: Surface | None = None,
         light: Light | None = None,
         sensor: Sensor | None = None,
     ) -> None:
-        self.rig, self.part = rig, part
+        self.rig, self.part, self.board = rig, part, board
         self._seed = seed
         self._motion = motion or Motion()
         self._table = table or Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
         self._light = light or Light()
         self._views = stereo_views(rig, sensor)
+        self._showing = Showing()
         self._moments: deque[_Moment] = deque(maxlen=HISTORY)
         self._born = 0
         self._lock = threading.Lock()
@@ -126,20 +133,62 @@ class VirtualCell:
 
     def exposure(self, camera: str) -> Callable[[ExposureRequest], Image]:
         """The function that a virtual camera, "left" or "right", calls for its images."""
-        view = self._views[camera]
 
         def expose(request: ExposureRequest) -> Image:
+            view = self._views[camera]
             if request.width > view.camera.width or request.height > view.camera.height:
                 raise ImageError(
                     f"virtual camera {camera}: {request.width}x{request.height} asked for, "
                     f"the sensor has {view.camera.width}x{view.camera.height}"
                 )
-            truth = self.moment(camera, request)
-            rng = np.random.default_rng((self._seed, 1 + SIDES.index(camera), truth.number))
-            image = view.render(self.scene(truth.rig_from_part), rng, request.exposure_us, request.gain_db)
+            moment = self._moment(camera, request)
+            rng = np.random.default_rng((self._seed, 1 + SIDES.index(camera), moment.truth.number))
+            image = view.render(moment.scene, rng, request.exposure_us, request.gain_db)
             return np.ascontiguousarray(image[: request.height, : request.width])
 
         return expose
+
+    # --- what is shown, from the next exposure on ----------------------------------------------
+
+    @property
+    def middle_mm(self) -> FloatArray:
+        """(3,) the middle of where the part may lie, in the rig frame."""
+        return np.array(self._motion.centre_mm)
+
+    @property
+    def showing(self) -> Showing:
+        """What is shown."""
+        return self._showing
+
+    def show(self, thing: Thing | str, pose: Pose | None = None, *, covered: bool = False) -> None:
+        """Lay or hold something before the cameras.
+
+        pose : where, or where at which time; None: the part anywhere, elsewhere at every exposure.
+        covered : fingers cover a corner of the board.
+        Raises ValueError for a thing that there is not, and for a board that is nowhere.
+        """
+        thing = Thing(thing)
+        if thing is Thing.BOARD and (self.board is None or pose is None):
+            raise ValueError("a board needs to be given to the cell, and a pose")
+        with self._lock:
+            self._showing = replace(self._showing, thing=thing, pose=pose, covered=covered)
+
+    def wave(self, side: Side | None) -> None:
+        """A hand waves before this camera; None: no longer."""
+        with self._lock:
+            self._showing = replace(self._showing, waving=side)
+
+    def focus(self, side: Side, psf_sigma_px: float) -> None:
+        """Turn a lens's ring: its blur from now on."""
+        view = self._views[side]
+        sensor = replace(view.sensor, psf_sigma_px=psf_sigma_px)
+        self._views[side] = View(view.camera, view.camera_from_rig, sensor)
+
+    def view(self, side: Side) -> View:
+        """A camera as it is."""
+        return self._views[side]
+
+    # --- the truth -----------------------------------------------------------------------------
 
     def truth(self, exposed_ns: int, tolerance_ns: int = PAIR_WINDOW_NS) -> Truth | None:
         """The scene exposed nearest to a time; None where there was none, or where it is forgotten."""
@@ -172,28 +221,52 @@ class VirtualCell:
 
     def scene(self, rig_from_part: FloatArray) -> Scene:
         """The cell with the part at a pose."""
+        return Scene(self._floor(), (Placed(self.part, rig_from_part),), self._light)
+
+    def _floor(self) -> Table:
         rig_from_table = np.eye(4)
         # below the lowest point that a tilted part can have
         rig_from_table[:3, 3] = self._motion.centre_mm
         rig_from_table[2, 3] += self._motion.depth_mm + extent_mm(self.part.outline) * math.sin(
             self._motion.tilt_rad
         )
-        table = Table(self._table, rig_from_table)
-        return Scene(table, (Placed(self.part, rig_from_part),), self._light)
+        return Table(self._table, rig_from_table)
 
     def moment(self, camera: str, request: ExposureRequest) -> Truth:
-        """The scene that this exposure sees; a new one where none is left to share."""
+        """What this exposure sees; a new scene where none is left to share."""
+        return self._moment(camera, request).truth
+
+    def _moment(self, camera: str, request: ExposureRequest) -> _Moment:
         frame = (request.frame_id, request.exposed_ns)
         with self._lock:
             for moment in reversed(self._moments):
                 near = abs(request.exposed_ns - moment.truth.exposed_ns) <= PAIR_WINDOW_NS
                 if near and moment.seen.get(camera, frame) == frame:
                     moment.seen[camera] = frame
-                    return moment.truth
-            truth = self._truth(self._born, request.exposed_ns, self.pose(self._born))
+                    return moment
+            moment = self._next(request.exposed_ns)
+            moment.seen[camera] = frame
             self._born += 1
-            self._moments.append(_Moment(truth, {camera: frame}))
-            return truth
+            self._moments.append(moment)
+            return moment
+
+    def _next(self, exposed_ns: int) -> _Moment:
+        """What is shown at this time, as the scene of the next number."""
+        showing = self._showing
+        pose = showing.pose_at(exposed_ns)
+        if pose is None:
+            pose = self.pose(self._born)
+        truth = self._truth(self._born, exposed_ns, pose, showing.thing)
+        placed: list[Placed] = []
+        if showing.thing is Thing.PART:
+            placed.append(Placed(self.part, pose))
+        elif showing.thing is Thing.BOARD and self.board is not None:
+            placed.append(Placed(self.board.part, pose))
+            if showing.covered:
+                placed.append(fingers(self.board, pose))
+        if showing.waving is not None:
+            placed.append(waving_hand(self._views[showing.waving], exposed_ns))
+        return _Moment(truth, Scene(self._floor(), tuple(placed), self._light))
 
     def pose(self, number: int) -> FloatArray:
         """(4, 4) rig_from_part of the scene of this number; in view of both cameras."""
@@ -210,7 +283,9 @@ class VirtualCell:
 
     # --- inside ------------------------------------------------------------------------------
 
-    def _truth(self, number: int, exposed_ns: int, rig_from_part: FloatArray) -> Truth:
+    def _truth(
+        self, number: int, exposed_ns: int, rig_from_part: FloatArray, thing: Thing = Thing.PART
+    ) -> Truth:
         circles = tuple(
             TrueCircle(
                 name,
@@ -218,9 +293,9 @@ class VirtualCell:
                 -rig_from_part[:3, 2],
                 disc.radius_mm,
             )
-            for name, disc in self.part.circles
+            for name, disc in (self.part.circles if thing is Thing.PART else ())
         )
-        return Truth(number, exposed_ns, rig_from_part, circles)
+        return Truth(number, exposed_ns, rig_from_part, circles, thing)
 
 
 # --- views and poses -----------------------------------------------------------------------------
