@@ -87,8 +87,9 @@ def locate(
         if ply is not None:
             save_ply(ply, points)
         if cloud is not None:
-            first = outcome.targets[0].rig_from_part if outcome.targets else None
-            _write_picture(cloud, cloud_picture(points, first))
+            best = outcome.targets[0].match if outcome.targets else None
+            poses = [one.target.rig_from_part for one in inspection.measured if one.target.match is best]
+            _write_picture(cloud, cloud_picture(points, poses[0] if poses else None))
     if as_json:
         print(
             json.dumps(

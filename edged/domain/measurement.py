@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -165,6 +165,15 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ReportedPose:
+    """The pose that a job wants published instead of its reference point's, all as in `Target`."""
+
+    rig_from_part: FloatArray
+    covariance: FloatArray
+    by_edges: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """One located part.
 
@@ -178,6 +187,7 @@ class Target:
     rotation about it is not known; None where the part has no such axis.
     grasp : how a tool takes it; None where the job has none, or none that is allowed.
     rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
+    reported : what is published in place of the reference point's pose; None: that one.
     doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
     rows that do not meet, sizes that are all wrong alike.
     by_edges, by_doubt (3, 3) : what of the position's covariance comes from the edges, and from the doubt;
@@ -201,6 +211,21 @@ class Target:
     by_doubt: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     grasp: GraspPose | None = None
     rig_from_model: FloatArray | None = None
+    reported: ReportedPose | None = None
+
+    @property
+    def as_reported(self) -> Target:
+        """With the pose that the job wants published in place of the reference point's."""
+        if self.reported is None:
+            return self
+        one = self.reported
+        return replace(
+            self,
+            rig_from_part=one.rig_from_part,
+            covariance=one.covariance,
+            by_edges=one.by_edges,
+            reported=None,
+        )
 
     @property
     def position_mm(self) -> FloatArray:

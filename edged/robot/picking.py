@@ -51,6 +51,7 @@ def narrowed(bounds: Bounds, box: int) -> Bounds:
 def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     """The outcome without what the robot may not go to, its good parts first in the order of the job.
 
+    Each with the pose that its job wants published: nothing but publishing may come after it.
     Parts that are equal in it stay as they were: by their score.
     """
     key = _KEYS[picking.order]
@@ -59,14 +60,15 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
         value = key(target, frame.robot_from_rig)
         return target.reject != Reject.NONE, value if math.isfinite(value) else math.inf
 
-    targets = sorted((allowed(one, picking, frame) for one in outcome.targets), key=place)
+    told = (allowed(one, picking, frame).as_reported for one in outcome.targets)
+    targets = sorted(told, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
     return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
 
 
 def allowed(target: Target, picking: Picking, frame: RobotFrame) -> Target:
     """The target with its grasp, rejected where the robot must not go."""
-    reject = target.reject | _refusal(target.position_mm, picking.bounds, frame)
+    reject = target.reject | _refusal(target.as_reported.position_mm, picking.bounds, frame)
     grasp = None
     if picking.grasps and not reject:
         grasp = best_grasp(target, picking.grasps, lambda pose: _is_free(pose, picking.bounds, frame))

@@ -27,9 +27,11 @@ from edged.files.rig import save_rig
 from edged.pipeline import locate as find
 from edged.pipeline import prepare
 from edged.robot.budget import budget_of
+from edged.robot.picking import RobotFrame, picked
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.part.job import Job
+from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.part.job import Job, ModelPoint
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import Settled, settle
 from edged.vision.teaching.pair import teach as teach_pair
@@ -157,6 +159,66 @@ def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
     (tmp_path / "job" / "job.toml").write_text(broken)
     with pytest.raises(FileFormatError, match="part_from_model is not a rigid motion"):
         load_job(tmp_path / "job")
+
+
+def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path) -> None:
+    """Kept on disc: a point of the file within 30 µm, its axes the file's, its sigma that of its lever."""
+    points = (
+        ModelPoint("tip", np.array([-14.5, 12.5, 6.0])),
+        ModelPoint("far", np.array([4000.0, 0.0, 0.0])),
+    )
+    job = replace(settled(taught()).job, points=points, report="tip")
+    save_job(tmp_path / "job", job)
+    where = lying(small_rig(), 20.0, 60.0, 130.0)
+    pair = frame_pair(*see(where, seed=4))
+    told = {}
+    for report in ("tip", "model", "far", "reference"):
+        kept = replace(load_job(tmp_path / "job"), tilt_rad=math.radians(30.0), report=report)
+        (told[report],) = picked(find(pair, kept, prepare(small_rig())), kept.picking, RobotFrame()).targets
+    for report, place in (("tip", points[0].position_mm), ("model", np.zeros(3))):
+        assert np.linalg.norm(told[report].position_mm - apply(where, place)) < 0.03
+        assert np.abs(told[report].rig_from_part[:3, :3] - where[:3, :3]).max() < 2e-3
+        assert Reject.NONE is told[report].reject
+    arm = told["tip"].position_mm - told["reference"].position_mm
+    assert np.array_equal(levered_covariance(told["reference"].covariance, arm), told["tip"].covariance)
+    assert Reject.SIGMA_LIMIT in told["far"].reject
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('report = "tip"', "report 'tip' is none of reference, model"),
+        ('report = "model"\n[[point]]\nname = "model"\nposition_mm = [0, 0, 0]', "two points have one name"),
+        ('[[point]]\nname = "a"\nposition_mm = [0, 0, nan]', "finite"),
+        ('[[point]]\nname = "a"\nposition_mm = [0, 0]', "at least 3"),
+    ],
+)
+def test_a_report_that_is_none_is_refused(tmp_path: Path, line: str, said: str) -> None:
+    """With what it may be, and the file's name."""
+    save_job(tmp_path / "job", drawn())
+    path = tmp_path / "job" / "job.toml"
+    key, _, tables = line.partition("\n") if line.startswith("report") else ("", "", line)
+    text = path.read_text()
+    text = re.sub(r"report = .*", key, text) if key else text
+    path.write_text(f"{text}\n{tables}\n")
+    with pytest.raises(FileFormatError, match=said):
+        load_job(tmp_path / "job")
+
+
+def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
+    """Neither as it is written by hand, nor carried over from a job that had one."""
+    job = replace(drawn(), part_from_model=None, sigma_mm=0.0)
+    save_job(tmp_path / "job", job)
+    path = tmp_path / "job" / "job.toml"
+    path.write_text(path.read_text().replace("[limits]", 'report = "model"\n[limits]'))
+    with pytest.raises(FileFormatError, match="report and points need part_from_model"):
+        load_job(tmp_path / "job")
+    again, said = carry_over(replace(drawn(), report="model"), job)
+    assert "reference" == again.report
+    assert [line for line in said if "report = model is dropped" in line]
+    again, said = carry_over(replace(drawn(), report="model"), drawn())
+    assert "model" == again.report
+    assert "kept: report = model" in said
 
 
 @pytest.mark.parametrize(("step", "up"), [(STEP, None), (None, "z")])

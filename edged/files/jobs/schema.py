@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -23,6 +23,8 @@ from edged.vision.part.job import (
     Limits,
     MeasurementKind,
     MeasurementSpec,
+    ModelPoint,
+    Report,
     SlotFeature,
     crossing,
 )
@@ -307,6 +309,18 @@ class _Grasp(_Section):
         return Grasp(self.name, part_from_tcp, taught, self.approach_mm, retreat_mm, self.symmetry)
 
 
+class _Point(_Section):
+    """A point of the CAD model's frame, whose pose may be published: its axes are the model's."""
+
+    name: Name = Field(description="what `report` may name")
+    position_mm: Annotated[list[Millimetres], Field(min_length=3, max_length=3)] = Field(
+        description="in the frame of the CAD model"
+    )
+
+    def value(self) -> ModelPoint:
+        return ModelPoint(self.name, np.array(self.position_mm))
+
+
 def _is_rigid(pose: FloatArray) -> bool:
     """Whether (4, 4) is a rotation and a shift."""
     rotation = pose[:3, :3]
@@ -334,6 +348,11 @@ class JobFile(_Section):
         None,
         description="where the frame of its CAD model lies in the part frame: x_part = part_from_model x, mm",
     )
+    report: Name = Field(
+        "reference",
+        description='whose pose is published: "reference", "model" (the frame of its CAD model), or the name '
+        "of one of its points",
+    )
     sigma_mm: float = Field(
         0.0, ge=0, le=1, description="of the taught features themselves, for a job from a model alone"
     )
@@ -346,6 +365,7 @@ class JobFile(_Section):
     calibration: str | None = Field(
         None, max_length=200, description="calibration of the rig that measured the sizes; none: a drawing's"
     )
+    point: Annotated[list[_Point], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     circle: Annotated[list[_Circle], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     edge: Annotated[list[_Edge], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
     slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
@@ -383,7 +403,17 @@ class JobFile(_Section):
             raise ValueError("rig_from_part is not a pose in front of the camera")
         if self.part_from_model is not None and not _is_rigid(np.array(self.part_from_model)):
             raise ValueError("part_from_model is not a rigid motion")
+        self._check_report()
         return self
+
+    def _check_report(self) -> None:
+        names = [one.name for one in self.point]
+        if len({*names, *get_args(Report)}) != len(names) + len(get_args(Report)):
+            raise ValueError(f"two points have one name, or one of {', '.join(get_args(Report))}: {names}")
+        if self.report not in (known := [*get_args(Report), *names]):
+            raise ValueError(f"report {self.report!r} is none of {', '.join(known)}")
+        if self.part_from_model is None and (self.report != "reference" or names):
+            raise ValueError("report and points need part_from_model: a job that was taught with a CAD model")
 
     def _check_corners(self) -> None:
         edges = {edge.name: edge.feature() for edge in self.edge}
@@ -435,5 +465,7 @@ class JobFile(_Section):
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
             picking=self.picking.values(self.limits.bounds(), grasps),
             part_from_model=None if self.part_from_model is None else np.array(self.part_from_model),
+            points=tuple(one.value() for one in self.point),
+            report=self.report,
             sigma_mm=self.sigma_mm,
         )

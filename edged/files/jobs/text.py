@@ -84,6 +84,7 @@ def to_toml(job: Job) -> str:
         "[picking]   # several parts in one picture: which the robot gets first",
         f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',
     ]
+    lines += _points_to_toml(job)
     lines += [*_grasps_to_toml(job.picking.grasps), *_features_to_toml(job), *_measurements_to_toml(job)]
     return "\n".join(lines) + "\n"
 
@@ -97,11 +98,25 @@ def _model_to_toml(job: Job) -> list[str]:
         "part_from_model = [",
         *(f"    {_numbers(row)}," for row in job.part_from_model),
         "]",
+        f'report = "{job.report}"   # whose pose is published: reference, model, or a [[point]] of its frame',
         *(
             [f"sigma_mm = {job.sigma_mm!r}   # of the features: a real part has edge breaks"]
             if job.sigma_mm
             else []
         ),
+    ]
+
+
+def _points_to_toml(job: Job) -> list[str]:
+    """Points of the CAD model; for a job without, how to name one."""
+    if job.part_from_model is None:
+        return []
+    if not job.points:
+        return ["", '# [[point]], name = "grip", position_mm = [x, y, z]: of the CAD model, for report above']
+    return [
+        line
+        for one in job.points
+        for line in ["", "[[point]]", f'name = "{one.name}"', f"position_mm = {_numbers(one.position_mm)}"]
     ]
 
 

@@ -31,6 +31,18 @@ def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
     return -np.linalg.solve(transposed @ by_point, transposed @ by_rig)
 
 
+def levered_covariance(covariance: FloatArray, arm_mm: FloatArray) -> FloatArray:
+    """(6, 6) of a pose whose origin lies by an arm (3,) beside that of another one of the same body.
+
+    covariance : of (x, y, z in mm, rotation vector in rad), the small rotation applied on the left; arm_mm in
+    the same axes. A rotation w of the body moves the end of the arm by w x arm.
+    """
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = -skew(arm_mm)
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN
+        return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
 def calibration_covariance(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
     """Covariance (N, 3, 3) in mm² that the rig's own covariance gives to triangulated points (N, 3).
 

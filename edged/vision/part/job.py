@@ -11,6 +11,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.picking import Picking
+from edged.vision.geometry.rigid import transform
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 
@@ -77,6 +78,18 @@ class CornerFeature:
 
     name: str
     edges: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelPoint:
+    """A point (3,) of the CAD model's frame that a person has named."""
+
+    name: str
+    position_mm: FloatArray
+
+
+Report = Literal["reference", "model"]
+"""What a job publishes the pose of, beside the names of its points."""
 
 
 MAX_TILT_DEG = 45.0
@@ -163,6 +176,7 @@ class Job:
     searched for.
     picking : which of several parts a robot gets first.
     part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
+    points : of that frame.  report : whose pose is published: "reference", "model" or the name of a point.
     sigma_mm : of all features together, of a job from a model alone: nobody has seen the part's edge breaks.
     """
 
@@ -183,12 +197,22 @@ class Job:
     tilt_rad: float | None = None
     picking: Picking = field(default_factory=Picking)
     part_from_model: FloatArray | None = None
+    points: tuple[ModelPoint, ...] = ()
+    report: str = "reference"
     sigma_mm: float = 0.0
 
     @property
     def reference_circle(self) -> CircleFeature:
         """The circle that the measurement begins with: the reference, or else the largest one."""
         return next((circle for circle in self.circles if circle.name == self.reference), self.circles[0])
+
+    @property
+    def part_from_reported(self) -> FloatArray | None:
+        """(4, 4) of the frame whose pose is published: the model's, or its axes at a point; None: neither."""
+        if self.report == "reference" or self.part_from_model is None:
+            return None
+        places = {"model": np.zeros(3), **{one.name: one.position_mm for one in self.points}}
+        return np.asarray(self.part_from_model @ transform(np.eye(3), places[self.report]))
 
     @property
     def solid(self) -> bool:

@@ -13,13 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.measurement import Reject, Target
+from edged.domain.measurement import Reject, ReportedPose, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, derived, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.acceptance import judged
 from edged.vision.part.circles import measure
 from edged.vision.part.consistency import distance_share
@@ -68,7 +69,26 @@ def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
     from_reference = transform(np.eye(3), -job.place_of(job.reference))
     placed = target.rig_from_part @ from_reference @ job.part_from_model
     target = replace(target, rig_from_model=placed)
-    return replace(result, target=_as_vague_as_taught(job, target) if job.sigma_mm else target)
+    if job.sigma_mm:
+        target = _as_vague_as_taught(job, target)
+    return replace(result, target=_with_reported(job, target, target.rig_from_part @ from_reference))
+
+
+def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target:
+    """With the pose that the job wants published; rejected where that is too vague, as far out as it may be.
+
+    rig_from_own (4, 4) : of the frame that the job's features are in.
+    """
+    if job.part_from_reported is None:
+        return target
+    pose = rig_from_own @ job.part_from_reported
+    covariance = levered_covariance(target.covariance, pose[:3, 3] - target.position_mm)
+    by_edges = target.by_edges
+    if by_edges is not None:  # the rig turns a part by far less than its edges leave open
+        by_edges = by_edges + covariance[:3, :3] - target.covariance[:3, :3]
+    vague = not float(np.sqrt(np.diag(covariance)[:3].max())) <= job.limits.max_sigma_mm
+    reject = target.reject | (Reject.SIGMA_LIMIT if vague else Reject.NONE)
+    return replace(target, reported=ReportedPose(pose, covariance, by_edges), reject=reject)
 
 
 def _as_vague_as_taught(job: Job, target: Target) -> Target:

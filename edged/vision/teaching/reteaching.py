@@ -24,6 +24,11 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
     if taught.tilt_rad is None and former.tilt_rad is not None:
         taught = replace(taught, tilt_rad=former.tilt_rad)
         said.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
+    if taught.part_from_model is not None and (former.report != taught.report or former.points):
+        taught = replace(taught, report=former.report, points=former.points)
+        said.append(f"kept: report = {former.report}")
+    elif taught.part_from_model is None and former.report != taught.report:
+        said.append(f"report = {former.report} is dropped: it needs the part's CAD model")
     measurements, witness = _measurements(former, taught, said)
     if gone := sorted(_names(former) - _names(taught)):
         said.append(f"no longer there, or renamed by hand before: {', '.join(gone)}")
