@@ -22,6 +22,7 @@
     │       └── FrameUnpaired     one camera exposed, the other did not
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
     │   └── BeingSetUp            the cell is in SETUP: nobody is served
+    ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
     ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
     └── ListenError               a port or socket that cannot be opened
 
@@ -160,6 +161,10 @@ class CommandRefused(EdgedError):
 
 class BeingSetUp(CommandRefused):
     """The cell is in SETUP."""
+
+
+class TaskFailed(EdgedError):
+    """Long work that ended without a result: its process was killed, or it has a bug."""
 
 
 class SetupRefused(EdgedError):

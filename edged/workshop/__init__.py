@@ -1,0 +1,1 @@
+"""Beside the loop: one process for long work, and what people draw up with it."""
