@@ -3,61 +3,46 @@
 from __future__ import annotations
 
 import ast
-import socket
-import time
 from types import SimpleNamespace
 from typing import Any
 
+from robotlink import Link
+
 
 class Controller:
-    """Sockets. piece : bytes that the network brings at a time."""
+    """Sockets, of which the program has one at a time."""
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.port = port
-        self.piece = piece
-        self.links: list[socket.socket] = []
+    def __init__(self, link: Link) -> None:
+        self.link = link
 
-    def client_socket_open(self, ip: str, port: int) -> socket.socket:
+    def client_socket_open(self, ip: str, port: int) -> Link:
         """Tries until it is connected; the test's listener is there."""
         assert ("192.168.10.20", 1503) == (ip, port)
-        link = socket.create_connection(("127.0.0.1", self.port), timeout=5)
-        self.links.append(link)
-        return link
+        assert self.link.open()
+        return self.link
 
-    def client_socket_close(self, link: socket.socket) -> int:
+    def client_socket_close(self, link: Link) -> int:
         """Of an open one."""
-        self.links.remove(link)
+        assert link.is_open
         link.close()
         return 0
 
-    def client_socket_write(self, link: socket.socket, data: bytes) -> int:
+    def client_socket_write(self, link: Link, data: bytes) -> int:
         """-2: an error of the socket."""
-        assert isinstance(data, bytes) and link in self.links
-        try:
-            link.sendall(data)
-        except OSError:
-            return -2
-        return 0
+        assert isinstance(data, bytes) and link.is_open
+        return 0 if link.send(data) else -2
 
-    def client_socket_read(
-        self, link: socket.socket, length: int, timeout: float
-    ) -> tuple[int, bytes | None]:
-        """What has come; -1 hung up, -2 an error, -3 nothing in time."""
-        assert length == -1 and timeout > 0 and link in self.links
-        link.settimeout(timeout)
-        try:
-            data = link.recv(self.piece)
-        except TimeoutError:
+    def client_socket_read(self, link: Link, length: int, timeout: float) -> tuple[int, bytes | None]:
+        """What has come; -1 hung up, -3 nothing in time."""
+        assert length == -1 and timeout > 0 and link.is_open
+        data = link.receive(timeout)
+        if data is None:
             return -3, None
-        except OSError:
-            return -2, None
         return (len(data), data) if data else (-1, None)
 
     def close(self) -> None:
         """Power off."""
-        for link in self.links:
-            link.close()
-        self.links.clear()
+        self.link.close()
 
 
 def load(source: str, controller: Controller) -> dict[str, Any]:
@@ -66,7 +51,7 @@ def load(source: str, controller: Controller) -> dict[str, Any]:
     banned = (ast.Import, ast.ImportFrom, ast.JoinedStr, ast.NamedExpr, ast.AnnAssign)
     assert not any(isinstance(node, banned) for node in ast.walk(tree))
     names: dict[str, Any] = {
-        "time": SimpleNamespace(time=time.monotonic),
+        "time": SimpleNamespace(time=controller.link.now_s),
         **{name: getattr(controller, name) for name in dir(controller) if name.startswith("client_")},
     }
     exec(compile(tree, "edged.drl", "exec"), names)

@@ -9,12 +9,11 @@ used.
 from __future__ import annotations
 
 import re
-import select
-import socket
-import time
 from typing import Any
 
-from robotlanguage import Assign, Call, Parameter, Program, Record, Return, Routine, Types, block, single
+from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Record, Types, single
 
 NAME = r"[A-Za-z]\w{0,11}"
 
@@ -80,23 +79,10 @@ DECLARATION = re.compile(rf"(?P<name>{NAME}) : {TYPE}$")
 HEAD = re.compile(rf"ROUTINE (?P<name>{NAME})(?:\((?P<parameters>.*)\))?(?: : (?P<returns>\w+))?$")
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """KAREL's statements, one a line."""
 
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"IF (.+) THEN$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        return None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"WHILE (.+) DO$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        found = re.match(rf"FOR ({NAME}) = (.+) TO (.+) DO$", line)
-        return (found[1], found[2], found[3]) if found else None
+    FOR = rf"FOR ({NAME}) = (.+) TO (.+) DO$"
 
     def simple(self, line: str) -> Any:
         if found := re.match(r"RETURN(?:\((.+)\))?$", line):
@@ -202,15 +188,12 @@ BUILTINS = (
 class Controller:
     """Registers, one client tag, and the arguments of the TP program.
 
-    piece : bytes that have arrived at a time. keeps_ends : whether `READ` leaves an end of line in its
-    string.
+    keeps_ends : whether `READ` leaves an end of line in its string.
     """
 
-    def __init__(self, port: int, piece: int = 1024, *, keeps_ends: bool = False) -> None:
-        self.port = port
-        self.piece = piece
+    def __init__(self, link: Link, *, keeps_ends: bool = False) -> None:
+        self.link = link
         self.keeps_ends = keeps_ends
-        self.link: socket.socket | None = None
         self.is_open = False
         self.status = 0
         self.arguments: tuple[int, ...] = ()
@@ -253,24 +236,18 @@ class Controller:
 
     def msg_connect(self, tag: Any, status: Any) -> None:
         """Connect the client tag."""
-        assert tag.get() == "C3:" and self.link is None
-        try:
-            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=5)
-            status.set(0)
-        except OSError:
-            status.set(67)
+        assert tag.get() == "C3:"
+        status.set(0 if self.link.open() else 67)
 
     def msg_disco(self, tag: Any, status: Any) -> None:
         """Hang up; of a tag that is not connected: a status, no error."""
         assert tag.get() == "C3:"
-        status.set(0 if self.link else 1)
-        if self.link:
-            self.link.close()
-            self.link = None
+        status.set(0 if self.link.is_open else 1)
+        self.link.close()
 
     def open_file(self, _file: Any, _tag: Any) -> None:
         """Of a connected tag."""
-        assert self.link is not None
+        assert self.link.is_open
         self.is_open, self.status = True, 0
 
     def close_file(self, _file: Any) -> None:
@@ -280,36 +257,30 @@ class Controller:
 
     def write_file(self, _file: Any, text: Any) -> None:
         """At once (ATR_IA)."""
-        assert self.is_open and self.link is not None
-        try:
-            self.link.sendall(text.get().encode("ascii"))
-        except OSError:
+        assert self.is_open and self.link.is_open
+        if not self.link.send(text.get().encode("ascii")):
             self.status = 2
 
     def bytes_ahead(self, _file: Any, count: Any, status: Any) -> None:
         """What has arrived; of a link that is gone nothing comes any more."""
-        assert self.is_open and self.link is not None
+        assert self.is_open and self.link.is_open
         status.set(0)
-        try:
-            ready = select.select([self.link], [], [], 0)[0]
-            count.set(len(self.link.recv(self.piece, socket.MSG_PEEK)) if ready else 0)
-        except OSError:
-            count.set(0)
+        count.set(len(self.link.peek()))
 
     def read_file(self, _file: Any, target: Any, count: Any) -> None:
         """So many characters, or up to the end of a line, which is taken and not given."""
-        assert self.is_open and self.link is not None
-        data = self.link.recv(count.get(), socket.MSG_PEEK)
+        assert self.is_open
+        data = self.link.peek()[: count.get()]
         assert len(data) == count.get(), "it would wait for ever"
         line, end, _ = data.partition(b"\n")
         if self.keeps_ends:
             line, end = data, b""
-        self.link.recv(len(line) + len(end))
+        self.link.receive(0.0, len(line) + len(end))
         target.set(line.decode("latin-1"))
 
     def delay(self, milliseconds: Any) -> None:
         """Wait."""
-        time.sleep(milliseconds.get() / 1000)
+        self.link.pause(milliseconds.get() / 1000)
 
     def curpos(self, _limits: Any, _axes: Any) -> Record:
         """Anywhere, with a configuration."""

@@ -8,11 +8,11 @@ and the manual "TCP/IP Communication" (90210-1190): `TCP_CONNECT`, `TCP_SEND`, `
 from __future__ import annotations
 
 import re
-import socket
-import time
 from typing import Any
 
-from robotlanguage import Assign, Call, Parameter, Program, Record, Routine, Types, block, single
+from robotlanguage import Assign, Call, Parameter, Program, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Record, Types, single
 
 NAME = r"[A-Za-z]\w{0,14}"
 TIMED_OUT = -34024
@@ -56,22 +56,8 @@ TYPES = Types(
 )
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """AS's statements, one a line; END of a block was given its name."""
-
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"IF (.+) THEN$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        return None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"WHILE (.+) DO$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        return None
 
     def simple(self, line: str) -> Any:
         if found := re.match(rf"CALL ({NAME})(?:\((.*)\))?$", line):
@@ -172,13 +158,11 @@ BUILTINS = {
 
 
 class Controller:
-    """One socket. piece : bytes that come at a time. gone : what TCP_RECV says of a lost link."""
+    """One socket. gone : what TCP_RECV says of a lost link."""
 
-    def __init__(self, port: int, piece: int = 1024, gone: int = GONE) -> None:
-        self.port = port
-        self.piece = piece
+    def __init__(self, link: Link, gone: int = GONE) -> None:
+        self.link = link
         self.gone = gone
-        self.link: socket.socket | None = None
         self.set_s = 0.0
 
     def encode(self, form: Any, value: Any) -> str:
@@ -208,56 +192,41 @@ class Controller:
 
     def twait(self, seconds: Any) -> None:
         """Wait."""
-        time.sleep(seconds.get())
+        self.link.pause(seconds.get())
 
     def set_utimer(self, name: Any, seconds: Any) -> None:
         """It runs from there."""
         assert ("ed_clock", 0) == (name.get(), seconds.get())
-        self.set_s = time.monotonic()
+        self.set_s = self.link.now_s()
 
     def utimer(self, name: Any) -> float:
         """Seconds."""
         assert "ed_clock" == name.get()
-        return time.monotonic() - self.set_s
+        return self.link.now_s() - self.set_s
 
     def tcp_connect(self, number: Any, port: Any, address: Any, timeout: Any) -> None:
         """A socket's number, or an error."""
-        assert (1503, 192) == (port.get(), address.get()) and timeout.get() >= 1 and self.link is None
-        try:
-            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=timeout.get())
-            number.set(1)
-        except OSError:
-            number.set(GONE)
+        assert (1503, 192) == (port.get(), address.get()) and timeout.get() >= 1
+        number.set(1 if self.link.open() else GONE)
 
     def tcp_close(self, status: Any, number: Any) -> None:
         """Of one that is not open: an error."""
         assert number.get() == 1
-        status.set(0 if self.link else GONE)
+        status.set(0 if self.link.is_open else GONE)
         self.close()
 
     def tcp_send(self, status: Any, number: Any, text: Any, count: Any, timeout: Any) -> None:
         """One string."""
-        assert (1, 1) == (number.get(), count.get()) and timeout.get() >= 1 and self.link is not None
-        try:
-            self.link.sendall(text.get().encode("latin-1"))
-            status.set(0)
-        except OSError:
-            status.set(GONE)
+        assert (1, 1) == (number.get(), count.get()) and timeout.get() >= 1 and self.link.is_open
+        status.set(0 if self.link.send(text.get().encode("latin-1")) else GONE)
 
     def tcp_recv(self, status: Any, number: Any, text: Any, count: Any, timeout: Any, length: Any) -> None:
         """What has come, in strings of that length; the first is all that the test's programs look at."""
-        assert (1, 255) == (number.get(), length.get()) and self.link is not None
+        assert (1, 255) == (number.get(), length.get()) and self.link.is_open
         assert timeout.get() >= 1 and float(timeout.get()).is_integer()
-        self.link.settimeout(float(timeout.get()))
-        try:
-            data = self.link.recv(self.piece)
-        except TimeoutError:
-            status.set(TIMED_OUT)
-            return
-        except OSError:
-            data = b""
+        data = self.link.receive(float(timeout.get()))
         if not data:
-            status.set(self.gone)
+            status.set(TIMED_OUT if data is None else self.gone)
             return
         parts = [data[i : i + 255] for i in range(0, len(data), 255)]
         text.set(parts[0].decode("latin-1"))
@@ -266,6 +235,4 @@ class Controller:
 
     def close(self) -> None:
         """Power off."""
-        if self.link:
-            self.link.close()
-            self.link = None
+        self.link.close()

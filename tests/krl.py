@@ -8,25 +8,12 @@ rounded to INT where it is assigned) and "KUKA.EthernetKRL 2.2" (6.1 the configu
 from __future__ import annotations
 
 import re
-import select
-import socket
-import time
 from typing import Any
 from xml.etree import ElementTree
 
-from robotlanguage import (
-    Array,
-    Assign,
-    Call,
-    Parameter,
-    Program,
-    Record,
-    Return,
-    Routine,
-    Types,
-    block,
-    single,
-)
+from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Array, Record, Types, single
 
 NAME = r"[A-Za-z$_][\w$]{0,23}"
 
@@ -79,23 +66,11 @@ DATA = re.compile(
 )
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """KRL's statements, one a line; it has no ELSEIF."""
 
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"IF (.+) THEN$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        return None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"WHILE (.+)$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        found = re.match(rf"FOR ({NAME})=(.+) TO (.+)$", line)
-        return (found[1], found[2], found[3]) if found else None
+    WHILE = r"WHILE (.+)$"
+    FOR = rf"FOR ({NAME})=(.+) TO (.+)$"
 
     def simple(self, line: str) -> Any:
         if found := re.match(r"RETURN(?: (.+))?$", line):
@@ -186,7 +161,7 @@ BUILTINS = (
 class Controller:
     """One channel of EthernetKRL, as the configuration file says, and the flags."""
 
-    def __init__(self, configuration: str, port: int, piece: int = 1024) -> None:
+    def __init__(self, configuration: str, link: Link) -> None:
         root = ElementTree.fromstring(configuration)
         assert root.tag == "ETHERNETKRL" and root.findtext("CONFIGURATION/EXTERNAL/TYPE") == "Server"
         assert "1503" == root.findtext("CONFIGURATION/EXTERNAL/PORT")
@@ -201,8 +176,7 @@ class Controller:
         self.flag = int(alive.get("Set_Flag", ""))
         assert 1 <= self.flag <= 1025
         self.flags = TYPES.array("BOOL", 1025)
-        self.port, self.piece = port, piece
-        self.link: socket.socket | None = None
+        self.link = link
         self.is_initialised = False
         self.data = b""
 
@@ -211,24 +185,18 @@ class Controller:
         self._receive()
         record.fields["msg_no"].set(message)
         record.fields["buff"].set(self.data.count(self.ends["RECEIVE"]))
-        record.fields["connected"].set(self.link is not None)
+        record.fields["connected"].set(self.link.is_open)
         return record
 
     def _receive(self) -> None:
         """What has come; the flag falls with the link."""
-        while self.link is not None and select.select([self.link], [], [], 0)[0]:
-            try:
-                more = self.link.recv(self.piece)
-            except OSError:
-                more = b""
+        while self.link.is_open and (more := self.link.receive(0.0)) is not None:
             self.data += more
             if not more:
                 self._hang_up()
 
     def _hang_up(self) -> None:
-        if self.link is not None:
-            self.link.close()
-        self.link = None
+        self.link.close()
         self.flags.element(self.flag).set(False)
 
     def eki_init(self, channel: Any) -> Record:
@@ -239,17 +207,15 @@ class Controller:
 
     def eki_open(self, _channel: Any) -> Record:
         """Waits for the link at most as long as the configuration says."""
-        assert self.is_initialised and self.link is None
-        try:
-            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=3)
-        except OSError:
+        assert self.is_initialised
+        if not self.link.open():
             return self._status(4)
         self.flags.element(self.flag).set(True)
         return self._status()
 
     def eki_close(self, _channel: Any) -> Record:
         """Of a link that is there; otherwise a message stops the program (EKI00009)."""
-        assert self.link is not None
+        assert self.link.is_open
         self._hang_up()
         return self._status()
 
@@ -263,13 +229,7 @@ class Controller:
     def eki_send(self, _channel: Any, text: Any, length: Any) -> Record:
         """So many characters, but not beyond the first zero, and the end string."""
         said = "".join(one.get() for one in text.elements)[: length.get()].partition("\0")[0]
-        if self.link is None:
-            return self._status(9)
-        try:
-            self.link.sendall(said.encode("ascii") + self.ends["SEND"])
-        except OSError:
-            return self._status(9)
-        return self._status()
+        return self._status(0 if self.link.send(said.encode("ascii") + self.ends["SEND"]) else 9)
 
     def eki_checkbuffer(self, _channel: Any, tag: Any) -> Record:
         """How many lines wait."""
@@ -291,4 +251,4 @@ class Controller:
 
     def wait_sec(self, seconds: Any) -> None:
         """Wait."""
-        time.sleep(seconds.get())
+        self.link.pause(seconds.get())

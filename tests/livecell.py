@@ -56,13 +56,15 @@ class Head:
 
 
 class LiveCell:
-    """Two jobs; every capture shows `targets`, `slow_s` later. Use it as a context."""
+    """Two jobs; every capture shows `targets`, `slow_s` later, when it `may_end`. Use it as a context."""
 
     def __init__(self, settings: ModbusSettings | None = None, period_s: float | None = None) -> None:
         self.settings = settings or ModbusSettings(port=0, validity_s=30.0)
         self.head = Head()
         self.targets: tuple[Target, ...] = (make_target(),)
         self.slow_s = 0.0
+        self.may_end = threading.Event()
+        self.may_end.set()
         jobs = {number: LoadedJob(f"job{number}", number, self._locate) for number in (1, 2)}
         self.setup = Setup(jobs, 1, period_s, "cal", "f00d", simulated=False, robot_from_rig=np.eye(4))
         self._started = threading.Event()
@@ -101,6 +103,7 @@ class LiveCell:
 
     def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
         time.sleep(self.slow_s)
+        assert self.may_end.wait(20)
         lap("find")
         return Outcome(Status.OK if self.targets else Status.NO_TARGET, self.targets)
 

@@ -10,23 +10,11 @@ from __future__ import annotations
 
 import math
 import re
-import socket
-import time
 from typing import Any
 
-from robotlanguage import (
-    Array,
-    Assign,
-    Call,
-    Parameter,
-    Program,
-    Record,
-    Return,
-    Routine,
-    Types,
-    block,
-    single,
-)
+from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Array, Record, Types, single
 
 MAX_TEXT = 80
 NAME = r"[A-Za-z_]\w{0,31}"
@@ -94,24 +82,11 @@ HEAD = re.compile(
 PARAMETER = re.compile(rf"(?P<inout>INOUT )?(?P<type>\w+) (?P<name>{NAME})$")
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """RAPID's statements: simple ones end with a semicolon, the words of blocks do not."""
 
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"IF (.+) THEN$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        found = re.match(r"ELSEIF (.+) THEN$", line)
-        return found[1] if found else None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"WHILE (.+) DO$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        found = re.match(rf"FOR ({NAME}) FROM (.+) TO (.+) DO$", line)
-        return (found[1], found[2], found[3]) if found else None
+    ELSE_IF = r"ELSEIF (.+) THEN$"
+    FOR = rf"FOR ({NAME}) FROM (.+) TO (.+) DO$"
 
     def simple(self, line: str) -> Any:
         assert line.endswith(";"), f"no semicolon: {line}"
@@ -207,22 +182,18 @@ def _options(arguments: tuple[Any, ...]) -> dict[str, Any]:
 
 
 class Sockets:
-    """The controller's socket messaging and clock. piece : bytes that the network brings at a time."""
+    """The controller's socket messaging and clock."""
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.port = port
-        self.piece = piece
+    def __init__(self, link: Link) -> None:
+        self.link = link
         self.errno = TYPES.variable("errnum", "")
-        self.open: set[socket.socket] = set()
         self.started_s: float | None = None
         self.passed_s = 0.0
         self.program: Program
 
     def close(self) -> None:
         """Power off."""
-        for one in self.open:
-            one.close()
-        self.open.clear()
+        self.link.close()
 
     def _raise(self, name: str) -> None:
         self.errno.value = name
@@ -230,36 +201,25 @@ class Sockets:
 
     def socket_close(self, device: Any) -> None:
         """Of a socket that is closed: nothing."""
-        if device.get() is not None:
-            device.get().close()
-            self.open.discard(device.get())
-            device.value = None
+        self.link.close()
+        device.value = None
 
     def socket_create(self, device: Any) -> None:
         """Raises for a socket that was created and not closed ("SocketCreate", "Error handling")."""
         assert device.get() is None, "ERR_SOCK_..: created twice"
-        made = socket.socket()
-        device.value = made
-        self.open.add(made)
+        device.value = self.link
 
     def socket_connect(self, device: Any, address: Any, port: Any, time_: Any) -> None:
         """In \\Time seconds, 60 unless given; the program's address is the cell of this test."""
         assert re.fullmatch(r"\d+\.\d+\.\d+\.\d+", address.get()) and port.get() == 1503
-        device.get().settimeout(float(time_[1].get()))
-        try:
-            device.get().connect(("127.0.0.1", self.port))
-        except TimeoutError:
-            self._raise("ERR_SOCK_TIMEOUT")
-        except OSError:
+        assert time_[1].get() > 0
+        if not device.get().open():
             self._raise("ERR_SOCK_CLOSED")
 
     def socket_send(self, device: Any, *options: Any) -> None:
         """\\Str."""
-        if device.get() is None:
-            self._raise("ERR_SOCK_CLOSED")
-        try:
-            device.get().sendall(_text(_options(options)["str"].get()).encode("latin-1"))
-        except OSError:
+        text = _text(_options(options)["str"].get())
+        if device.get() is None or not device.get().send(text.encode("latin-1")):
             self._raise("ERR_SOCK_CLOSED")
 
     def socket_receive(self, device: Any, *options: Any) -> None:
@@ -268,15 +228,9 @@ class Sockets:
         assert {"data", "norecbytes", "time"} == set(given) and given["time"].get() > 0
         if device.get() is None:
             self._raise("ERR_SOCK_CLOSED")
-        device.get().settimeout(float(given["time"].get()))
-        try:
-            data = device.get().recv(min(self.piece, 1024))
-        except TimeoutError:
-            self._raise("ERR_SOCK_TIMEOUT")
-        except OSError:
-            data = b""
+        data = device.get().receive(float(given["time"].get()), 1024)
         if not data:
-            self._raise("ERR_SOCK_CLOSED")
+            self._raise("ERR_SOCK_TIMEOUT" if data is None else "ERR_SOCK_CLOSED")
         array = given["data"]
         assert isinstance(array, Array) and len(array.elements) == 1024
         for place, byte in zip(array.elements, data, strict=False):
@@ -286,7 +240,7 @@ class Sockets:
     def clk_stop(self, clock: Any) -> None:
         """It stands."""
         if self.started_s is not None:
-            self.passed_s += time.monotonic() - self.started_s
+            self.passed_s += self.link.now_s() - self.started_s
             self.started_s = None
 
     def clk_reset(self, clock: Any) -> None:
@@ -296,11 +250,11 @@ class Sockets:
 
     def clk_start(self, clock: Any) -> None:
         """It runs."""
-        self.started_s = time.monotonic()
+        self.started_s = self.link.now_s()
 
     def clk_read(self, clock: Any) -> float:
         """Seconds, to 1 ms ("ClkRead")."""
-        running = 0.0 if self.started_s is None else time.monotonic() - self.started_s
+        running = 0.0 if self.started_s is None else self.link.now_s() - self.started_s
         return round(self.passed_s + running, 3)
 
     def num_to_str(self, value: Any, decimals: Any) -> str:

@@ -8,13 +8,12 @@ the instructions of TCP/IP: `SetNet`, `OpenNet`, `WaitNet`, `ChkNet`, `Print #`,
 from __future__ import annotations
 
 import re
-import select
-import socket
-import time
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from robotlanguage import Array, Assign, Call, Parameter, Program, Returned, Routine, Types, block
+from robotlanguage import Assign, Call, Parameter, Program, Returned, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Array, Types
 
 NAME = r"[A-Za-z]\w{0,31}\$?"
 
@@ -74,22 +73,11 @@ class Function(Routine):
     labels: dict[str, list[Any]] | None = None
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """SPEL+'s statements, one a line."""
 
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"If (.+) Then$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        return None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"Do While (.+)$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        return None
+    IF = r"If (.+) Then$"
+    WHILE = r"Do While (.+)$"
 
     def simple(self, line: str) -> Any:
         if line == "Exit Function":
@@ -221,12 +209,10 @@ BUILTINS = {
 
 
 class Controller:
-    """Port 201 and a timer. piece : characters that have come at a time."""
+    """Port 201 and a timer."""
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.port = port
-        self.piece = piece
-        self.link: socket.socket | None = None
+    def __init__(self, link: Link) -> None:
+        self.link = link
         self.is_open = False
         self.heard = b""
         self.set_s = 0.0
@@ -258,10 +244,8 @@ class Controller:
     def wait_net(self, timeout: Any) -> None:
         """Until it is connected."""
         assert timeout.get() > 0 and self.is_open
-        try:
-            self.link = socket.create_connection(("127.0.0.1", self.port), timeout=timeout.get())
-        except OSError as error:
-            raise SpelError from error
+        if not self.link.open():
+            raise SpelError
 
     def close_net(self) -> None:
         """Of an open port."""
@@ -273,24 +257,16 @@ class Controller:
         assert 201 == number.get()
         if not self.is_open:
             return -3
-        if not self.heard and self.link and select.select([self.link], [], [], 0)[0]:
-            try:
-                self.heard = self.link.recv(self.piece)
-            except OSError:
-                self.heard = b""
-            if not self.heard:
+        if not self.heard and (data := self.link.receive(0.0)) is not None:
+            self.heard = data
+            if not data:
                 self.link.close()
-                self.link = None
-        return len(self.heard) if self.link else -1
+        return len(self.heard) if self.link.is_open else -1
 
     def print(self, text: Any) -> None:
         """With the end of line."""
-        if self.link is None:
+        if not self.link.send(text.get().encode("ascii") + b"\n"):
             raise SpelError
-        try:
-            self.link.sendall(text.get().encode("ascii") + b"\n")
-        except OSError as error:
-            raise SpelError from error
 
     def read(self, text: Any, count: Any) -> None:
         """So many characters, which must be there."""
@@ -302,21 +278,19 @@ class Controller:
     def tm_reset(self, number: Any) -> None:
         """It counts from there."""
         assert 0 <= number.get() <= 15
-        self.set_s = time.monotonic()
+        self.set_s = self.link.now_s()
 
     def tmr(self, number: Any) -> float:
         """Seconds."""
         assert 0 <= number.get() <= 15
-        return time.monotonic() - self.set_s
+        return self.link.now_s() - self.set_s
 
     def wait(self, seconds: Any) -> None:
         """Wait."""
-        time.sleep(seconds.get())
+        self.link.pause(seconds.get())
 
     def close(self) -> None:
         """Power off."""
         self.heard = b""
         self.is_open = False
-        if self.link:
-            self.link.close()
-            self.link = None
+        self.link.close()

@@ -8,13 +8,12 @@ After the "VAL 3 Reference Manual" (D28062804A, D28093501): statements and names
 from __future__ import annotations
 
 import re
-import select
-import socket
-import time
 import xml.etree.ElementTree as ET
 from typing import Any
 
-from robotlanguage import Array, Assign, Call, Parameter, Program, Routine, Types, block
+from robotlanguage import Assign, Call, Parameter, Program, Routine, Syntax, block
+from robotlink import Link
+from robotvalues import Array, Types
 
 NAME = r"[a-z]\w{0,14}"
 SPACE = "{http://www.staubli.com/robotics/VAL3/"
@@ -50,22 +49,11 @@ TYPES = Types(
 )
 
 
-class _Syntax:
+class _Syntax(Syntax):
     """VAL 3's statements, one a line."""
 
-    def opens_if(self, line: str) -> str | None:
-        found = re.match(r"if (.+)$", line)
-        return found[1] if found else None
-
-    def opens_else_if(self, line: str) -> str | None:
-        return None
-
-    def opens_while(self, line: str) -> str | None:
-        found = re.match(r"while (.+)$", line)
-        return found[1] if found else None
-
-    def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        return None
+    IF = r"if (.+)$"
+    WHILE = r"while (.+)$"
 
     def simple(self, line: str) -> Any:
         if found := re.match(rf"call ({NAME})\((.*)\)$", line):
@@ -126,16 +114,11 @@ BUILTINS = {
 
 
 class Controller:
-    """One client socket.
+    """One client socket. closes : whether `clearBuffer` closes it, too."""
 
-    piece : bytes that the network brings at a time. closes : whether `clearBuffer` closes the socket, too.
-    """
-
-    def __init__(self, port: int, piece: int = 1024, *, closes: bool = True) -> None:
-        self.port = port
-        self.piece = piece
+    def __init__(self, link: Link, *, closes: bool = True) -> None:
+        self.link = link
         self.closes = closes
-        self.link: socket.socket | None = None
         self.timeout_s = 0.0
         self.heard = b""
 
@@ -155,11 +138,11 @@ class Controller:
 
     def clock(self) -> float:
         """Seconds."""
-        return time.monotonic()
+        return self.link.now_s()
 
     def delay(self, seconds: Any) -> None:
         """Wait."""
-        time.sleep(seconds.get())
+        self.link.pause(seconds.get())
 
     def sio_ctrl(self, _sio: Any, parameter: Any, value: Any) -> int:
         """Of a socket: -1 for no waiting."""
@@ -169,12 +152,7 @@ class Controller:
 
     def _connected(self) -> bool:
         """With the first access."""
-        if self.link is None:
-            try:
-                self.link = socket.create_connection(("127.0.0.1", self.port), timeout=5)
-            except OSError:
-                return False
-        return True
+        return self.link.is_open or self.link.open()
 
     def _lost(self) -> int:
         self.close()
@@ -183,27 +161,23 @@ class Controller:
     def sio_set(self, _sio: Any, data: Any) -> int:
         """How many bytes were sent; -1 for none."""
         assert isinstance(data, Array) and self.timeout_s > 0
-        if not self._connected() or self.link is None:
+        if not self._connected():
             return -1
-        try:
-            self.link.sendall(bytes(int(one.get()) for one in data.elements))
-        except OSError:
+        if not self.link.send(bytes(int(one.get()) for one in data.elements)):
             return self._lost()
         return len(data.elements)
 
     def sio_get(self, _sio: Any, place: Any) -> int:
         """One byte, when there is one."""
         assert self.timeout_s == -1 and not isinstance(place, Array)
-        if not self._connected() or self.link is None:
+        if not self._connected():
             return -1
         if not self.heard:
-            try:
-                if not select.select([self.link], [], [], 0)[0]:
-                    return 0
-                self.heard = self.link.recv(self.piece)
-            except OSError:
-                return self._lost()
-            if not self.heard:
+            data = self.link.receive(0.0)
+            if data is None:
+                return 0
+            self.heard = data
+            if not data:
                 return self._lost()
         place.set(self.heard[0])
         self.heard = self.heard[1:]
@@ -215,16 +189,11 @@ class Controller:
         if self.closes:
             self.close()
             return
-        while self.link is not None and select.select([self.link], [], [], 0)[0]:
-            try:
-                if not self.link.recv(4096):
-                    self.close()
-            except OSError:
+        while self.link.is_open and (data := self.link.receive(0.0)) is not None:
+            if not data:
                 self.close()
 
     def close(self) -> None:
         """Power off."""
         self.heard = b""
-        if self.link:
-            self.link.close()
-            self.link = None
+        self.link.close()

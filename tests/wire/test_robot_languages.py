@@ -22,6 +22,7 @@ import spel
 import val3
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from robotlanguage import Program
+from robotlink import Link
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
@@ -76,7 +77,9 @@ class Side(Protocol):
     """A robot that runs its program. Each request gives the pose's numbers, or None: do not move."""
 
     brand: Brand
+    link: Link
 
+    def __init__(self, link: Link) -> None: ...
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None: ...
     def error(self) -> int: ...
     def sigma_age(self) -> tuple[float, ...]: ...
@@ -89,8 +92,9 @@ class Abb:
     brand = Brand.ABB
     excuses: ClassVar[dict[str, Lie]] = {}
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.sockets = rapid.Sockets(port, piece)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.sockets = rapid.Sockets(link)
         self.program = rapid.load(render("rapid"), self.sockets)
         self.part = rapid.TYPES.variable("pose")
 
@@ -139,8 +143,9 @@ class Fanuc:
         "two lines": (lambda b, s: f"{honest(b, s)[:-3]}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
     }
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.controller = karel.Controller(port, piece, keeps_ends=self.keeps_ends)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = karel.Controller(link, keeps_ends=self.keeps_ends)
         source = karel_files()["edged.kl"]
         self.program = karel.load(source, self.controller)
         self.given = 0
@@ -179,9 +184,7 @@ class Fanuc:
         return (*sigma, age)
 
     def close(self) -> None:
-        if self.controller.link:
-            self.controller.link.close()
-            self.controller.link = None
+        self.link.close()
 
 
 class FanucWithEnds(Fanuc):
@@ -199,9 +202,10 @@ class Kuka:
         "a flood": (lambda *_: b"1" * 900, Failure.LATE),
     }
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
+    def __init__(self, link: Link) -> None:
+        self.link = link
         files = krl_files()
-        self.controller = krl.Controller(files["edged.xml"], port, piece)
+        self.controller = krl.Controller(files["edged.xml"], link)
         self.program = krl.load(files, self.controller)
         self.given = 0
 
@@ -240,9 +244,7 @@ class Kuka:
         return (*sigma, self.program.named("EDGED_AGE").get())
 
     def close(self) -> None:
-        if self.controller.link:
-            self.controller.link.close()
-            self.controller.link = None
+        self.link.close()
 
 
 class Doosan:
@@ -251,8 +253,9 @@ class Doosan:
     brand = Brand.DOOSAN
     excuses: ClassVar[dict[str, Lie]] = {}
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.controller = drl.Controller(port, piece)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = drl.Controller(link)
         self.names = drl.load(render("drl"), self.controller)
 
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
@@ -344,8 +347,9 @@ class Staubli(Shared):
         "of another robot": (LIES["of another robot"][0], Failure.LATE),
     }
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.controller = val3.Controller(port, piece, closes=self.closes)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = val3.Controller(link, closes=self.closes)
         self.program = val3.load(val3_files(), self.controller)
 
     def named(self, name: str) -> Any:
@@ -366,11 +370,11 @@ class Kawasaki(Shared):
     """A Kawasaki controller."""
 
     brand = Brand.KAWASAKI
-    granularity_s = 1.0
     gone = kawasaki.GONE
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.controller = kawasaki.Controller(port, piece, self.gone)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = kawasaki.Controller(link, self.gone)
         self.program = kawasaki.load(render("as"), self.controller)
 
     def named(self, name: str) -> Any:
@@ -391,8 +395,9 @@ class Epson(Shared):
 
     brand = Brand.EPSON
 
-    def __init__(self, port: int, piece: int = 1024) -> None:
-        self.controller = spel.Controller(port, piece)
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = spel.Controller(link)
         self.program = spel.load(render("spel"), self.controller)
 
     def named(self, name: str) -> Any:
@@ -431,11 +436,23 @@ def running(
     cell.setup = dataclasses.replace(cell.setup, **changes)
     with cell:
         until(lambda: bits(cell) & StatusBit.READY)
-        side = make(port or cell.server.line_port, piece)
+        side = make(Link(port or cell.server.line_port, piece))
         try:
             yield cell, side
         finally:
             side.close()
+
+
+@contextlib.contextmanager
+def beside(make: type[Any], liar: Liar) -> Iterator[Side]:
+    """The robot of that brand, whose clock jumps when the liar has said all that it will."""
+    link = Link(liar.port)
+    link.is_done = liar.has_answered
+    side = make(link)
+    try:
+        yield side
+    finally:
+        side.close()
 
 
 def bits(cell: LiveCell) -> int:
@@ -465,12 +482,12 @@ class Liar:
     """A cell that answers what it is told: `answers` are bytes, made of the request; None hangs up."""
 
     def __init__(self, *answers: Callable[[str], bytes | None]) -> None:
-        self.answers = answers
+        self.waiting = list(answers)
         self.requests: list[str] = []
+        self.answered = 0
         self.listener = socket.create_server(("127.0.0.1", 0))
-        self.listener.settimeout(WAIT_S)
         self.port = int(self.listener.getsockname()[1])
-        self.ended = threading.Event()
+        self.bell, self.ringer = socket.socketpair()
         self.thread = threading.Thread(target=self._serve)
 
     def __enter__(self) -> Liar:
@@ -478,37 +495,47 @@ class Liar:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.ended.set()
+        self.ringer.send(b"!")
         self.thread.join(10)
-        self.listener.close()
+        for one in (self.listener, self.bell, self.ringer):
+            one.close()
+
+    def has_answered(self, requests: int) -> bool:
+        """Whether nothing more will be said to so many."""
+        return not self.waiting or self.answered == requests
 
     def _serve(self) -> None:
         links: dict[socket.socket, Any] = {}
-        waiting = list(self.answers)
-        while not self.ended.is_set():
-            ready = select.select([self.listener, *links] if waiting else [], [], [], 0.02)[0]
+        while self.bell not in (ready := select.select([self.bell, self.listener, *links], [], [])[0]):
             for one in ready[:1]:
                 if one is self.listener:
                     link, _ = self.listener.accept()
                     links[link] = link.makefile("rb")
-                elif not self._heard(one, links[one], waiting):
-                    links.pop(one).close()
-                    one.close()
+                elif not self._heard(one, links[one]):
+                    del links[one]
         for link, reader in links.items():
             reader.close()
             link.close()
 
-    def _heard(self, link: socket.socket, reader: Any, waiting: list[Any]) -> bool:
-        """Answer one line. False: the link is gone, or to be."""
+    def _heard(self, link: socket.socket, reader: Any) -> bool:
+        """Answer one line. False: the link is gone."""
+        line = said = b""
         with contextlib.suppress(OSError):
-            if line := reader.readline():
-                request = line.decode()
-                self.requests.append(request)
-                said = waiting.pop(0)(request)
-                if said is not None:
-                    link.sendall(said)
-                    return True
-        return False
+            line = reader.readline()
+        if line:
+            self.requests.append(line.decode())
+            if not self.waiting:
+                return True
+            said = self.waiting[0](line.decode())
+            with contextlib.suppress(OSError):
+                link.sendall(said or b"")
+        if not line or said is None:
+            reader.close()
+            link.close()
+        if line:  # only now: who sees it believes that nothing more will come
+            self.waiting.pop(0)
+            self.answered += 1
+        return bool(line) and said is not None
 
 
 @sides
@@ -614,16 +641,12 @@ def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, hone
     def wrong(request: str) -> bytes:
         return said(brand, request.partition(",")[0].strip())
 
-    with Liar(*[right] * honest_ones, wrong, *[right] * 4) as liar:
-        side = make(liar.port, 1024)
-        try:
-            assert (None, failure) == (side.locate_grasps(timeout_s=0.3), side.error())
-            assert (1, 0) == (len(side.locate_grasps()), side.error())
-            asked = ["".join(one.split()).partition(",")[2] for one in liar.requests]
-            whole = ["LOCATE,0", "GRASP", "APPROACH"]
-            assert [*whole[: honest_ones + 1], *whole, "ACK"] == asked
-        finally:
-            side.close()
+    with Liar(*[right] * honest_ones, wrong, *[right] * 4) as liar, beside(make, liar) as side:
+        assert (None, failure) == (side.locate_grasps(timeout_s=0.3), side.error())
+        assert (1, 0) == (len(side.locate_grasps()), side.error())
+        asked = ["".join(one.split()).partition(",")[2] for one in liar.requests]
+        whole = ["LOCATE,0", "GRASP", "APPROACH"]
+        assert [*whole[: honest_ones + 1], *whole, "ACK"] == asked
 
 
 def test_karel_says_which_register_it_could_not_write() -> None:
@@ -694,48 +717,40 @@ def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], 
     said, failure = make.excuses.get(lie, LIES[lie])
     brand: Brand = make.brand
     right = f"{honest(brand, '2')}\n".encode()
-    with Liar(lambda request: said(brand, request.partition(",")[0].strip()), lambda _: right) as liar:
-        side = make(liar.port, 1024)
-        try:
-            assert None is side.locate(timeout_s=0.3)
-            assert failure == side.error()
-            numbers = side.locate(timeout_s=5.0)
-            assert (400.0, 0) == (numbers and numbers[0], side.error())
-            assert ["1,LOCATE,0", "2,LOCATE,0"] == ["".join(one.split()) for one in liar.requests[:2]]
-        finally:
-            side.close()
+    liar = Liar(lambda request: said(brand, request.partition(",")[0].strip()), lambda _: right)
+    with liar, beside(make, liar) as side:
+        assert None is side.locate(timeout_s=0.3)
+        assert failure == side.error()
+        numbers = side.locate(timeout_s=5.0)
+        assert (400.0, 0) == (numbers and numbers[0], side.error())
+        assert ["1,LOCATE,0", "2,LOCATE,0"] == ["".join(one.split()) for one in liar.requests[:2]]
 
 
 @sides
 def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
     """Whether nobody listens or the cell hangs up on the request; nothing waits for the time-out."""
-    with Liar(lambda _: None) as liar:
-        side = make(liar.port, 1024)
-        try:
-            timeout_s = 0.3 if isinstance(side, Fanuc) else 15.0  # KAREL cannot see that nothing will come
-            failure = Failure.LATE if isinstance(side, Fanuc) else Failure.NO_LINK
-            assert (None, failure) == (side.locate(timeout_s=timeout_s), side.error())
-        finally:
-            side.close()
+    with Liar(lambda _: None) as liar, beside(make, liar) as side:
+        # KAREL cannot see that nothing will come
+        failure = Failure.LATE if isinstance(side, Fanuc) else Failure.NO_LINK
+        assert (None, failure) == (side.locate(timeout_s=15.0), side.error())
     if make is Doosan:
         return  # its controller tries for ever
-    side = make(liar.port, 1024)
-    try:
+    with beside(make, liar) as side:
         assert (None, Failure.NO_LINK) == (side.locate(), side.error())
         assert None is side.next()
-    finally:
-        side.close()
 
 
 @sides
 def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
     """After a time-out the next pose is one that was measured for the request that gets it."""
     with running(make) as (cell, side):
-        cell.slow_s = 0.4 + getattr(make, "granularity_s", 0.0)
+        cell.may_end.clear()
         cell.targets = (make_target(x_mm=10.0),)
+        side.link.is_done = lambda sent: bool(sent)
         assert (None, Failure.LATE) == (side.locate(timeout_s=0.1), side.error())
-        cell.slow_s = 0.0
+        side.link.is_done = lambda _: False
         cell.targets = (make_target(x_mm=20.0),)
+        cell.may_end.set()
         numbers = until(side.locate)
         assert 20.0 == numbers[0]
 

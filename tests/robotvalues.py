@@ -1,0 +1,147 @@
+"""What the variables of robots' languages hold: types, records, arrays, and numbers of 32 bits.
+
+As strict as a compiler: another type, a text that is too long, an index outside of an array are errors.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+def single(value: float) -> float:
+    """Rounded to the 32 bits of a robot's number."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+class Place(Protocol):
+    """Something that can be read, and perhaps written."""
+
+    type: str
+
+    def get(self) -> Any: ...
+    def set(self, value: Any) -> None: ...
+
+
+@dataclass
+class Value:
+    """The value of an expression."""
+
+    type: str
+    value: Any
+
+    def get(self) -> Any:
+        """What it is."""
+        return self.value
+
+    def set(self, value: Any) -> None:
+        """There is nothing to write to."""
+        raise TypeError("an expression is no variable")
+
+
+@dataclass
+class Variable:
+    """A variable, an element of one, or a field of a record: `types` checks what is written."""
+
+    type: str
+    value: Any
+    types: Types
+    is_constant: bool = False
+
+    def get(self) -> Any:
+        """What it holds."""
+        return self.value
+
+    def set(self, value: Any) -> None:
+        """Raises TypeError for what does not fit."""
+        if self.is_constant:
+            raise TypeError("a constant is written to")
+        self.value = self.types.fitted(self.type, value)
+
+
+@dataclass
+class Array:
+    """Elements from 1 on, or from another first."""
+
+    type: str
+    elements: list[Variable]
+    first: int = 1
+
+    def get(self) -> Any:
+        """The whole of it."""
+        return self
+
+    def set(self, value: Any) -> None:
+        """No language of these is used so."""
+        raise TypeError("an array is written as a whole")
+
+    def element(self, index: Any) -> Variable:
+        """Raises IndexError outside of its size."""
+        if not float(index).is_integer() or not 0 <= index - self.first < len(self.elements):
+            raise IndexError(f"{index} of {len(self.elements)}")
+        return self.elements[int(index) - self.first]
+
+
+@dataclass
+class Record:
+    """A value with named fields."""
+
+    type: str
+    fields: dict[str, Variable]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Record) and self.plain() == other.plain()
+
+    def plain(self) -> dict[str, Any]:
+        """Names and values, down to numbers."""
+        return {
+            name: one.value.plain() if isinstance(one.value, Record) else one.value
+            for name, one in self.fields.items()
+        }
+
+
+class Types:
+    """The types of a language. records : type, its fields and their types."""
+
+    def __init__(
+        self,
+        scalars: dict[str, tuple[Any, Callable[[Any], Any]]],
+        records: dict[str, dict[str, str]] | None = None,
+    ) -> None:
+        self.scalars = scalars
+        self.records = records or {}
+
+    def fitted(self, kind: str, value: Any) -> Any:
+        """The value as a variable of that type holds it; raises TypeError."""
+        if kind in self.records:
+            if not isinstance(value, Record) or value.type != kind:
+                raise TypeError(f"{value!r} is no {kind}")
+            return self.copied(value)
+        return self.scalars[kind][1](value)
+
+    def copied(self, record: Record) -> Record:
+        """A record of its own."""
+        kinds = self.records[record.type]
+        return Record(
+            record.type, {name: self.variable(kinds[name], one.value) for name, one in record.fields.items()}
+        )
+
+    def variable(self, kind: str, value: Any = None) -> Variable:
+        """A new variable with the type's initial value."""
+        if value is None:
+            value = self.initial(kind)
+        return Variable(kind, self.fitted(kind, value), self)
+
+    def initial(self, kind: str) -> Any:
+        """What a variable holds that was given nothing."""
+        if kind in self.records:
+            return Record(kind, {name: self.variable(one) for name, one in self.records[kind].items()})
+        if kind not in self.scalars:
+            raise TypeError(f"no type {kind}")
+        return self.scalars[kind][0]
+
+    def array(self, kind: str, size: int) -> Array:
+        """With the type's initial values."""
+        return Array(kind, [self.variable(kind) for _ in range(size)])
