@@ -349,6 +349,11 @@ class Cycle:
         """What the parts say of the calibration."""
         return self._drift.state()
 
+    @property
+    def setup_locked(self) -> bool:
+        """The plant forbids SETUP (AUTO_LOCK)."""
+        return self._desk.locked
+
     # --- Commander -----------------------------------------------------------------------
 
     def submit(self, command: Command) -> None:

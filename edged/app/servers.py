@@ -25,7 +25,7 @@ from edged.adapters.modbus import (
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import LoadedCell
-from edged.app.status import Running, config_summary, facts, job_list, register_rows
+from edged.app.status import Running, config_summary, facts, job_list, overview, register_rows
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
@@ -250,6 +250,7 @@ class Servers:
                     registers=lambda: register_rows(self._started.get("modbus")),
                     metrics=self._metrics,
                     convention=lambda: Convention[running().loaded.cell.config.modbus.convention.upper()],
+                    overview=lambda: overview(running()),
                 )
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})

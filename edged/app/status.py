@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edged import __version__
 from edged.adapters.modbus import ModbusPublisher
@@ -13,9 +13,13 @@ from edged.adapters.recorder import Recorder
 from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.capture.stereohead import StereoHead
+from edged.cellfiles import UnfinishedCell
 from edged.cycle import Cycle
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
+
+if TYPE_CHECKING:  # a cell without the page does not load it
+    from edged.adapters.web import Overview
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +114,32 @@ def figures(running: Running) -> dict[str, tuple[str, float]]:
             "recordings_failed": ("recordings that could not be written since the start", kept.failed),
         }
     return result
+
+
+def overview(running: Running) -> Overview:
+    """What who sets the cell up sees first; only a cell with the page asks."""
+    from edged.adapters.web import Overview, RigFigures
+
+    loaded, drift, rig = running.loaded, running.cycle.drift, None
+    if loaded.rig is not None:
+        on_flange = loaded.setup.flange_from_rig is not None
+        registered = loaded.setup.robot_from_rig is not None
+        rig = RigFigures(
+            loaded.setup.calibration_id,
+            "on_flange" if on_flange else "yes" if registered else "no",
+            drift.verdict.name.lower(),
+            drift.rows_px,
+            drift.length_percent,
+        )
+    lines = loaded.cell.missing if isinstance(loaded.cell, UnfinishedCell) else ()
+    lacking = {line.partition(":")[0] for line in lines}
+    modbus = running.servers.get("modbus")
+    return Overview(
+        missing=tuple(name for name in ("rig", "jobs") if f"cell.{name}" in lacking),
+        rig=rig,
+        plc_owner=modbus.owner if isinstance(modbus, ModbusPublisher) else "",
+        auto_lock=running.cycle.setup_locked,
+    )
 
 
 def job_list(loaded: LoadedCell) -> list[tuple[int, str]]:

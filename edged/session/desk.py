@@ -55,6 +55,11 @@ class SetupDesk:
         """Who has it; "" when nobody looks after it."""
         return self._name if self._taken and self._clock_s() < self._until_s else ""
 
+    @property
+    def locked(self) -> bool:
+        """The plant forbids SETUP."""
+        return self._locked
+
     def check(self) -> None:
         """Raises `SetupRefused` when the cell cannot be taken now."""
         if self._locked:

@@ -2,91 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
-from typing import Any
 
-import aiohttp
 import cv2
 import numpy as np
 import pytest
-from scriptedhead import Ear, Head, make_setup, until
+from scriptedhead import until
+from webcell import PASSWORD, Cell, run
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings
-from edged.cycle import Cycle
 from edged.domain.cell import CellPhase
-from edged.passwords import hash_password
-from edged.robot.orientations import Convention
 
-PASSWORD = "correct horse"
-HASH = hash_password(PASSWORD)
 CHANGING = (
     ("POST", "/api/v1/setup", {"name": "Anna"}),
     ("PUT", "/api/v1/setup/lease", {"token": "x"}),
     ("DELETE", "/api/v1/setup", {"name": "Anna"}),
     ("POST", "/api/v1/captures", {"token": "x"}),
 )
-
-
-class Cell:
-    """A cycle with its page, and a browser."""
-
-    def __init__(self, cycle: Cycle, head: Head, ear: Ear, session: aiohttp.ClientSession) -> None:
-        self.cycle, self.head, self.ear, self.session = cycle, head, ear, session
-        self.origin = str(session._base_url).rstrip("/")  # noqa: SLF001  (what the browser would send)
-
-    async def ask(self, method: str, path: str, document: Any, **headers: str) -> tuple[int, Any]:
-        """Status and answer, as the page asks."""
-        sent = {"Origin": self.origin, **headers}
-        async with self.session.request(method, path, json=document, headers=sent) as answer:
-            return answer.status, await answer.json() if answer.content_type.endswith("json") else None
-
-    async def log_in(self) -> None:
-        """With the form."""
-        async with self.session.post("/login", data={"password": PASSWORD}, allow_redirects=False) as answer:
-            assert "/" == answer.headers["Location"]
-
-
-def run(test: Callable[[Cell], Awaitable[None]], *, commissioning: bool = True) -> Ear:
-    """A test's coroutine beside a running cell, bounded."""
-    ear = Ear()
-
-    async def bounded() -> None:
-        async with asyncio.timeout(30), running(ear, commissioning) as cell:
-            await test(cell)
-
-    asyncio.run(bounded())
-    return ear
-
-
-@asynccontextmanager
-async def running(ear: Ear, commissioning: bool) -> AsyncIterator[Cell]:
-    """A cell with a head in memory, its page on a free port, and a browser's session with it."""
-    head = Head()
-    cycle = Cycle(head, make_setup())
-    sources = Sources(
-        rectification=lambda: pytest.fail("no cycle has made a picture"),
-        jobs=list,
-        facts=dict,
-        registers=list,
-        metrics=bytes,
-        convention=lambda: Convention.FIXED_XYZ,
-    )
-    settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning)
-    web = WebPublisher("cell1", settings, sources, commissioner=cycle)
-    await web.start()
-    cycle.set_publishers([ear, web])
-    task = asyncio.create_task(cycle.run())
-    try:
-        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-        async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            yield Cell(cycle, head, ear, session)
-    finally:
-        cycle.stop()
-        await task
-        await web.close()
 
 
 def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
@@ -187,22 +118,24 @@ def test_without_the_switch_there_is_no_such_route(method: str, path: str, docum
 
 
 @pytest.mark.parametrize(
-    "body, status, code",
+    "body, status, code, field",
     [
-        (b"{", 400, "json"),
-        (b"[]", 400, "json"),
-        (b"[" * 4000, 400, "json"),
-        (b"\xff", 400, "json"),
-        (b"{}", 400, "name"),
-        (b'{"name": ""}', 400, "name"),
-        (b'{"name": "  "}', 400, "name"),
-        (b'{"name": 7}', 400, "name"),
-        (b'{"name": "a\\nb"}', 400, "name"),
-        (b'{"name": "' + b"a" * 65 + b'"}', 400, "name"),
-        (b'{"name": "' + b"a" * 5000 + b'"}', 413, None),
+        (b"{", 400, "json", None),
+        (b"[]", 400, "json", None),
+        (b"[" * 4000, 400, "json", None),
+        (b"\xff", 400, "json", None),
+        (b"{}", 400, "invalid", "name"),
+        (b'{"name": ""}', 400, "invalid", "name"),
+        (b'{"name": "  "}', 400, "invalid", "name"),
+        (b'{"name": "Anna", "colour": 1}', 400, "invalid", "colour"),
+        (b'{"name": "Anna", "take_over": "yes"}', 400, "invalid", "take_over"),
+        (b'{"name": 7}', 400, "invalid", "name"),
+        (b'{"name": "a\\nb"}', 400, "invalid", "name"),
+        (b'{"name": "' + b"a" * 65 + b'"}', 400, "invalid", "name"),
+        (b'{"name": "' + b"a" * 5000 + b'"}', 413, "too_large", None),
     ],
 )
-def test_what_is_no_request_is_said(body: bytes, status: int, code: str | None) -> None:
+def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: str | None) -> None:
     """By its place; and it takes no cell."""
 
     async def test(cell: Cell) -> None:
@@ -210,9 +143,9 @@ def test_what_is_no_request_is_said(body: bytes, status: int, code: str | None) 
         headers = {"Origin": cell.origin, "Content-Type": "application/json"}
         async with cell.session.post("/api/v1/setup", data=body, headers=headers) as answer:
             assert status == answer.status
-            if code is not None:
-                assert "application/problem+json" == answer.content_type
-                assert code == (await answer.json())["code"]
+            assert "application/problem+json" == answer.content_type
+            problem = await answer.json()
+            assert (code, field) == (problem["code"], problem.get("field"))
         assert CellPhase.SETUP is not cell.ear.state()
 
     run(test)

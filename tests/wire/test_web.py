@@ -23,7 +23,7 @@ import pytest
 from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server
+from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server, viewers
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import read_assets
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, outlines, picture
@@ -869,8 +869,8 @@ def test_many_connections_take_no_place_from_others() -> None:
 
 def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is written to them goes nowhere: the connection is ended."""
-    monkeypatch.setattr(server, "WRITE_S", 0.2)
-    monkeypatch.setattr(server, "PERIOD_S", 0.0)
+    monkeypatch.setattr(viewers, "WRITE_S", 0.2)
+    monkeypatch.setattr(viewers, "PERIOD_S", 0.0)
 
     async def test() -> None:
         async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
@@ -895,7 +895,7 @@ def test_viewers_of_one_address_do_not_keep_others_out() -> None:
     async def test() -> None:
         async with served() as (web, _):
             many = []
-            for _ in range(server.MAX_VIEWERS):
+            for _ in range(viewers.MAX_VIEWERS):
                 many.append(await connect(web))
                 many[-1][1].write(asked)
                 assert (await many[-1][0].readline()).startswith(b"HTTP/1.1 200")

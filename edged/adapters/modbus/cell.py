@@ -121,6 +121,11 @@ class CellRegisters:
         """When the coordinates on display fall by time alone; 0: there are none."""
         return hs.valid_until_s(self._state, self._clock_s()) or 0.0
 
+    @property
+    def owner(self) -> int | None:
+        """The client that holds the right to write."""
+        return self._state.owner
+
     def _refresh(self) -> None:
         """Bring the picture up to date. Nothing else runs between this and the answer being encoded."""
         now_s = self._clock_s()

@@ -107,6 +107,12 @@ class ModbusPublisher:
         return self._cell.clients
 
     @property
+    def owner(self) -> str:
+        """Who holds the right to write: an address, or a word for who has none; "" for nobody."""
+        owner = self._cell.owner
+        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot or OPC UA"
+
+    @property
     def refused_writers(self) -> tuple[str, ...]:
         """Addresses that wrote and may not, since the start."""
         return self._refusals.addresses

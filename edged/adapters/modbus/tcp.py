@@ -95,6 +95,10 @@ class TcpServer:
         self._connections[connection.guest] = connection
         self.cell.clients += 1
 
+    def peer(self, number: int) -> str | None:
+        """The address of a client; None: it is none of these connections."""
+        return next((guest.peer for guest, one in self._connections.items() if one.number == number), None)
+
     def _left(self, guest: Guest) -> None:
         """A guest has gone: its place is free, and so is the right to write, at once."""
         connection = self._connections.pop(guest, None)

@@ -52,7 +52,7 @@ class Access:
 
     def has_session(self, cookie: str) -> bool:
         """Whether the cookie belongs to a session that is still good."""
-        return self._sessions.get(_digest(cookie), 0.0) > self._clock_s()
+        return self._sessions.get(session_of(cookie), 0.0) > self._clock_s()
 
     async def log_in(self, address: str, password: str) -> str | None:
         """A new session's cookie, or None for a wrong password. Raises `TooManyAttempts`."""
@@ -63,12 +63,12 @@ class Access:
         while len(self._sessions) >= MAX_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
         cookie = secrets.token_urlsafe(32)
-        self._sessions[_digest(cookie)] = now_s + SESSION_S
+        self._sessions[session_of(cookie)] = now_s + SESSION_S
         return cookie
 
     def log_out(self, cookie: str) -> None:
         """Forget a session."""
-        self._sessions.pop(_digest(cookie), None)
+        self._sessions.pop(session_of(cookie), None)
 
     async def has_basic(self, address: str, header: str) -> bool:
         """Whether an Authorization header holds the password. Raises `TooManyAttempts`."""
@@ -107,7 +107,7 @@ class Access:
         self._failures[address] = (count, self._clock_s() + LOCKED_S)
 
 
-def _digest(cookie: str) -> str:
-    """Sessions are kept by digest: comparing them tells nothing of the cookie."""
+def session_of(cookie: str) -> str:
+    """The digest of a cookie, by which its session is kept: comparing them tells nothing of the cookie."""
     # a header may hold any bytes, which aiohttp hands on as surrogates
     return hashlib.sha256(cookie.encode("utf-8", "surrogateescape")).hexdigest()

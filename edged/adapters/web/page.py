@@ -49,12 +49,39 @@ OUTLINE_POINTS = 72
 
 
 @dataclass(frozen=True, slots=True)
+class RigFigures:
+    """The rig in use. deviations are NaN where they are not known."""
+
+    calibration_id: str
+    robot: str
+    verdict: str
+    rows_px: float
+    length_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """What events do not tell.
+
+    missing : "rig", "jobs". plc_owner : who holds the right to write, "" for nobody. auto_lock : the plant
+    forbids SETUP. stage : the cameras are virtual, and what stands before them can be moved.
+    """
+
+    missing: tuple[str, ...] = ()
+    rig: RigFigures | None = None
+    plc_owner: str = ""
+    auto_lock: bool = False
+    stage: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Sources:
     """Where the page gets what events do not tell; called on the event loop, at once.
 
     rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
     shown.  registers : each with its value; empty without a Modbus server.
     metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
+    overview : for who sets the cell up.
     """
 
     rectification: Callable[[], Rectification]
@@ -63,6 +90,7 @@ class Sources:
     registers: Callable[[], Sequence[tuple[Register, Number]]]
     metrics: Callable[[], bytes]
     convention: Callable[[], Convention]
+    overview: Callable[[], Overview] = Overview
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +176,10 @@ class Page:
         """The newest state of the cell."""
         return self._state
 
+    def jobs(self) -> Sequence[tuple[int, str]]:
+        """Number and name of each."""
+        return self._sources.jobs()
+
     def questions(self) -> list[Nearest]:
         """What to ask, away from the loop, so that `status` says why nothing was found."""
         shown = (*self._faults, *([] if self._last is None else [self._last]))
@@ -165,7 +197,7 @@ class Page:
             "picture": None if last is None or last.pair is None else self._picture(last),
             "pictured_ns": self._pictured_ns,
             "facts": {group: dict(values) for group, values in self._sources.facts().items()},
-            "jobs": [{"number": number, "name": name} for number, name in self._sources.jobs()],
+            "jobs": [{"number": number, "name": name} for number, name in self.jobs()],
             "faults": [_fault(shown) for shown in reversed(self._faults)],
             "recent": [_recent(shown) for shown in reversed(self._recent)][:RECENT],
         }

@@ -1,22 +1,17 @@
 """HTTP for the status page, the manual, /metrics, /health and /ready: aiohttp in the daemon's loop.
 
-A viewer never delays a cycle: `announce` only sets a flag for each viewer, who is served in its own task;
-a slow one gets the newest state, not all of them. Nothing here changes the cell; what does is in `setup`, and
-only where it is configured.
+Nothing here changes the cell; what does is in the routes of /api/v1, and only where it is configured.
 """
 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
-import json
 import logging
 import math
 import ssl
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,11 +20,17 @@ from urllib.parse import parse_qs
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from edged.adapters.web.access import Access, TooManyAttempts
+from edged.adapters.web.access import Access, TooManyAttempts, session_of
 from edged.adapters.web.assets import read_assets, type_of
+from edged.adapters.web.gate import Gate
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
+from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
-from edged.adapters.web.setup import SetupApi
+from edged.adapters.web.routes import RouteTable
+from edged.adapters.web.settings import WebSettings, is_loopback, page_context
+from edged.adapters.web.setup import SetupRoutes
+from edged.adapters.web.viewers import Viewers, foremost
+from edged.adapters.web.visitors import Role, Visitor
 from edged.domain.arrays import Side
 from edged.domain.events import Event
 from edged.domain.measurement import Nearest
@@ -42,18 +43,11 @@ from edged.report.page import render
 
 log = logging.getLogger(__name__)
 
-PERIOD_S = 0.2
-"""A viewer hears of changes this often at most."""
-ALIVE_S = 15.0
-"""Without a change, a comment keeps the connection open and finds out who has gone."""
-MAX_VIEWERS = 32
 MAX_GUESTS = 64
 """Connections at a time; a browser has six, a scraper one."""
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
 FORM_S = 5.0
-WRITE_S = 10.0
-"""A viewer that does not read for so long has gone."""
 HANDSHAKES_PER_S = 50.0
 MAX_FORM_BYTES = 4096
 COOKIE = "edged_session"
@@ -71,30 +65,6 @@ FREE = {"/health", "/ready", "/login", "/static/login.css", "/static/icon.svg"}
 """Answered without a password: they say nothing of what the cell makes."""
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-
-
-@dataclass(frozen=True, slots=True)
-class WebSettings:
-    """Where and for whom.
-
-    password_hash : Argon2; "" is for loopback only.  certificate, key : PEM, both or none.
-    commissioning : people with the password may take the cell.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-    password_hash: str = ""
-    certificate: Path | None = None
-    key: Path | None = None
-    commissioning: bool = False
-
-
-@dataclass(eq=False, slots=True)
-class _Viewer:
-    """Somebody who watches the page. changed : there is something new for it."""
-
-    guest: Guest
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class _ServerLog(logging.LoggerAdapter[logging.Logger]):
@@ -120,7 +90,8 @@ class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
-    commissioner : where people take the cell, if the settings let them.
+    commissioner : where people take the cell, if the settings let them. rooms : each adds its routes of
+    /api/v1, where there is one.
     """
 
     def __init__(
@@ -132,7 +103,11 @@ class WebPublisher:
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
         commissioner: Commissioner | None = None,
+        rooms: Sequence[Callable[[RouteTable], None]] = (),
     ) -> None:
+        self._cell = cell
+        self._sources = sources
+        self._rooms = rooms
         self._settings = settings
         self._context = context
         self._commissioner = commissioner
@@ -140,7 +115,7 @@ class WebPublisher:
         self._access = Access(settings.password_hash)
         self._manual_folder = manual
         self._manual: Manual | None = None
-        self._viewers: dict[_Viewer, None] = {}  # the first to come first
+        self._viewers = Viewers(self._shown, self._page.history)
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._html = {
@@ -151,7 +126,6 @@ class WebPublisher:
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
         self._limit = LogLimit(__name__)
-        self._closing = False
 
     @property
     def port(self) -> int:
@@ -183,7 +157,7 @@ class WebPublisher:
         app.router.add_get("/health", self._health)
         app.router.add_get("/ready", self._ready)
         if settings.commissioning and self._commissioner is not None:
-            SetupApi(self._commissioner, self._has_session, self._drawer).add_to(app.router)
+            self._api(self._commissioner).add_to(app.router)
         self._runner = runner = web.AppRunner(
             app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
         )
@@ -203,17 +177,25 @@ class WebPublisher:
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
         log.info("status page: %s://%s:%d", "https" if context is not None else "http", host, self.port)
 
+    def _api(self, commissioner: Commissioner) -> Gate:
+        """What sets the cell up: the routes that every cell has, and those of the rooms."""
+        table = RouteTable()
+        setup = SetupRoutes(commissioner, self._drawer)
+        setup.add_to(table)
+        overview = self._sources.overview
+        OverviewRoutes(self._cell, self._page, overview, lambda: setup.holder).add_to(table)
+        for add_to in self._rooms:
+            add_to(table)
+        return Gate(table, commissioner, self._visitor)
+
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
         if self._page.take(event):
-            for viewer in self._viewers:
-                viewer.changed.set()
+            self._viewers.wake()
 
     async def close(self) -> None:
         """End every viewer and leave nothing behind."""
-        self._closing = True
-        for viewer in self._viewers:
-            viewer.changed.set()
+        self._viewers.close()
         door, self._door = self._door, None
         if door is not None:
             door.shut()
@@ -241,7 +223,7 @@ class WebPublisher:
         if len(guests) < MAX_GUESTS:
             return True
         self._limit.warning("status page: %d connections, one of them %s", len(guests), newcomer.peer)
-        displaced = _foremost([guest for guest in guests if not guest.busy], guests)
+        displaced = foremost([guest for guest in guests if not guest.busy], guests)
         if displaced is not None:
             displaced.abort()
         return displaced is not None
@@ -252,6 +234,12 @@ class WebPublisher:
         if transport is None or door is None:
             return None
         return door.guest(transport.get_extra_info("peername"))
+
+    async def _events(self, request: web.Request) -> web.StreamResponse:
+        guest = self._guest(request)
+        if guest is None:  # it has gone
+            return web.Response(status=503)
+        return await self._viewers.serve(request, guest, HEADERS)
 
     # --- every request -----------------------------------------------------------------------
 
@@ -307,6 +295,13 @@ class WebPublisher:
     def _has_session(self, request: web.Request) -> bool:
         """Whether it comes of somebody who logged in on the page."""
         return not self._access.is_open and self._access.has_session(request.cookies.get(COOKIE, ""))
+
+    def _visitor(self, request: web.Request) -> Visitor | None:
+        """Who sent it, if they logged in on the page."""
+        if not self._has_session(request):
+            return None
+        session = session_of(request.cookies[COOKIE])
+        return Visitor("", Role.ENGINEER, request.remote or "", session)
 
     # --- pages -------------------------------------------------------------------------------
 
@@ -414,90 +409,11 @@ class WebPublisher:
                 self._pictures.popitem(last=False)
         return web.Response(body=data, content_type="image/jpeg")
 
-    async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Server-sent events: the whole history once, then the newest state after each change."""
-        guest = self._guest(request)
-        if guest is None:  # it has gone
-            return web.Response(status=503)
-        self._make_room_for_viewer()
-        response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream"})
-        viewer = _Viewer(guest)
-        self._viewers[viewer] = None
-
-        async def write(data: bytes) -> None:
-            async with asyncio.timeout(WRITE_S):
-                await response.write(data)
-
-        try:
-            await response.prepare(request)
-            points = self._page.history()
-            await write(_event("all", {**await self._shown(), "points": points}))
-            while viewer in self._viewers and not self._closing:
-                try:
-                    await asyncio.wait_for(viewer.changed.wait(), ALIVE_S)
-                except TimeoutError:
-                    await write(b": alive\n\n")
-                    continue
-                viewer.changed.clear()
-                if viewer in self._viewers and not self._closing:
-                    points = self._page.history(after=points[-1]["cycle"] if points else 0) or points[-1:]
-                    await write(_event("update", {**await self._shown(), "points": points}))
-                    await asyncio.sleep(PERIOD_S)
-        except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
-            guest.abort()
-        finally:
-            self._viewers.pop(viewer, None)
-        return response
-
-    def _make_room_for_viewer(self) -> None:
-        """Where all places are taken the first viewer goes of whoever has the most; a page connects again."""
-        if len(self._viewers) < MAX_VIEWERS:
-            return
-        guests = [viewer.guest for viewer in self._viewers]
-        displaced = _foremost(guests, guests)
-        for viewer in tuple(self._viewers):
-            if viewer.guest is displaced:
-                del self._viewers[viewer]
-                viewer.changed.set()
-                viewer.guest.abort()
-
 
 def _ask(questions: Sequence[Nearest]) -> None:
     for one in questions:
         one.ask()
 
 
-def _foremost(guests: Sequence[Guest], everybody: Sequence[Guest]) -> Guest | None:
-    """Of guests, of those whose host has the most connections of all, the one that asked least lately."""
-    count = Counter(guest.peer for guest in everybody)
-    return min(guests, key=lambda guest: (-count[guest.peer], guest.active_s), default=None)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can connect to the address."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _event(name: str, data: Json) -> bytes:
-    return f"event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n".encode()
-
-
 def _text(text: str, content_type: str) -> web.Response:
     return web.Response(text=text, content_type=content_type, charset="utf-8")
-
-
-def page_context(settings: WebSettings) -> ssl.SSLContext | None:
-    """TLS of the page; None without certificate. Raises `ListenError` for files that do not fit."""
-    if settings.certificate is None or settings.key is None:
-        return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    try:
-        context.load_cert_chain(settings.certificate, settings.key)
-    except (OSError, ssl.SSLError) as error:
-        raise ListenError(f"status page: {settings.certificate}, {settings.key}: {error}") from error
-    return context

@@ -1,0 +1,201 @@
+"""What every request to /api/v1 must pass before its handler is called, and how errors are answered.
+
+Whatever changes the cell is asked by a session of the page (a password is not enough: a scraper has one),
+from a page of this very host, in JSON of a bounded size. Errors are problems (RFC 9457) with a `code` for
+programs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+from aiohttp import web
+from pydantic import BaseModel, ValidationError
+
+from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
+from edged.adapters.web.visitors import Role, Visitor
+from edged.errors import (
+    CalibrationError,
+    CaptureError,
+    CommandRefused,
+    EdgedError,
+    FileFormatError,
+    ImageError,
+    SetupRefused,
+    TeachError,
+    UserError,
+)
+from edged.ports import Commissioner
+
+log = logging.getLogger(__name__)
+
+READ_S = 5.0
+"""For a body of a few bytes to arrive; for a larger one as much longer as a slow network takes."""
+SLOW_BYTES_PER_S = 250_000.0
+STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
+    (SetupRefused, 409, "setup_refused"),
+    (CommandRefused, 409, "command_refused"),
+    (CalibrationError, 422, "calibration"),
+    (TeachError, 422, "teach"),
+    (ImageError, 422, "image"),
+    (FileFormatError, 422, "file"),
+    (UserError, 422, "input"),
+)
+"""What the rooms raise, as it is answered; the first that fits."""
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+
+Note = Callable[[Route, Visitor, web.Request, Any, str], None]
+"""Told of each request to an audited route: its body, if it was one, and its outcome, "ok" or a code."""
+
+
+class Gate:
+    """Serves a table.
+
+    visitor_of : who sent a request; None without a session of the page. note : keeps the audit.
+    """
+
+    def __init__(
+        self,
+        table: RouteTable,
+        commissioner: Commissioner,
+        visitor_of: Callable[[web.Request], Visitor | None],
+        note: Note | None = None,
+    ) -> None:
+        self._table = table
+        self._commissioner = commissioner
+        self._visitor_of = visitor_of
+        self._note = note or _log
+
+    def add_to(self, router: web.UrlDispatcher) -> None:
+        """Add the table's routes."""
+        for route in self._table:
+            router.add_route(route.method, BASE + route.path, self._serving(route))
+
+    def _serving(self, route: Route) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
+        async def serve(request: web.Request) -> web.StreamResponse:
+            visitor = self._visitor_of(request) or Visitor("", Role.VIEWER, request.remote or "")
+            body: Any = None
+            outcome = "broken_off"
+            try:
+                check_visitor(route, visitor, request)
+                body = await _body(route, request)
+                if route.needs_lease:
+                    self._commissioner.renew_setup(body.token)
+                response = _response(route, await route.handler(Call(visitor, body, request)))
+                outcome = "ok"
+            except (Problem, EdgedError, OSError) as error:
+                problem = _problem(error)
+                outcome = problem.code
+                response = problem.response()
+            finally:
+                if route.audit:
+                    self._note(route, visitor, request, body, outcome)
+            return response
+
+        return serve
+
+
+def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
+    """Whether somebody may ask, from where they ask. Raises `Problem`."""
+    if not visitor.session and (route.changes or route.role > Role.VIEWER):
+        raise Problem(403, "log_in", "log in on the page first: a password alone may only look")
+    if visitor.role < route.role:
+        raise Problem(
+            403,
+            "role",
+            f"only an {route.role.word} may: you are {visitor.role.word}",
+            params={"needed": route.role.word, "role": visitor.role.word},
+        )
+    if route.needs_origin and request.headers.get("Origin") != f"{request.scheme}://{request.host}":
+        raise Problem(403, "origin", "asked by a page of another host, or by none")
+
+
+async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]:
+    """A body piece by piece. Raises `Problem` when it is larger, or takes too long."""
+    too_large = Problem(
+        413, "too_large", f"expected {limit_bytes} bytes at most", params={"limit_bytes": limit_bytes}
+    )
+    if (request.content_length or 0) > limit_bytes:
+        raise too_large
+    size = 0
+    try:
+        async with asyncio.timeout(READ_S + limit_bytes / SLOW_BYTES_PER_S):
+            while chunk := await request.content.readany():
+                size += len(chunk)
+                if size > limit_bytes:
+                    raise too_large
+                yield chunk
+    except TimeoutError as error:
+        raise Problem(408, "slow", "the body did not arrive in time") from error
+    except web.RequestPayloadError as error:
+        raise Problem(400, "json", "the body is damaged") from error
+
+
+async def _body(route: Route, request: web.Request) -> BaseModel | None:
+    """As the route's model has it. Raises `Problem`."""
+    if route.body is None:
+        return None
+    try:
+        if route.method == "GET":
+            if len(set(request.query)) < len(request.query):
+                raise Problem(400, "query", "expected each parameter once")
+            return route.body.model_validate_strings(dict(request.query))
+        if request.content_type != "application/json":
+            raise Problem(415, "json", "expected Content-Type: application/json")
+        data = b"".join([chunk async for chunk in chunks(request, route.limit_bytes)])
+        if not data.lstrip().startswith(b"{"):
+            raise Problem(400, "json", "expected a JSON object")
+        return route.body.model_validate_json(data)
+    except ValidationError as error:
+        raise _invalid(error) from error
+
+
+def _invalid(error: ValidationError) -> Problem:
+    """The first mistake, by its place; how many there are is of no use to who must mend the first."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    if first["type"] == "json_invalid":
+        return Problem(400, "json", "expected JSON")
+    field = ".".join(map(str, first["loc"]))
+    detail = first["msg"].removeprefix("Value error, ")
+    return Problem(400, "invalid", f"{field}: {detail}" if field else detail, field=field or None)
+
+
+def _response(route: Route, given: Given) -> web.StreamResponse:
+    if isinstance(given, web.StreamResponse):
+        return given
+    if given is None:
+        return web.Response(status=route.status)
+    return web.Response(text=given.model_dump_json(), status=route.status, content_type="application/json")
+
+
+def _problem(error: Problem | EdgedError | OSError) -> Problem:
+    """An error as it is answered. Raises it where it is a bug."""
+    if isinstance(error, Problem):
+        return error
+    if isinstance(error, CaptureError):
+        return Problem(503, f"camera_{error.code}", str(error), params={"camera": error.camera})
+    if isinstance(error, OSError):
+        if error.errno not in NO_ROOM:
+            raise error
+        log.error("%s", error)
+        return Problem(507, "storage", f"it cannot be kept: {error.strerror}")
+    for kind, status, code in STATUSES:
+        if isinstance(error, kind):
+            return Problem(status, code, str(error))
+    raise error
+
+
+def _log(route: Route, visitor: Visitor, request: web.Request, _body: Any, outcome: str) -> None:
+    log.info(
+        "%s %s by %s at %s: %s",
+        route.method,
+        json.dumps(request.path),
+        visitor.name or "nobody",
+        visitor.address,
+        outcome,
+    )

@@ -1,0 +1,147 @@
+"""The cell at a glance, for who sets it up: who asks, what state it is in, and what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from aiohttp import web
+from pydantic import Field
+
+from edged.adapters.web.openapi import document_of
+from edged.adapters.web.page import Overview, Page
+from edged.adapters.web.routes import Answer, Call, RouteTable
+from edged.adapters.web.visitors import Role
+from edged.domain.cell import SetupSource
+
+
+class Me(Answer):
+    """Who asks. language : a tag of BCP 47; null: as the browser has it."""
+
+    name: str
+    role: str
+    language: str | None
+
+
+class SetupNow(Answer):
+    """Who has the cell. source : person, no_calibration, no_job."""
+
+    name: str | None = Field(description="null: nobody looks after it")
+    unattended: bool = Field(description="somebody took it, and is silent")
+    yours: bool = Field(description="taken from this very session")
+    source: str
+
+
+class Plc(Answer):
+    """The plant."""
+
+    owner: str | None = Field(description="who holds the right to write commands")
+    auto_lock: bool = Field(description="SETUP is forbidden")
+
+
+class RigNow(Answer):
+    """The rig in use. robot : yes, no, on_flange."""
+
+    id: str
+    robot: str
+    verdict: str
+    rows_px: float | None
+    length_percent: float | None
+
+
+class JobName(Answer):
+    """A job that can be asked for."""
+
+    number: int
+    name: str
+
+
+class CellNow(Answer):
+    """The cell at this moment."""
+
+    name: str
+    state: str | None
+    why: str = Field(description="why it does not measure, in English; empty: it does")
+    error: str
+    setup: SetupNow | None
+    plc: Plc
+    missing: list[str]
+    rig: RigNow | None
+    jobs: list[JobName]
+    stage: bool
+
+
+class OverviewRoutes:
+    """`me`, `cell`, and the document of all routes.
+
+    holder : the session that took the cell last. asked : what events do not tell.
+    """
+
+    def __init__(
+        self, cell: str, page: Page, asked: Callable[[], Overview], holder: Callable[[], str]
+    ) -> None:
+        self._cell = cell
+        self._page = page
+        self._asked = asked
+        self._holder = holder
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the routes."""
+
+        async def document(_call: Call[None]) -> web.Response:
+            return web.json_response(document_of(table, self._cell))
+
+        table.route("GET", "/me", _me, "Who I am, and what I may", role=Role.VIEWER, answer=Me)
+        table.route("GET", "/cell", self._now, "The cell at a glance", role=Role.VIEWER, answer=CellNow)
+        table.route(
+            "GET",
+            "/openapi.json",
+            document,
+            "This document",
+            role=Role.VIEWER,
+            answer="application/json",
+        )
+
+    async def _now(self, call: Call[None]) -> CellNow:
+        return self.now(call.visitor.session)
+
+    def now(self, session: str) -> CellNow:
+        """As one session sees it."""
+        asked, state = self._asked(), self._page.state
+        setup = None
+        if state is not None and state.setup is not SetupSource.NONE:
+            is_person = state.setup is SetupSource.PERSON
+            setup = SetupNow(
+                name=state.setup_by or None,
+                unattended=is_person and not state.setup_by,
+                yours=is_person and session != "" and session == self._holder(),
+                source=state.setup.name.lower(),
+            )
+        rig = asked.rig
+        return CellNow(
+            name=self._cell,
+            state=None if state is None else str(state.state),
+            why="" if state is None else state.why,
+            error="" if state is None else state.error,
+            setup=setup,
+            plc=Plc(owner=asked.plc_owner or None, auto_lock=asked.auto_lock),
+            missing=list(asked.missing),
+            rig=None
+            if rig is None
+            else RigNow(
+                id=rig.calibration_id,
+                robot=rig.robot,
+                verdict=rig.verdict,
+                rows_px=_known(rig.rows_px),
+                length_percent=_known(rig.length_percent),
+            ),
+            jobs=[JobName(number=number, name=name) for number, name in self._page.jobs()],
+            stage=asked.stage,
+        )
+
+
+async def _me(call: Call[None]) -> Me:
+    return Me(name=call.visitor.name, role=call.visitor.role.word, language=None)
+
+
+def _known(number: float) -> float | None:
+    return None if number != number else number

@@ -1,0 +1,190 @@
+"""The routes of /api/v1 as one table: what each takes and answers, and who may ask.
+
+Handlers hold no check of their own that the table can state: role, origin, type, size and form of the body,
+and the lease are looked at before they are called (`gate`), and the same table becomes the OpenAPI document
+(`openapi`) and the generated test of every route with every role.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, TypeVar
+
+from aiohttp import web
+from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
+
+from edged.adapters.web.visitors import Role, Visitor
+from edged.payload import Json
+
+BASE = "/api/v1"
+LIMIT_BYTES = 4096
+"""Of a body, where the route says nothing else."""
+WEBSOCKET = "websocket"
+"""What a route answers that becomes a WebSocket."""
+_PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[\d,]+\}[^{}]*)*))?\}")
+
+
+class Problem(Exception):
+    """What a request cannot have (RFC 9457).
+
+    code : for programs, and for the page, which has a sentence of its own for it. field : of the body.
+    params : what such a sentence needs.
+    """
+
+    def __init__(
+        self, status: int, code: str, detail: str, *, field: str | None = None, params: Json | None = None
+    ) -> None:
+        self.status = status
+        self.code = code
+        self.field = field
+        self.params = params
+        super().__init__(detail)
+
+    def response(self) -> web.Response:
+        """As it is answered."""
+        document: Json = {"status": self.status, "code": self.code, "detail": str(self)}
+        if self.field is not None:
+            document["field"] = self.field
+        if self.params is not None:
+            document["params"] = self.params
+        return web.json_response(document, status=self.status, content_type="application/problem+json")
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected letters that can be printed, in one line")
+    return text
+
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
+"""Of a person or a thing, in one line."""
+Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
+"""Of a lease of the cell."""
+
+
+class Body(BaseModel):
+    """What a request holds: nothing else, of the very types, every text with a bound.
+
+    Of a GET it is the query.
+    """
+
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, str_strip_whitespace=True, allow_inf_nan=False
+    )
+
+
+class Leased(Body):
+    """By whoever has the cell."""
+
+    token: Token
+
+
+class Answer(BaseModel):
+    """What is answered."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+B = TypeVar("B")
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[B]):
+    """A request that has passed every check of its route."""
+
+    visitor: Visitor
+    body: B
+    request: web.Request
+
+    def part(self, name: str) -> str:
+        """A parameter of the path."""
+        return self.request.match_info[name]
+
+
+Given = BaseModel | web.StreamResponse | None
+Handler = Callable[[Call[Any]], Awaitable[Given]]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One row of the table; see `RouteTable.route`."""
+
+    method: str
+    path: str
+    handler: Handler
+    what: str
+    role: Role
+    body: type[BaseModel] | None
+    answer: type[BaseModel] | str | None
+    status: int
+    audit: bool
+    needs_lease: bool
+    limit_bytes: int
+
+    @property
+    def changes(self) -> bool:
+        """Whether it changes anything: then it needs a session, and a page of our own."""
+        return self.method != "GET"
+
+    @property
+    def needs_origin(self) -> bool:
+        """Whether a page elsewhere could ask in somebody's name: browsers open WebSockets to any host."""
+        return self.changes or self.answer == WEBSOCKET
+
+    @property
+    def parameters(self) -> list[tuple[str, str]]:
+        """Of the path: name, and the pattern that it fits, or ""."""
+        return _PARAMETER.findall(self.path)
+
+    @property
+    def plain_path(self) -> str:
+        """Of the document: parameters without their patterns."""
+        return BASE + _PARAMETER.sub(r"{\1}", self.path)
+
+
+class RouteTable:
+    """Every route of the API. Each room of the cell adds its own, by a function `add_to(table, …)`."""
+
+    def __init__(self) -> None:
+        self._routes: dict[tuple[str, str], Route] = {}
+
+    def __iter__(self) -> Iterator[Route]:
+        return iter(self._routes.values())
+
+    def route(
+        self,
+        method: str,
+        path: str,
+        handler: Callable[[Call[B]], Awaitable[Given]],
+        what: str,
+        *,
+        role: Role = Role.ENGINEER,
+        body: type[B] | None = None,
+        answer: type[BaseModel] | str | None = None,
+        status: int | None = None,
+        audit: bool = False,
+        needs_lease: bool = False,
+        limit_bytes: int = LIMIT_BYTES,
+    ) -> None:
+        """Add a route.
+
+        path : below /api/v1, parameters as aiohttp has them, `{number:[0-9]{1,9}}`.
+        what : one line for the document. role : who may, at least.
+        body : model of the JSON object, of a GET of the query; None: the handler reads what there is, up to
+        limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
+        status : of a success; None: 200, or 204 without an answer.
+        audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
+        that of whoever has the cell, and is a sign of life of theirs.
+        Raises `ValueError` for a row that contradicts itself, or that is there already.
+        """
+        model = body if isinstance(body, type) and issubclass(body, BaseModel) else None
+        if needs_lease and (model is None or "token" not in model.model_fields):
+            raise ValueError(f"{method} {path}: a route with a lease takes a token")
+        if (method, path) in self._routes:
+            raise ValueError(f"{method} {path}: is there already")
+        status = status or (200 if answer is not None else 204)
+        self._routes[method, path] = Route(
+            method, path, handler, what, role, model, answer, status, audit, needs_lease, limit_bytes
+        )

@@ -1,0 +1,113 @@
+"""Who watches the page: server-sent events, the newest state after each change.
+
+A viewer never delays a cycle: a change only sets a flag for each, who is served in its own task; a slow one
+gets the newest state, not all of them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from aiohttp import web
+
+from edged.door import Guest
+from edged.payload import Json
+
+PERIOD_S = 0.2
+"""A viewer hears of changes this often at most."""
+ALIVE_S = 15.0
+"""Without a change, a comment keeps the connection open and finds out who has gone."""
+MAX_VIEWERS = 32
+WRITE_S = 10.0
+"""A viewer that does not read for so long has gone."""
+
+
+@dataclass(eq=False, slots=True)
+class Viewer:
+    """Somebody who watches the page. changed : there is something new for it."""
+
+    guest: Guest
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Viewers:
+    """All of them.
+
+    shown : the state of the page. history : points of the trends after a cycle.
+    """
+
+    def __init__(self, shown: Callable[[], Awaitable[Json]], history: Callable[[int], list[Json]]) -> None:
+        self._shown = shown
+        self._history = history
+        self._viewers: dict[Viewer, None] = {}  # the first to come first
+        self._closing = False
+
+    def wake(self) -> None:
+        """There is something new."""
+        for viewer in self._viewers:
+            viewer.changed.set()
+
+    def close(self) -> None:
+        """End every viewer."""
+        self._closing = True
+        self.wake()
+
+    async def serve(
+        self, request: web.Request, guest: Guest, headers: Mapping[str, str]
+    ) -> web.StreamResponse:
+        """Server-sent events: the whole history once, then the newest state after each change."""
+        self._make_room()
+        response = web.StreamResponse(headers={**headers, "Content-Type": "text/event-stream"})
+        viewer = Viewer(guest)
+        self._viewers[viewer] = None
+
+        async def write(data: bytes) -> None:
+            async with asyncio.timeout(WRITE_S):
+                await response.write(data)
+
+        try:
+            await response.prepare(request)
+            points = self._history(0)
+            await write(_event("all", {**await self._shown(), "points": points}))
+            while viewer in self._viewers and not self._closing:
+                try:
+                    await asyncio.wait_for(viewer.changed.wait(), ALIVE_S)
+                except TimeoutError:
+                    await write(b": alive\n\n")
+                    continue
+                viewer.changed.clear()
+                if viewer in self._viewers and not self._closing:
+                    points = self._history(points[-1]["cycle"] if points else 0) or points[-1:]
+                    await write(_event("update", {**await self._shown(), "points": points}))
+                    await asyncio.sleep(PERIOD_S)
+        except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
+            guest.abort()
+        finally:
+            self._viewers.pop(viewer, None)
+        return response
+
+    def _make_room(self) -> None:
+        """Where all places are taken the first viewer goes of whoever has the most; a page connects again."""
+        if len(self._viewers) < MAX_VIEWERS:
+            return
+        guests = [viewer.guest for viewer in self._viewers]
+        displaced = foremost(guests, guests)
+        for viewer in tuple(self._viewers):
+            if viewer.guest is displaced:
+                del self._viewers[viewer]
+                viewer.changed.set()
+                viewer.guest.abort()
+
+
+def foremost(guests: Sequence[Guest], everybody: Sequence[Guest]) -> Guest | None:
+    """Of guests, of those whose host has the most connections of all, the one that asked least lately."""
+    count = Counter(guest.peer for guest in everybody)
+    return min(guests, key=lambda guest: (-count[guest.peer], guest.active_s), default=None)
+
+
+def _event(name: str, data: Json) -> bytes:
+    return f"event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n".encode()
