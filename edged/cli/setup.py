@@ -163,7 +163,8 @@ def teach(
     step: Annotated[
         Path | None,
         typer.Option(
-            help="STEP file of the part: its sizes and its frame (edged[cad]); with a pair, or with --depth"
+            help="STEP (edged[cad]) or STL file of the part: its sizes and its frame; with a pair, or with "
+            "--depth"
         ),
     ] = None,
     up: Annotated[
@@ -179,7 +180,7 @@ def teach(
     ] = None,
     layer: Annotated[list[str] | None, typer.Option(help="of a DXF drawing: only this layer; repeat")] = None,
     unit: Annotated[
-        str | None, typer.Option(help="of a DXF drawing that does not say: mm, cm, m, in")
+        str | None, typer.Option(help="of an STL file, or a DXF drawing that does not say: mm, cm, m, in")
     ] = None,
     contrast: Annotated[
         str | None, typer.Option(help="LOW,HIGH: edges that count, grey values per px; default: automatic")

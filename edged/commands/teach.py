@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +33,7 @@ from edged.files.jobs import check_job_folder
 from edged.files.outputs import check_outputs
 from edged.files.rig import load_rig
 from edged.files.step import read_step
+from edged.files.stl import read_stl
 from edged.pipeline import prepare
 from edged.report.teaching import inspection_to_json, teaching_report
 from edged.vision.geometry.rectification import Rectification
@@ -38,6 +41,7 @@ from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cadmodel import CadModel, curves_towards
+from edged.vision.teaching.facets import faceted_curves
 from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
@@ -80,14 +84,21 @@ AXES = {
 """What --up may be."""
 
 
-def read_model(step: Path, up: str) -> tuple[CadModel, PartModel]:
-    """A STEP file, and what it shows to the cameras.
+def read_model(step: Path, up: str, unit: str | None = None) -> tuple[CadModel, PartModel]:
+    """A STEP file, or an STL file by its ending, and what it shows to the cameras.
+
+    unit : of an STL file's numbers; None: mm.
 
     Raises `TeachError` for what is no axis, `FileFormatError` for what is no model.
     """
     axis = AXES.get(up.strip().lower().removeprefix("+"))
     if axis is None:
         raise TeachError(f"--up {up!r}: expected an axis of the file, one of {', '.join(AXES)}")
+    if step.suffix.lower() == ".stl":
+        triangles = read_stl(step, unit)
+        return triangles, PartModel(faceted_curves(triangles, axis), str(step))
+    if unit is not None:
+        raise TeachError(f"--unit {unit}: {step} says its own unit; STL and DXF files do not")
     model = read_step(step)
     return model, PartModel(curves_towards(model, axis), str(step))
 
@@ -107,7 +118,8 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
 class PairSource:
     """A stereo pair, and the region of the part where it is not the whole picture, as on the command line.
 
-    step, up : the part's STEP file, and which axis of it points to the cameras.
+    step, up : the part's STEP or STL file, and which axis of it points to the cameras.
+    unit : of the numbers in an STL file.
     """
 
     left: Path | None
@@ -116,6 +128,7 @@ class PairSource:
     exclude: tuple[str, ...] = ()
     step: Path | None = None
     up: str | None = None
+    unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +159,15 @@ def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | Draw
     if from_pair == bool(files) or len(files) > 1:
         raise UserError("teach: expected either --left and --right, or one of --dxf, --contour and --step")
     if from_pair:
+        if drawing.unit is not None and pair.step is None:
+            raise UserError("teach: --unit belongs to --dxf, or to an STL file")
+        pair = replace(pair, unit=drawing.unit)
         if missing := [f"--{name}" for name in ("left", "right") if getattr(pair, name) is None]:
             raise UserError(f"teach: {', '.join(missing)} missing: a pair needs --left and --right")
         return pair
     if drawing.depth_mm is None:
         raise UserError("teach: --depth missing: the nominal distance of the drawn face, in mm")
-    if drawing.dxf is None and (drawing.layers or drawing.unit):
+    if drawing.dxf is None and (drawing.layers or (drawing.unit and drawing.step is None)):
         raise UserError("teach: --layer and --unit belong to --dxf; a contour is in mm")
     return drawing
 
@@ -231,18 +247,36 @@ def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
 def _proposal(source: PairSource | DrawingSource, rectification: Rectification, wanted: Wanted) -> Proposal:
     if isinstance(source, DrawingSource):
         if source.step is not None:
-            read = read_model(source.step, source.up or "")
-            return propose_from_model(*read, rectification, source.depth_mm or 0.0, wanted)
+            read = read_model(source.step, source.up or "", source.unit)
+            with _unit_named(read[0], source.step, source.unit):
+                return propose_from_model(*read, rectification, source.depth_mm or 0.0, wanted)
         if source.dxf is not None:
             outlines = read_dxf(source.dxf, source.layers, source.unit)
         else:
             outlines = read_contour(source.contour or Path())
         return propose_from_drawing(outlines, rectification, source.depth_mm or 0.0, wanted)
-    model = None if source.step is None else read_model(source.step, source.up or "")[1]
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
-    return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude, model=model)
+    if source.step is None:
+        return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+    model, shown = read_model(source.step, source.up or "", source.unit)
+    with _unit_named(model, source.step, source.unit):
+        return propose_from_pair(
+            left, right, rectification, wanted, region=region, exclude=exclude, model=shown
+        )
+
+
+@contextlib.contextmanager
+def _unit_named(model: CadModel, step: Path, unit: str | None) -> Iterator[None]:
+    """With an STL file a failure may be its unit, which only a person knows: the message says its size."""
+    try:
+        yield
+    except TeachError as error:
+        if model.surfaces or unit is not None:
+            raise
+        size = " x ".join(f"{value:.4g}" for value in np.ptp(model.points_mm, axis=0))
+        raise TeachError(f"{error} ({step} has no unit: its {size} were taken as mm, see --unit)") from error
 
 
 def _about_tilt(job: Job, rectification: Rectification) -> list[str]:

@@ -15,6 +15,7 @@ import pytest
 from cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from flatparts import METAL, only
 from rich.console import Console
+from stlfiles import binary
 from tilted import BELOW_MM, lying, stacked
 
 from edged.commands.locate import locate
@@ -24,6 +25,7 @@ from edged.domain.measurement import Reject
 from edged.errors import FileFormatError, TeachError, UserError
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import save_rig
+from edged.files.step import read_step
 from edged.pipeline import locate as find
 from edged.pipeline import prepare
 from edged.robot.budget import budget_of
@@ -219,6 +221,52 @@ def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
     again, said = carry_over(replace(drawn(), report="model"), drawn())
     assert "model" == again.report
     assert "kept: report = model" in said
+
+
+def stl_of(folder: Path, scale: float = 1.0) -> Path:
+    """The part's triangles, in a unit of so many to the mm."""
+    model = read_step(STEP)
+    path = folder / "D3.STL"
+    path.write_bytes(binary(scale * model.points_mm[model.triangles]))
+    return path
+
+
+def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
+    """Radii and centres of the STEP file within 0.1 µm; what the facets leave open is in the job's sigma."""
+    curves = read_model(stl_of(tmp_path), "-z")[1].curves
+    found = settle(taught(), curves, prepare(small_rig()).rectification, "D3.STL")
+    exact = settled(taught()).job
+    assert "D3.STL: 11 of 11 curves lie where it has them" in found.said
+    for one, other in zip(exact.circles, found.job.circles, strict=True):
+        assert np.abs(one.centre_mm - other.centre_mm).max() < 1e-3
+        assert one.radius_mm == pytest.approx(other.radius_mm, abs=1e-4)
+    assert 0.0 == exact.sigma_mm
+    assert 0.0002 < found.job.sigma_mm < 0.002
+
+
+def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
+    """Where chords leave 20 µm open, the pair knows better: said, and not in the sigma."""
+    curves = read_model(stl_of(tmp_path), "-z")[1].curves
+    coarse = replace(curves, circles=tuple(replace(one, sigma_mm=0.02) for one in curves.circles))
+    found = settle(taught(), coarse, prepare(small_rig()).rectification, "D3.STL")
+    assert [one.radius_mm for one in taught().circles] == [one.radius_mm for one in found.job.circles]
+    assert 0.0 == found.job.sigma_mm
+    assert [line for line in found.said if "radius as seen" in line and "0.020 mm open: c0, c1" in line]
+    alone = teach_model(read_step(STEP), coarse, prepare(small_rig()).rectification, 205.0, "D3")[0]
+    assert math.hypot(0.1, 0.02) == pytest.approx(alone.sigma_mm)
+
+
+def test_the_unit_of_an_stl_file_is_asked_for(tmp_path: Path) -> None:
+    """Of a file in inches the message says how large it was taken to be, and how to say it."""
+    save_rig(tmp_path / "rig.json", small_rig())
+    drawing = replace(NO_DRAWING, depth_mm=205.0)
+    inches = PairSource(None, None, None, (), stl_of(tmp_path, 1 / 25.4), "-z")
+    with pytest.raises(TeachError, match=r"has no unit: its 1\.142 x 0\.9843 x 0\.3346 were taken as mm"):
+        teach(tmp_path / "rig.json", chosen_source(inches, drawing), "D3", tmp_path / "job", QUIET)
+    source = chosen_source(inches, replace(drawing, unit="in"))
+    assert 0 == teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", QUIET)
+    with pytest.raises(TeachError, match="says its own unit"):
+        read_model(STEP, "-z", "in")
 
 
 @pytest.mark.parametrize(("step", "up"), [(STEP, None), (None, "z")])

@@ -8,6 +8,7 @@ edges of an edge break the cameras will see, so such a job states its own sigma.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -92,6 +93,7 @@ def teach_model(
     mask = mask_along(rectification, flat, rig_from_part)
     shape = create_model(image, mask, params=params)
     sizes, witness = known_radius(circles, reference)
+    sigma_mm = math.hypot(SIGMA_MM, max((one.sigma_mm for one in curves.circles), default=0.0))
     job = Job(
         name=name,
         number=number,
@@ -102,7 +104,8 @@ def teach_model(
         reference=reference,
         rig_from_part=rig_from_part,
         limits=replace(
-            usual_limits(depth_mm, 1 / scale, shape, circles, reference, SIGMA_MM), max_sigma_mm=MAX_SIGMA_MM
+            usual_limits(depth_mm, 1 / scale, shape, circles, reference, sigma_mm),
+            max_sigma_mm=MAX_SIGMA_MM * sigma_mm / SIGMA_MM,
         ),
         search=SearchParams(
             scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8, polarity="local"
@@ -110,7 +113,7 @@ def teach_model(
         edges=tuple(edges),
         corners=tuple(corners),
         part_from_model=part_from_model,
-        sigma_mm=SIGMA_MM,
+        sigma_mm=sigma_mm,
     )
     return for_solid(job) if job.solid else job, image
 

@@ -58,7 +58,8 @@ class CadModel:
     """One solid in the frame of its file.
 
     points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.  face_of (M,) : number of each
-    triangle's face.  surfaces : of each face; None where it is neither plane, cylinder nor cone.
+    triangle's face.  surfaces : of each face; None where it is neither plane, cylinder nor cone; empty where
+    nothing but triangles is known.
     """
 
     points_mm: FloatArray
@@ -72,12 +73,14 @@ class ModelCircle:
     """Where a face meets a round wall.
 
     centre_mm (3,) : model frame.  hole : material is outside of it.  span : share of the whole circle.
+    sigma_mm : of the radius, where the model has chords in its place.
     """
 
     centre_mm: FloatArray
     radius_mm: float
     hole: bool
     span: float
+    sigma_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +104,8 @@ class ModelCurves:
 def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
     """Circles and straight edges of a model that are level, and seen from a direction up (3,) of its frame.
 
+    model : with its faces; `facets.faceted_curves` is for triangles alone.
+
     Inner edges, where a wall stands on a face, are not among them: their contrast is shade.
     """
     up = unit(np.asarray(up, np.float64))
@@ -118,7 +123,7 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
         elif one is not None and two is not None:
             circle = _circle(one, two, meeting, normals, up)
             circles += [] if circle is None else [circle]
-    return ModelCurves(up, _merged(circles), tuple(edges))
+    return ModelCurves(up, merged_circles(circles), tuple(edges))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,30 +144,73 @@ def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
     return corners, np.asarray(normals / np.maximum(length, 1e-300) * (1.0 if volume >= 0 else -1.0))
 
 
-def _meetings(model: CadModel) -> Iterator[_Meeting]:
-    """The pairs of faces that share sides of triangles."""
-    keys = np.rint(model.points_mm / WELD_MM).astype(np.int64)
-    _, first, welded = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    triangles = welded.reshape(-1)[model.triangles]
+def _welding(points_mm: FloatArray) -> tuple[IntArray, IntArray]:
+    """Of points (N, 3): one of each place, and the number of its place (N,)."""
+    keys = np.rint(points_mm / WELD_MM).astype(np.int64)
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
+
+
+def welded(corners_mm: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Points (N, 3) and triangles (M, 3) of corners (K, 3, 3), without triangles that have no area."""
+    points = corners_mm.reshape(-1, 3)
+    first, number = _welding(points)
+    triangles = number.reshape(-1, 3)
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return points[first], triangles[whole]
+
+
+def neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Sides (K, 2) that two triangles (M, 3) share, as their points, and the numbers of both (K, 2)."""
+    sides, owner, start, count = _sides(triangles)
+    start = start[count == 2]
+    return sides[start], np.stack([owner[start], owner[start + 1]], axis=1)
+
+
+def open_sides(triangles: IntArray) -> tuple[int, int]:
+    """How many sides of triangles (M, 3) not just one other one shares, and how many bodies they are."""
+    _, _, _, count = _sides(triangles)
+    label = np.arange(triangles.max() + 1)
+    while True:  # the least number that a body's points know of, each time twice as far off
+        least = label[triangles].min(axis=1)
+        lower = label.copy()
+        for corner in range(3):
+            np.minimum.at(lower, triangles[:, corner], least)
+            np.minimum.at(lower, label[triangles[:, corner]], least)
+        lower = lower[lower]
+        if np.array_equal(lower, label):
+            return int(count[count != 2].sum()), len(np.unique(label[triangles[:, 0]]))
+        label = lower
+
+
+def _sides(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    """Sides (K, 2) in order with their triangles (K,); where each other one begins, and how often it is."""
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     sides, owner = sides[sides[:, 0] != sides[:, 1]], owner[sides[:, 0] != sides[:, 1]]
     order = np.lexsort((owner, sides[:, 1], sides[:, 0]))
     sides, owner = sides[order], owner[order]
-    _, start, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
-    start = start[count == 2]
-    pairs = np.stack([owner[start], owner[start + 1]], axis=1)
+    other = np.ones(len(sides), bool)
+    other[1:] = (sides[1:] != sides[:-1]).any(axis=1)
+    start = np.flatnonzero(other)
+    return sides, owner, start, np.diff(np.append(start, len(sides)))
+
+
+def _meetings(model: CadModel) -> Iterator[_Meeting]:
+    """The pairs of faces that share sides of triangles."""
+    first, number = _welding(model.points_mm)
+    sides, pairs = neighbours(number[model.triangles])
     faces = model.face_of[pairs]
     swapped = faces[:, 0] > faces[:, 1]
     pairs[swapped], faces[swapped] = pairs[swapped][:, ::-1], faces[swapped][:, ::-1]
     apart = faces[:, 0] != faces[:, 1]
-    start, pairs, faces = start[apart], pairs[apart], faces[apart]
+    sides, pairs, faces = sides[apart], pairs[apart], faces[apart]
     order = np.lexsort((faces[:, 1], faces[:, 0]))
-    start, pairs, faces = start[order], pairs[order], faces[order]
+    sides, pairs, faces = sides[order], pairs[order], faces[order]
     bounds = np.flatnonzero(np.any(np.diff(faces, axis=0) != 0, axis=1)) + 1
     for rows in np.split(np.arange(len(faces)), bounds):
         if len(rows):
-            ends = model.points_mm[first[sides[start[rows]]]]
+            ends = model.points_mm[first[sides[rows]]]
             yield _Meeting((int(faces[rows[0], 0]), int(faces[rows[0], 1])), ends, pairs[rows].T)
 
 
@@ -261,7 +309,7 @@ def _parallel(one: FloatArray, two: FloatArray) -> bool:
     return float(np.linalg.norm(np.cross(one, two))) < PARALLEL
 
 
-def _merged(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
+def merged_circles(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
     """The pieces of one circle as one: a wall may be several faces, a notch may cut it."""
     order = sorted(circles, key=lambda one: (-round(one.radius_mm, 3), one.hole))
     merged: list[ModelCircle] = []
@@ -272,9 +320,9 @@ def _merged(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
                     if float(np.linalg.norm(other.centre_mm - one.centre_mm)) < SAME_MM]  # fmt: skip
             if same:
                 before = kept[same[0]]
-                kept[same[0]] = ModelCircle(
-                    before.centre_mm, before.radius_mm, one.hole, min(1.0, before.span + one.span)
-                )
+                span = min(1.0, before.span + one.span)
+                sigma_mm = max(before.sigma_mm, one.sigma_mm)
+                kept[same[0]] = ModelCircle(before.centre_mm, before.radius_mm, one.hole, span, sigma_mm)
             else:
                 kept.append(one)
         merged += kept

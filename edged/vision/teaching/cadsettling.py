@@ -6,7 +6,7 @@ edge break displaces it, the picture is right: the break is stated, and the curv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +15,12 @@ from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, unit
-from edged.vision.part.job import DISPLACED_PX, EdgeFeature, Job
+from edged.vision.part.job import DISPLACED_PX, CircleFeature, EdgeFeature, Job
 from edged.vision.teaching.cadmatch import Partner, Registration, register
-from edged.vision.teaching.cadmodel import ModelCurves
+from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
 
+FINE_MM = 0.003
+"""Sigma of a radius that is known from chords, above which the pair knows it better."""
 SCALE_SHARE = 5e-4
 """Of the distance from the reference: a rig's scale is not better known."""
 MIN_BREAK_MM = 0.03
@@ -52,26 +54,49 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
     reach = _Reach(aside_mm, aside_mm * max(1.0, depth_mm / rectification.baseline_mm))
     partners = {one.name: one for one in found.partners}
     _check_revision(job, model, found, reach, what)
-    settled = [name for name, one in partners.items() if _agrees(job, one, reach)]
+    settled = [name for name, one in partners.items() if _agrees(job, one, reach, model)]
     circles = tuple(
         replace(
             one,
             centre_mm=_snapped(
                 apply(found.part_from_model, model.circles[partners[one.name].index].centre_mm)
             ),
-            radius_mm=model.circles[partners[one.name].index].radius_mm,
+            radius_mm=_radius_mm(one, model.circles[partners[one.name].index]),
         )
         if one.name in settled
         else one
         for one in job.circles
     )
+    faceted = {one.name: model.circles[partners[one.name].index].sigma_mm for one in job.circles
+               if one.name in settled}  # fmt: skip
+    used = [sigma_mm for sigma_mm in faceted.values() if sigma_mm <= FINE_MM]
     edges = tuple(
         _on_model(one, model, partners[one.name], found) if one.name in settled else one for one in job.edges
     )
-    taken = replace(job, circles=circles, edges=edges, part_from_model=found.part_from_model)
-    return Settled(
-        taken, (_summary(settled, found, what), *_breaks(found.partners, settled), *_others(found))
+    taken = replace(
+        job,
+        circles=circles,
+        edges=edges,
+        part_from_model=found.part_from_model,
+        sigma_mm=round(max(used, default=0.0), 6),
     )
+    said = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
+    return Settled(taken, (*said, *_coarse(faceted)))
+
+
+def _radius_mm(seen: CircleFeature, drawn: ModelCircle) -> float:
+    return drawn.radius_mm if drawn.sigma_mm <= FINE_MM else seen.radius_mm
+
+
+def _coarse(faceted: Mapping[str, float]) -> list[str]:
+    """Circles of which the file has chords that tell less of their radius than the pair."""
+    coarse = {name: sigma_mm for name, sigma_mm in faceted.items() if sigma_mm > FINE_MM}
+    if not coarse:
+        return []
+    return [
+        f"radius as seen, for its chords in the file leave {max(coarse.values()):.3f} mm open: "
+        f"{', '.join(coarse)}"
+    ]
 
 
 def _snapped(point: FloatArray) -> FloatArray:
@@ -79,10 +104,11 @@ def _snapped(point: FloatArray) -> FloatArray:
     return np.round(point, 9) + 0.0
 
 
-def _agrees(job: Job, one: Partner, reach: _Reach) -> bool:
+def _agrees(job: Job, one: Partner, reach: _Reach, model: ModelCurves) -> bool:
+    sigma_mm = 3 * model.circles[one.index].sigma_mm if one.kind == "circle" else 0.0
     return (
         one.aside <= _aside_limit(job, one.name, reach)
-        and abs(one.wider) <= _aside_limit(job, one.name, reach)
+        and abs(one.wider) <= _aside_limit(job, one.name, reach) + sigma_mm
         and abs(one.deeper) <= reach.depth_mm
     )
 
@@ -116,9 +142,10 @@ def _check_revision(job: Job, model: ModelCurves, found: Registration, reach: _R
         whose = f"{one.name} is the {kind} of radius {circle.radius_mm:.3f} mm at ({place})"
         if one.aside / limit > worst[0]:
             worst = one.aside / limit, f"{whose} and lies {one.aside:.3f} mm aside"
-        if -one.wider / limit > worst[0]:
+        narrow = -one.wider / (limit + 3 * circle.sigma_mm)
+        if narrow > worst[0]:
             sense = "smaller" if circle.hole else "larger"
-            worst = -one.wider / limit, f"{whose} and its radius is {-one.wider:.3f} mm {sense}"
+            worst = narrow, f"{whose} and its radius is {-one.wider:.3f} mm {sense}"
         if -one.deeper / reach.depth_mm > worst[0]:
             worst = -one.deeper / reach.depth_mm, f"{whose} and lies {-one.deeper:.3f} mm higher"
     if worst[1]:

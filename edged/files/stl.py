@@ -1,0 +1,99 @@
+"""STL files of one part: bare triangles without units, binary or as text."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes
+from edged.files.dxf import UNITS
+from edged.vision.teaching.cadmodel import CadModel, open_sides, welded
+
+MAX_FACETS = 500_000
+"""Of one part; a casting meshed to a micrometre has half of them."""
+MAX_SIZE_MM = 1e5
+MAX_OPEN = 0.01
+"""Of all sides of triangles, that may have none or several neighbours: more is a surface, or damaged."""
+HEADER_BYTES, FACET_BYTES = 84, 50
+"""80 bytes of anything, the count, and for each facet twelve float32 and two bytes (StereoLithography
+Interface Specification, 3D Systems 1988)."""
+_CORNER = re.compile(rb"vertex\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})")
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path, unit: str | None = None) -> CadModel:
+    """The triangles of an STL file in mm, its corners welded.
+
+    unit : of `UNITS`, in which its numbers are; None: mm.
+    Raises `FileFormatError` for what is no STL file, is cut off, has numbers that are none, more than
+    `MAX_FACETS` facets, or no closed surface of one body.
+    """
+    path = Path(path)
+    if unit is not None and unit not in UNITS:
+        raise FileFormatError(f"{path}: unit {unit!r}: expected one of {', '.join(UNITS)}")
+    data = read_bytes(path, "an STL file")
+    corners = _text(data, path) if _is_text(data) else _binary(data, path)
+    if not len(corners):
+        raise FileFormatError(f"{path}: no facet: expected the triangles of one part")
+    if not np.isfinite(corners).all():
+        raise FileFormatError(f"{path}: coordinates that are no numbers: expected finite ones")
+    corners = corners * (1.0 if unit is None else UNITS[unit])
+    if float(np.abs(corners).max()) > MAX_SIZE_MM:
+        raise FileFormatError(f"{path}: coordinates beyond {MAX_SIZE_MM:g} mm: expected one part")
+    points, triangles = welded(corners)
+    if len(triangles) < 4:
+        raise FileFormatError(f"{path}: {len(triangles)} facets that have an area: expected a closed part")
+    alone, bodies = open_sides(triangles)
+    if alone > MAX_OPEN * 3 * len(triangles):
+        raise FileFormatError(
+            f"{path}: not closed: {alone} of the {3 * len(triangles)} sides of its facets have not one "
+            "neighbour: expected the surface of a solid part"
+        )
+    if bodies != 1:
+        raise FileFormatError(f"{path}: {bodies} bodies: expected the model of one part, one body")
+    return CadModel(points, triangles, np.arange(len(triangles)), ())
+
+
+def _is_text(data: bytes) -> bool:
+    """Many binary files begin with the word `solid`, too: those have the size that their count says."""
+    counted = HEADER_BYTES + int.from_bytes(data[80:84], "little") * FACET_BYTES
+    return data[:512].lstrip().startswith(b"solid") and len(data) != counted
+
+
+def _binary(data: bytes, path: Path) -> FloatArray:
+    """(N, 3, 3) corners."""
+    if len(data) < HEADER_BYTES:
+        raise FileFormatError(f"{path}: {len(data)} bytes: expected an STL file, at least {HEADER_BYTES}")
+    count = int.from_bytes(data[80:84], "little")
+    needed = HEADER_BYTES + count * FACET_BYTES
+    if len(data) != needed:
+        problem = "cut off, or no STL file" if len(data) < needed else "no STL file, or damaged"
+        raise FileFormatError(
+            f"{path}: {problem}: {count} facets take {needed} bytes, and it has {len(data)}"
+        )
+    _check_count(count, path)
+    return np.asarray(np.frombuffer(data, _FACET, count, HEADER_BYTES)["corners"], np.float64)
+
+
+def _text(data: bytes, path: Path) -> FloatArray:
+    """(N, 3, 3) corners."""
+    if b"endsolid" not in data[-1024:]:
+        raise FileFormatError(f"{path}: cut off: expected endsolid at its end")
+    count = data.count(b"endfacet")
+    _check_count(count, path)
+    found = _CORNER.findall(data)
+    if len(found) != 3 * count:
+        raise FileFormatError(f"{path}: damaged: {len(found)} corners of {count} facets: expected three each")
+    try:
+        return np.array(found).astype(np.float64).reshape(-1, 3, 3)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: damaged: {error}") from error
+
+
+def _check_count(count: int, path: Path) -> None:
+    if count > MAX_FACETS:
+        raise FileFormatError(f"{path}: {count} facets: expected one part, at most {MAX_FACETS}")

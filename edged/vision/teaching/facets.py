@@ -1,0 +1,250 @@
+"""Circles and straight edges of a part that is known as bare triangles: what faceting leaves of them.
+
+A sharp edge that is level is a chain of sides of triangles. Where the chain turns by a little at each corner,
+it was a circle: who writes such a file lays the corners on the curve, and the chords inside of it. So the
+circle through the corners has no bias by the sagitta of the chords; but that they lie on it is a custom and
+no rule, and the sagitta, taken as the range in which the true curve is, is its sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rigid import unit
+from edged.vision.teaching.cadmodel import (
+    LOOKS_UP,
+    MIN_EDGE_MM,
+    CadModel,
+    IntArray,
+    ModelCircle,
+    ModelCurves,
+    ModelEdge,
+    merged_circles,
+    neighbours,
+    triangle_normals,
+)
+
+SHARP_RAD = math.radians(25.0)
+"""Between two facets: less is within a rounding; a chamfer turns by 45°."""
+FACET_RAD = math.radians(32.0)
+"""A circle has at least twelve chords; what turns by more at a corner is a polygon."""
+STRAIGHT_RAD = 2e-4
+MIN_ARC_RAD = 0.3
+"""A shorter arc may be a straight edge whose corners were rounded by the file's digits."""
+LEVEL_SHARE = 1e-4
+"""Of an edge's length, by which its ends may differ in height."""
+LEVEL_MM = 2e-4
+ON_CIRCLE_MM, ON_CIRCLE_SHARE = 2e-3, 2e-4
+"""By which corners may lie off their circle: files with few digits."""
+FEWEST = 4
+"""Corners of an arc: through three there is always a circle."""
+RECTANGULAR = 1 / math.sqrt(12)
+"""Sigma of what lies anywhere in a range, in shares of it."""
+
+
+def faceted_curves(model: CadModel, up: FloatArray) -> ModelCurves:
+    """Circles and straight edges of bare triangles that are level, and seen from a direction up (3,)."""
+    up = unit(np.asarray(up, np.float64))
+    x = unit(np.eye(3)[int(np.abs(up).argmin())] - up * up[int(np.abs(up).argmin())])
+    frame = np.stack([x, np.cross(up, x), up])
+    points = model.points_mm @ frame.T
+    corners, normals = triangle_normals(model)
+    sides, beside, slopes = _sharp_sides(model, corners, normals, points, up)
+    circles: list[ModelCircle] = []
+    edges: list[ModelEdge] = []
+    for chain, closed in _chains(sides, slopes, points):
+        if closed:
+            chain = _from_a_corner(sides, chain, points)
+        place = points[_corners_along(sides, chain)]
+        outside = normals[beside[chain]].sum(axis=1) @ frame.T
+        wall = normals[beside[chain, 1]] @ frame.T
+        arcs, straight = _parts(place[:, :2], closed)
+        for first, last in arcs:
+            circles.append(_circle(place, wall, first, last, frame))
+        for first, last in straight:
+            edges += _edge(place, outside, first, last, frame)
+    return ModelCurves(up, merged_circles(circles), tuple(edges))
+
+
+def _sharp_sides(
+    model: CadModel, corners: FloatArray, normals: FloatArray, points: FloatArray, up: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Sides (K, 2) of triangles that are level, sharp, outer and seen; and of the two triangles beside each,
+    the one that looks up more first, their numbers (K, 2) and slopes (K, 2)."""
+    sides, beside = neighbours(model.triangles)
+    height = points[sides, 2]
+    length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
+    level = np.abs(height[:, 0] - height[:, 1]) < np.maximum(LEVEL_SHARE * length, LEVEL_MM)
+    cosine = np.einsum("ij,ij->i", normals[beside[:, 0]], normals[beside[:, 1]])
+    chosen = level & (cosine < math.cos(SHARP_RAD))
+    sides, beside = sides[chosen], beside[chosen]
+    slopes = normals[beside] @ up
+    swapped = slopes[:, 0] < slopes[:, 1]
+    beside[swapped], slopes[swapped] = beside[swapped][:, ::-1], slopes[swapped][:, ::-1]
+    # outer where the second triangle falls away from the first one's plane
+    off = np.einsum(
+        "kij,kj->ki", corners[beside[:, 1]] - model.points_mm[sides[:, :1]], normals[beside[:, 0]]
+    )
+    farthest = off[np.arange(len(off)), np.abs(off).argmax(axis=1)] if len(off) else np.zeros(0)
+    seen = (slopes[:, 0] >= LOOKS_UP) & (farthest < 0)
+    return sides[seen], beside[seen], slopes[seen]
+
+
+def _chains(sides: IntArray, slopes: FloatArray, points: FloatArray) -> Iterator[tuple[IntArray, bool]]:
+    """Sides of one kind that follow each other, as their numbers in order; whether they come round.
+
+    Of one kind: at one height, between facets of the same slopes.
+    """
+    kind = np.column_stack([np.rint(points[sides[:, 0], 2] / (2 * LEVEL_MM)), np.rint(20 * slopes)])
+    order = np.lexsort(kind.T)
+    apart = np.abs(np.diff(points[sides[order, 0], 2])) > 2 * LEVEL_MM
+    apart |= np.abs(np.diff(slopes[order], axis=0)).max(axis=1) > 0.1
+    for rows in np.split(order, np.flatnonzero(apart) + 1):
+        yield from _followed(sides, rows)
+
+
+def _followed(sides: IntArray, rows: IntArray) -> Iterator[tuple[IntArray, bool]]:
+    at: dict[int, list[int]] = {}
+    for row in rows.tolist():
+        for corner in sides[row].tolist():
+            at.setdefault(corner, []).append(row)
+    left = dict.fromkeys(rows.tolist())
+    ends = [corner for corner, here in at.items() if len(here) != 2]
+    starts = [(corner, row) for corner in ends for row in at[corner]]
+    for corner, row in (*starts, *((int(sides[row, 0]), row) for row in rows.tolist())):
+        if row not in left:
+            continue
+        chain, here, following = [], corner, row
+        while following in left:
+            del left[following]
+            chain.append(following)
+            here = int(sides[following].sum()) - here
+            nearby = at[here]
+            if len(nearby) != 2:
+                break
+            following = nearby[0] if nearby[1] == following else nearby[1]
+        yield np.array(chain), here == corner and len(chain) > 2
+
+
+def _from_a_corner(sides: IntArray, chain: IntArray, points: FloatArray) -> IntArray:
+    """A chain that comes round, begun where it turns most: not amid a straight edge."""
+    steps = np.diff(points[_corners_along(sides, chain), :2], axis=0)
+    heading = np.arctan2(steps[:, 1], steps[:, 0])
+    turn = np.angle(np.exp(1j * (heading - np.roll(heading, 1))))
+    return np.roll(chain, -int(np.abs(turn).argmax()))
+
+
+def _corners_along(sides: IntArray, chain: IntArray) -> IntArray:
+    """Corners (K + 1,) along a chain of K sides (K, 2)."""
+    if len(chain) == 1:
+        return np.asarray(sides[chain[0]])
+    first, second = sides[chain[0]], sides[chain[1]]
+    corners = [int(first[0] if first[1] in second else first[1])]
+    for row in chain.tolist():
+        corners.append(int(sides[row].sum()) - corners[-1])
+    return np.array(corners)
+
+
+def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Arcs and straight stretches of a chain of corners (K + 1, 2): their first and last corner."""
+    count = len(place) - 1
+    steps = np.diff(place, axis=0)
+    heading = np.arctan2(steps[:, 1], steps[:, 0])
+    turn = np.angle(np.exp(1j * np.diff(heading)))
+    bends = (np.abs(turn) > STRAIGHT_RAD) & (np.abs(turn) < FACET_RAD)
+    arcs, straight = [], []
+    first = 0
+    while first < count:
+        last = _arc_from(place, turn, bends, first)
+        if last:
+            arcs.append((first, last))
+            first = last
+            continue
+        last = first + 1
+        while last < count and abs(turn[last - 1]) < STRAIGHT_RAD:
+            last += 1
+        straight.append((first, last))
+        first = last
+    if closed and not straight and _is_round(place):
+        arcs = [(0, count)]
+    return arcs, straight
+
+
+def _arc_from(place: FloatArray, turn: FloatArray, bends: npt.NDArray[np.bool_], first: int) -> int:
+    """Last side + 1 of the arc that begins with a side; 0 where none does."""
+    last = first + FEWEST - 1
+    if (
+        last > len(place) - 1
+        or not _bends_on(turn, bends, first, last)
+        or not _is_round(place[first : last + 1])
+    ):
+        return 0
+    while last < len(place) - 1:
+        further = min(2 * last - first, len(place) - 1)  # twice as long, or else one by one
+        if _bends_on(turn, bends, first, further) and _is_round(place[first : further + 1]):
+            last = further
+        elif _bends_on(turn, bends, first, last + 1) and _is_round(place[first : last + 2]):
+            last += 1
+        else:
+            break
+    return last if abs(float(turn[first : last - 1].sum())) > MIN_ARC_RAD else 0
+
+
+def _bends_on(turn: FloatArray, bends: npt.NDArray[np.bool_], first: int, last: int) -> bool:
+    inner = slice(first, last - 1)
+    return bool(bends[inner].all()) and bool(abs(np.sign(turn[inner]).sum()) == last - 1 - first)
+
+
+def _is_round(place: FloatArray) -> bool:
+    """Whether corners lie on one circle, and each chord is short against it."""
+    centre, radius = _fitted(place)
+    if not math.isfinite(radius):
+        return False
+    off = np.abs(np.linalg.norm(place - centre, axis=1) - radius).max()
+    longest = np.linalg.norm(np.diff(place, axis=0), axis=1).max()
+    return bool(
+        off < max(ON_CIRCLE_MM, ON_CIRCLE_SHARE * radius) and longest < 2 * radius * math.sin(FACET_RAD / 2)
+    )
+
+
+def _fitted(place: FloatArray) -> tuple[FloatArray, float]:
+    """Centre (2,) and radius of the circle through corners (N, 2) (I. Kåsa, IEEE Trans. IM 25, 1976)."""
+    middle = place.mean(axis=0)
+    near = place - middle
+    design = np.column_stack([2 * near, np.ones(len(near))])
+    solved, _, rank, _ = np.linalg.lstsq(design, (near**2).sum(axis=1), rcond=None)
+    square = float(solved[2] + solved[:2] @ solved[:2])
+    if rank < 3 or square <= 0:
+        return middle, math.inf
+    return np.asarray(middle + solved[:2]), math.sqrt(square)
+
+
+def _circle(place: FloatArray, wall: FloatArray, first: int, last: int, frame: FloatArray) -> ModelCircle:
+    corners = place[first : last + 1]
+    centre, radius = _fitted(corners[:, :2])
+    chords = np.linalg.norm(np.diff(corners[:, :2], axis=0), axis=1)
+    angles = 2 * np.arcsin(np.clip(0.5 * chords / radius, 0.0, 1.0))
+    middles = 0.5 * (corners[1:] + corners[:-1])[:, :2] - centre
+    hole = float(np.einsum("ij,ij->", wall[first:last, :2], middles)) < 0
+    sagitta = radius * (1 - math.cos(0.5 * float(angles.max())))
+    place_mm = np.append(centre, corners[:, 2].mean()) @ frame
+    return ModelCircle(
+        place_mm, radius, hole, min(float(angles.sum()) / math.tau, 1.0), RECTANGULAR * sagitta
+    )
+
+
+def _edge(
+    place: FloatArray, outside: FloatArray, first: int, last: int, frame: FloatArray
+) -> list[ModelEdge]:
+    start, end = place[first], place[last]
+    if float(np.linalg.norm(end - start)) < MIN_EDGE_MM:
+        return []
+    along = unit(np.append(end[:2] - start[:2], 0.0))
+    aside = np.array([-along[1], along[0], 0.0])
+    away = aside * (1.0 if outside[first] @ aside >= 0 else -1.0)
+    return [ModelEdge(start @ frame, end @ frame, away @ frame)]
