@@ -13,10 +13,11 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 from edged.capture.tasks import cancel_and_await
+from edged.domain.arrays import Side
 from edged.domain.cell import CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import (
     Command,
@@ -28,6 +29,7 @@ from edged.domain.events import (
     Reloaded,
     Snapshot,
 )
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.drift import DriftMonitor
@@ -45,7 +47,7 @@ from edged.loop.loaded import NO_JOB, Locate, Setup
 from edged.loop.measurement import Measurement
 from edged.loop.queue import CommandQueue
 from edged.ports import Head, Publisher
-from edged.session.cameras import SetupCameras
+from edged.session.cameras import CameraChanges, SetupCameras
 from edged.session.desk import SetupDesk
 from edged.session.session import Notebook, SetupSession
 
@@ -416,6 +418,27 @@ class Cycle:
 
         return await self._desk.ask(token, tried)
 
-    async def try_head(self, token: str, head: Head) -> None:
-        """Cameras with other settings, until SETUP ends. Raises `SetupRefused`, `CaptureError`."""
-        await self._desk.ask(token, lambda: self._cameras.exchange(self._head, head))
+    async def try_head(
+        self, token: str, head: Head, changes: Mapping[Side, CameraChanges] | None = None
+    ) -> None:
+        """Cameras with other settings, until SETUP ends. Raises `SetupRefused`, `CaptureError`.
+
+        changes : what they are, if they are to become the configured ones.
+        """
+        await self._desk.ask(token, lambda: self._cameras.exchange(self._head, head, changes))
+
+    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
+        """Set what is stated of a camera until SETUP ends; returns what is in force, as read back.
+
+        `CameraValues()` only reads. Raises `SetupRefused`, `CaptureError`.
+        """
+        return await self._desk.ask(token, lambda: self._cameras.adjust(self._head, side, values))
+
+    async def limits(self, token: str, side: Side) -> CameraLimits:
+        """What a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
+        return await self._desk.ask(token, lambda: self._cameras.limits(self._head, side))
+
+    @property
+    def camera_changes(self) -> Mapping[Side, CameraChanges]:
+        """What is tried of the cameras in SETUP, for who makes it the cell's."""
+        return self._cameras.changes

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from edged.domain.arrays import Side
 from edged.domain.events import Command, Event
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame, FramePair
 
 
@@ -36,6 +38,26 @@ class Camera(Protocol):
         ...
 
 
+@runtime_checkable
+class Adjustable(Protocol):
+    """A camera whose exposure can be tried. Bounded in time; raises only `CaptureError`s."""
+
+    async def adjust(self, values: CameraValues) -> CameraValues:
+        """Set what is stated, until `restore`; returns all that is in force, as read back.
+
+        Raises `CameraSetupError` for what the camera does not have or take; then nothing has changed.
+        """
+        ...
+
+    async def limits(self) -> CameraLimits:
+        """What it can be set to now."""
+        ...
+
+    async def restore(self) -> None:
+        """Undo what was adjusted. When it fails, too, no later connection has what was adjusted."""
+        ...
+
+
 class Head(Protocol):
     """Two cameras that answer as one: what the loop needs of them."""
 
@@ -53,6 +75,23 @@ class Head(Protocol):
 
     async def close(self) -> None:
         """Release both cameras."""
+        ...
+
+
+@runtime_checkable
+class AdjustableHead(Protocol):
+    """A head whose cameras' exposure can be tried; as `Adjustable`."""
+
+    async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
+        """Set what is stated; `CameraValues()` only reads."""
+        ...
+
+    async def limits(self, side: Side) -> CameraLimits:
+        """What a camera can be set to now."""
+        ...
+
+    async def restore(self) -> None:
+        """Undo what was adjusted."""
         ...
 
 

@@ -12,12 +12,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
 
 from edged.capture.pairing import Pairing
 from edged.capture.side import Side
 from edged.capture.tasks import both, cancel_and_await
+from edged.domain.arrays import SIDES
+from edged.domain.arrays import Side as Which
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame, FramePair
 from edged.errors import (
     CameraBusy,
@@ -29,7 +32,7 @@ from edged.errors import (
     PairingError,
     StreamStalled,
 )
-from edged.ports import Camera
+from edged.ports import Adjustable, Camera
 
 REOPEN_AFTER = 3
 """Exposures in a row that one camera failed to deliver, before it is closed and opened again.
@@ -40,6 +43,8 @@ old connection for ever and never sends an image.
 
 LISTEN_AGAIN_S = 0.1
 """Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
+
+T = TypeVar("T")
 
 
 class StereoHead:
@@ -141,6 +146,40 @@ class StereoHead:
         self._pairing.accept(pair.left, pair.right)
         self._backoff_s = self._min_backoff_s
         return pair
+
+    # --- exposure and gain, tried -----------------------------------------------------------
+
+    async def adjust(self, side: Which, values: CameraValues) -> CameraValues:
+        """Set what is stated of one camera until `restore`; returns what is in force.
+
+        Raises `CameraSetupError` for what it does not take, and what keeps the cameras closed.
+        """
+        return await self._asked(side, lambda camera: camera.adjust(values))
+
+    async def limits(self, side: Which) -> CameraLimits:
+        """What one camera can be set to now. Raises `CaptureError`."""
+        return await self._asked(side, lambda camera: camera.limits())
+
+    async def restore(self) -> None:
+        """Undo what was adjusted; a camera that does not answer is closed, and gets it when it is opened."""
+        for side in self._sides:
+            if isinstance(side.camera, Adjustable):
+                try:
+                    await side.camera.restore()
+                except CaptureError:
+                    side.close_soon()
+
+    async def _asked(self, name: Which, question: Callable[[Adjustable], Awaitable[T]]) -> T:
+        await self._ready(look=False)
+        camera = self.cameras[SIDES.index(name)]
+        if not isinstance(camera, Adjustable):
+            raise CameraSetupError(name, "its exposure cannot be adjusted")
+        try:
+            return await question(camera)
+        except CameraSetupError:
+            raise  # it refuses, and is well
+        except CaptureError as error:
+            raise self._note(error) from None
 
     async def close(self) -> None:
         """Release both cameras and end an attempt to open them; safe to call twice."""

@@ -14,9 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import Image
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame
-from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
+from edged.errors import CameraSetupError, CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 from edged.sim.exposure import ExposureRequest
+
+LIMITS = CameraLimits((10.0, 1_000_000.0), (0.0, 24.0))
+"""As of the virtual GigE Vision cameras."""
 
 
 @dataclass(slots=True)
@@ -67,7 +71,7 @@ class InProcessCamera:
         self._name = name
         self._exposure = exposure
         self._width, self._height = width, height
-        self._exposure_us, self._gain_db = exposure_us, gain_db
+        self._configured = self._values = CameraValues(exposure_us, gain_db)
         self._frame_timeout_s = frame_timeout_s
         self._started_ns = 0
         self._frame_id = 0
@@ -111,8 +115,8 @@ class InProcessCamera:
             frame_id=self._frame_id,
             exposed_ns=exposed_ns,
             device_ns=exposed_ns - self._started_ns,
-            exposure_us=self._exposure_us,
-            gain_db=self._gain_db,
+            exposure_us=self._values.exposure_us or 0.0,
+            gain_db=self._values.gain_db or 0.0,
             width=self._width,
             height=self._height,
         )
@@ -131,6 +135,23 @@ class InProcessCamera:
         if frame is None:
             raise FrameIncomplete(self._name, "the image arrived with packets missing")
         return frame
+
+    async def adjust(self, values: CameraValues) -> CameraValues:
+        """Set exposure time and gain until `restore`. Raises `CameraSetupError`."""
+        if not self.is_open:
+            raise CameraUnreachable(self._name, "not open")
+        if problem := LIMITS.problem(values):
+            raise CameraSetupError(self._name, problem)
+        self._values = values.over(self._values)
+        return self._values
+
+    async def limits(self) -> CameraLimits:
+        """What exposure time and gain can be set to."""
+        return LIMITS
+
+    async def restore(self) -> None:
+        """Undo what was adjusted."""
+        self._values = self._configured
 
     async def close(self) -> None:
         """Drop what is being exposed; safe to call twice and on a camera that never opened."""

@@ -4,6 +4,7 @@
     features   GenICam nodes by name: checked, written in a safe order, read back
     trigger    what starts an exposure: software, free run, line, action command
     clock      the camera's time against the host's
+    exposure   exposure time and gain, also while it streams
     setup      what a camera is told before it is armed, and what is refused
     link       how fast it may send
     stream     buffers as images

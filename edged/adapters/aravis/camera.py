@@ -19,16 +19,20 @@ import logging
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from edged.adapters.aravis.clock import Mapped, to_utc
+from edged.adapters.aravis.exposure import StreamLocks
+from edged.adapters.aravis.features import Value
 from edged.adapters.aravis.session import Health, Session
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.stream import Arrival
 from edged.adapters.aravis.trigger import FreeRun
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame, TimeBase
-from edged.errors import CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
+from edged.errors import CameraSetupError, CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +41,9 @@ REPLY_S = 1.2
 
 BACKLOG = 4
 """Images that wait to be fetched; of a camera that others trigger too fast the oldest is dropped."""
+
+ADJUST_S = 3.0
+"""Some registers are written and read; each command may have to be repeated."""
 
 CLOSE_S = 1.0
 """A camera that answers is closed within milliseconds; one that does not is left to its thread."""
@@ -119,6 +126,8 @@ class AravisCamera:
     def __init__(self, name: str, settings: AravisSettings) -> None:
         self._name = name
         self._settings = settings
+        self._draft = CameraValues()
+        self._found: Mapping[str, Value] = {}
         self._connection: _Connection | None = None
         self._last_thread: threading.Thread | None = None
         self._arrivals: deque[Arrival] = deque()
@@ -154,6 +163,7 @@ class AravisCamera:
             self._connection = _Connection(f"control {self._name}", self._last_thread)
             self._last_thread = self._connection.thread
         connection = self._connection
+        settings = self._in_force()
         arrivals: deque[Arrival] = deque(maxlen=BACKLOG)  # a pump of the connection before must not add
         news = asyncio.Event()
         self._arrivals, self._news = arrivals, news
@@ -168,9 +178,11 @@ class AravisCamera:
         deliver, lost = _on_loop(arrived), _on_loop(news.set)
 
         def connect() -> None:
-            connection.session = Session(self._name, self._settings, deliver, lost, self._last_frame_id)
+            connection.session = Session(self._name, settings, deliver, lost, self._last_frame_id)
 
         await self._call(connection, connect, None)
+        if self._draft == CameraValues():
+            self._found = {}  # it has them again
 
     async def trigger(self) -> None:
         """Start one exposure; frames that were not fetched before are dropped.
@@ -212,6 +224,67 @@ class AravisCamera:
         return Frame(
             self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base
         )
+
+    # --- setting up ----------------------------------------------------------------------------
+
+    async def adjust(self, values: CameraValues) -> CameraValues:
+        """Set exposure time and gain until `restore`; returns what the camera made of them.
+
+        They outlive a lost connection. A camera that locks them while it streams is opened anew.
+        Raises `CameraSetupError` for what the camera does not have or take; then nothing has changed.
+        """
+        connection, session = self._opened()
+        if not self._found:
+            self._found = await self._call(connection, session.as_found, REPLY_S)
+        made = await self._call(connection, lambda: session.adjust(values), ADJUST_S)
+        if isinstance(made, StreamLocks):
+            log.info("camera %s: locked while it streams, and opened anew for it: %s", self._name, made.why)
+            return await self._opened_with(values)
+        self._draft = _stated(values, made).over(self._draft)
+        return made
+
+    async def limits(self) -> CameraLimits:
+        """What exposure time and gain can be set to now."""
+        connection, session = self._opened()
+        return await self._call(connection, session.limits, REPLY_S)
+
+    async def restore(self) -> None:
+        """Undo what was adjusted.
+
+        Raises `CaptureError`; the camera is closed then, and gets it before it is armed again.
+        """
+        self._draft = CameraValues()
+        if not self._found or self._connection is None:
+            return
+        try:
+            connection, session = self._opened()
+            await self._call(connection, lambda: session.write_back(self._found), ADJUST_S)
+        except CaptureError:
+            await self.close()
+            raise
+        self._found = {}
+
+    def _in_force(self) -> AravisSettings:
+        """As configured, but for what was adjusted or is still to be written back."""
+        settings = self._settings
+        if self._draft == CameraValues():
+            return replace(settings, features=(*settings.features, *([self._found] if self._found else [])))
+        values = self._draft.over(CameraValues(settings.exposure_us, settings.gain_db))
+        return replace(settings, exposure_us=values.exposure_us, gain_db=values.gain_db)
+
+    async def _opened_with(self, values: CameraValues) -> CameraValues:
+        before, self._draft = self._draft, values.over(self._draft)
+        await self.close()
+        try:
+            await self.open()
+        except CaptureError as error:
+            self._draft = before
+            await self.close()
+            if isinstance(error, CameraSetupError):
+                await self.open()
+            raise
+        connection, session = self._opened()
+        return await self._call(connection, session.values, REPLY_S)
 
     async def close(self) -> None:
         """Give up the camera; safe to call twice and on a camera that never opened.
@@ -298,6 +371,14 @@ class AravisCamera:
         if session.fires:
             return Mapped(earliest_ns, bound_ns), TimeBase.HOST
         return Mapped(arrival.arrived_ns, bound_ns), TimeBase.ARRIVAL
+
+
+def _stated(values: CameraValues, made: CameraValues) -> CameraValues:
+    """What the camera made of those that were stated."""
+    return CameraValues(
+        None if values.exposure_us is None else made.exposure_us,
+        None if values.gain_db is None else made.gain_db,
+    )
 
 
 def _on_loop(action: Callable[..., object]) -> Callable[..., None]:

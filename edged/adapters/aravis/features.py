@@ -72,6 +72,16 @@ class Features:
             low, high = self._device.get_integer_feature_bounds(name)
         return int(min(max(value, low), high))
 
+    def bounds(self, name: str) -> tuple[float, float]:
+        """The least and the most that a feature with a number takes now."""
+        aravis = self._library.aravis
+        with translated(self._camera, f"asking for the limits of {name}"):
+            if isinstance(self._device.get_feature(name), aravis.GcFloat):
+                low, high = self._device.get_float_feature_bounds(name)
+            else:
+                low, high = self._device.get_integer_feature_bounds(name)
+        return float(low), float(high)
+
     def check(self, values: Mapping[str, Value]) -> list[str]:
         """What is wrong with these settings by name, type and choice; nothing is written."""
         return [
@@ -87,22 +97,32 @@ class Features:
                     with contextlib.suppress(self._library.glib.Error):
                         self._write(offset, 0)
         for name in sorted(values, key=_stage):
-            try:
-                self._allowed(name, values[name])
-                self._write(name, values[name])
-                found = self._read(name)
-            except _RefusedError as error:
-                problems.append(f"{name}: {error}")
-            except self._library.glib.Error as error:
-                if error.domain == "arv-device-error-quark" and error.code == int(
-                    self._library.aravis.DeviceError.TIMEOUT
-                ):
-                    raise  # no answer is no opinion on the setting
-                problems.append(f"{name} = {values[name]!r}: {error.message}")
-            else:
-                if not _same(values[name], found):
-                    problems.append(f"{name}: the camera made {found!r} of {values[name]!r}")
+            problem = self._put(name, values[name])
+            if not problem and not _same(values[name], found := self._read(name)):
+                problem = f"{name}: the camera made {found!r} of {values[name]!r}"
+            if problem:
+                problems.append(problem)
         return problems
+
+    def write(self, values: Mapping[str, Value]) -> list[str]:
+        """Write as they stand; returns what was refused. What the camera made of the others is not asked."""
+        with translated(self._camera, "setting"):
+            return [problem for name, value in values.items() if (problem := self._put(name, value))]
+
+    def _put(self, name: str, value: Value) -> str:
+        """Write one; why it was refused, or nothing."""
+        try:
+            self._allowed(name, value)
+            self._write(name, value)
+        except _RefusedError as error:
+            return f"{name}: {error}"
+        except self._library.glib.Error as error:
+            if error.domain == "arv-device-error-quark" and error.code == int(
+                self._library.aravis.DeviceError.TIMEOUT
+            ):
+                raise  # no answer is no opinion on the setting
+            return f"{name} = {value!r}: {error.message}"
+        return ""
 
     def require(self, values: Mapping[str, Value]) -> None:
         """`check`, then `apply`; raises `CameraSetupError` that names every problem."""

@@ -12,11 +12,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from edged.adapters.aravis import link
+from edged.adapters.aravis import exposure, link
 from edged.adapters.aravis.clock import (
     CLOCK_DRIFT,
     ClockMap,
@@ -27,7 +27,7 @@ from edged.adapters.aravis.clock import (
     ptp_locked,
     tick_hz,
 )
-from edged.adapters.aravis.features import Features
+from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
     CONTROLLED,
@@ -39,6 +39,7 @@ from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.setup import Placement, gamma_in_effect, set_up
 from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
+from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import CameraBusy, CameraRestarted, CameraUnreachable, FrameTimeout
 from edged.logs import LogLimit
 
@@ -125,6 +126,7 @@ class Session:
         self._handler = 0
         self._heartbeat_ms = 0
         self._stream: Any = None
+        self._check: ExposureCheck | None = None
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
         self._counter = FrameCounter(first_frame_id)
@@ -200,6 +202,45 @@ class Session:
             self._camera.stop_acquisition()
             self._counter.restart()
             self._camera.start_acquisition()
+
+    # --- exposure and gain while images are taken ----------------------------------------------
+
+    def adjust(self, values: CameraValues) -> CameraValues | exposure.StreamLocks:
+        """Set them and read them back, where the firmware takes them now."""
+        with self._talking("adjusting"):
+            made = exposure.adjust(self.name, self._nodes(), values)
+        if isinstance(made, exposure.StreamLocks):
+            return made
+        if values.exposure_us is not None and self._check is not None:
+            self._check.wanted_us = made.exposure_us
+        return made
+
+    def values(self) -> CameraValues:
+        """What it is set to."""
+        with self._talking("reading its settings"):
+            return exposure.values_of(self._nodes())
+
+    def limits(self) -> CameraLimits:
+        """What it takes now."""
+        with self._talking("asking for its limits"):
+            return exposure.limits_of(self._nodes())
+
+    def as_found(self) -> dict[str, Value]:
+        """What `adjust` may change, to be written back."""
+        with self._talking("reading its settings"):
+            return exposure.as_found(self._nodes())
+
+    def write_back(self, nodes: Mapping[str, Value]) -> None:
+        """Write what was found and compare it. Raises `CameraSetupError`."""
+        with self._talking("writing its settings back"):
+            self._nodes().require(nodes)
+        if self._check is not None:
+            self._check.wanted_us = self.settings.exposure_us
+
+    def _nodes(self) -> Features:
+        if self._features is None:
+            raise CameraUnreachable(self.name, "not open")
+        return self._features
 
     def probe(self) -> None:
         """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`.
@@ -317,7 +358,7 @@ class Session:
             camera.gv_set_packet_size_adjustment(aravis.GvPacketSizeAdjustment.NEVER)
             if settings.user_socket:
                 camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-        check = self._exposure_check()
+        self._check = self._exposure_check()
         payload = camera.get_payload()
         self._stream = camera.create_stream(None, None)
         if camera.is_gv_device():
@@ -330,7 +371,7 @@ class Session:
         self._pump = threading.Thread(
             target=pump,
             args=(
-                Decoder(aravis, self._counter, placement, check),
+                Decoder(aravis, self._counter, placement, self._check),
                 self._stream,
                 self._stop_pump,
                 self._deliver,

@@ -10,10 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from edged.adapters.aravis.exposure import exposure_nodes
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import translated
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.trigger import arm, set_output, trigger_names
+from edged.domain.exposure import CameraValues
 from edged.errors import CameraSetupError, WrongCamera
 from edged.vision.kernels.pixelformats import FORMATS
 
@@ -50,7 +52,7 @@ def set_up(name: str, camera: Any, features: Features, settings: AravisSettings)
     for group in groups:
         features.require(group)
     placement = _placement(name, camera.get_device(), features, groups, settings.calibrated)
-    features.require(_exposure(name, features, settings))
+    features.require(exposure_nodes(name, features, CameraValues(settings.exposure_us, settings.gain_db)))
     if settings.ptp is not None:
         node = features.first("PtpEnable", "GevIEEE1588")
         if node or settings.ptp:
@@ -146,26 +148,3 @@ def _placement(
 def _pair(device: Any, *names: str) -> tuple[int, int]:
     first, second = (int(device.get_integer_feature_value(name)) for name in names)
     return first, second
-
-
-def _exposure(name: str, features: Features, settings: AravisSettings) -> dict[str, Value]:
-    """Exposure and gain under the names that this camera has for them."""
-    values: dict[str, Value] = {}
-    if settings.exposure_us is not None:
-        node = features.first("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
-        if not node:
-            raise CameraSetupError(name, "exposure_us: the camera has no ExposureTime")
-        if features.exists("ExposureAuto"):
-            values["ExposureAuto"] = "Off"
-        raw = node == "ExposureTimeRaw"
-        values[node] = round(settings.exposure_us) if raw else settings.exposure_us
-    if settings.gain_db is not None:
-        node = features.first("Gain", "GainAbs")
-        if not node:
-            raise CameraSetupError(
-                name, "gain_db: the camera has no Gain in dB; set its own GainRaw under features"
-            )
-        if features.exists("GainAuto"):
-            values["GainAuto"] = "Off"
-        values[node] = settings.gain_db
-    return values

@@ -132,11 +132,12 @@ class ExposureCheck:
     """Compares what chunk data say of an exposure with what was asked for.
 
     Firmware that shortens exposures without a word, or a forgotten automatic, gives pictures that look alike.
-    parser : Aravis' parser of chunk data; error : what it raises. wanted_us : None takes any exposure.
+    parser : Aravis' parser of chunk data; error : what it raises. wanted_us : None takes any exposure; may
+    change at any time.
     """
 
     def __init__(self, parser: Any, error: type[Exception], wanted_us: float | None) -> None:
-        self._parser, self._error, self._wanted_us = parser, error, wanted_us
+        self._parser, self._error, self.wanted_us = parser, error, wanted_us
 
     def problem(self, buffer: Any) -> str:
         """What is wrong with the exposure of the image in a buffer, or nothing."""
@@ -147,7 +148,7 @@ class ExposureCheck:
             exposed_us = float(self._parser.get_float_value(buffer, "ChunkExposureTime"))
         except self._error as error:
             return f"chunk data without exposure time: {error}"
-        wanted_us = self._wanted_us
+        wanted_us = self.wanted_us
         if (
             wanted_us is None
             or abs(exposed_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us + EXPOSURE_STEP_US

@@ -48,6 +48,8 @@ class Quirk(StrEnum):
     """Exposure times above 10 ms are acknowledged and become 10 ms, whatever the description says."""
     EXPOSURE_TIME_ABS = "exposure-time-abs"
     """The exposure time's node has its old name, ExposureTimeAbs."""
+    LOCKED_EXPOSURE = "locked-exposure"
+    """Exposure time and gain cannot be written while it acquires."""
     OLD_CHUNKS = "old-chunks"
     """Chunk data come in the payload type of GigE Vision 1.2, of which many clients read the image only."""
     FEW_NODES = "few-nodes"

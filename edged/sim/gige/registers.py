@@ -42,6 +42,8 @@ class Registers:
 
     def __init__(self, identity: Identity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
         self.identity, self._quirks = identity, quirks
+        locked = (g.EXPOSURE_TIME, g.GAIN) if Quirk.LOCKED_EXPOSURE in quirks else ()
+        self._fixed = (*FIXED_WHILE_ACQUIRING, *locked)
         table = g.features(width, height, quirks)
         self._features = {
             feature.address + 4 * index: feature
@@ -165,7 +167,7 @@ class Registers:
             return self.hooks[address](word)
         if not self._allows(feature, address, word):
             return INVALID_PARAMETER
-        if self.acquiring and feature.address in FIXED_WHILE_ACQUIRING:
+        if self.acquiring and feature.address in self._fixed:
             return BUSY
         self._words[address] = self._by_firmware(feature, word)
         pixels = BY_CODE[self.word(g.PIXEL_FORMAT)].size(self.word(g.WIDTH) * self.word(g.HEIGHT))

@@ -1,0 +1,49 @@
+"""Exposure time and gain of a camera: as they are, and as they can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class CameraValues:
+    """What a camera is set to, or is to be set to. None: it has no such setting, or it stays as it is."""
+
+    exposure_us: float | None = None
+    gain_db: float | None = None
+
+    def over(self, before: CameraValues) -> CameraValues:
+        """These where they are stated, and those before elsewhere.
+
+        >>> CameraValues(gain_db=3.0).over(CameraValues(500.0, 0.0))
+        CameraValues(exposure_us=500.0, gain_db=3.0)
+        """
+        return CameraValues(
+            before.exposure_us if self.exposure_us is None else self.exposure_us,
+            before.gain_db if self.gain_db is None else self.gain_db,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CameraLimits:
+    """The least and the most that a camera takes now. None: it has no such setting."""
+
+    exposure_us: tuple[float, float] | None = None
+    gain_db: tuple[float, float] | None = None
+
+    def problem(self, values: CameraValues) -> str:
+        """What the camera cannot be set to; "" when it can.
+
+        >>> CameraLimits((10.0, 1000.0)).problem(CameraValues(exposure_us=5.0))
+        'exposure_us: 5 is outside 10 to 1000'
+        """
+        problems = []
+        for name in ("exposure_us", "gain_db"):
+            value, limits = getattr(values, name), getattr(self, name)
+            if value is None:
+                continue
+            if limits is None:
+                problems.append(f"{name}: the camera has no such setting")
+            elif not limits[0] <= value <= limits[1]:
+                problems.append(f"{name}: {value:g} is outside {limits[0]:g} to {limits[1]:g}")
+        return "; ".join(problems)
