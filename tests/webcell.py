@@ -23,7 +23,10 @@ HASH = hash_password(PASSWORD)
 class Cell:
     """A cycle with its page, and a browser."""
 
-    def __init__(self, cycle: Cycle, head: Head, ear: Ear, session: aiohttp.ClientSession) -> None:
+    def __init__(
+        self, cycle: Cycle, web: WebPublisher, head: Head, ear: Ear, session: aiohttp.ClientSession
+    ) -> None:
+        self.web = web
         self.cycle, self.head, self.ear, self.session = cycle, head, ear, session
         self.origin = str(session._base_url).rstrip("/")  # noqa: SLF001  (what the browser would send)
 
@@ -72,7 +75,7 @@ async def running(ear: Ear, commissioning: bool) -> AsyncIterator[Cell]:
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            yield Cell(cycle, head, ear, session)
+            yield Cell(cycle, web, head, ear, session)
     finally:
         cycle.stop()
         await task

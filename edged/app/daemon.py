@@ -23,6 +23,8 @@ from edged.errors import EdgedError
 from edged.files.setupnote import SetupNote
 from edged.logs import fields
 from edged.ports import Publisher
+from edged.session.live import LivePictures
+from edged.session.notices import Notices
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
@@ -84,12 +86,16 @@ class Daemon:
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
+        self._notices = Notices()
+        self._live = LivePictures(self._cycle, self._notices)
         self._servers = Servers(
             self._cycle,
             lambda: self._running,
             self._metrics.render,
             self._tell_cycle,
             commissioner=self._cycle,
+            notices=self._notices,
+            live=self._live,
         )
         self._reloading = asyncio.Lock()
 
@@ -107,6 +113,7 @@ class Daemon:
             await self._run_cycle()
         finally:
             await self._servers.close()
+            await self._live.close()
             for observer in started:
                 await observer.close()
 

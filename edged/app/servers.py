@@ -33,6 +33,8 @@ from edged.config.zenoh import ZenohSection
 from edged.errors import EdgedError, ListenError
 from edged.ports import Commander, Commissioner, Publisher
 from edged.robot.orientations import Brand, Convention
+from edged.session.live import LivePictures
+from edged.session.notices import Notices
 from edged.vision.geometry.rectification import Rectification
 
 if TYPE_CHECKING:
@@ -122,7 +124,7 @@ class Servers:
 
     commander : carries their clients' commands out. running : the cell, for what they tell of it.
     metrics : Prometheus' text. changed : called whenever others run than before an exchange.
-    commissioner : where people take the cell for SETUP.
+    commissioner : where people take the cell for SETUP. notices, live : what their pages are told and shown.
     """
 
     def __init__(
@@ -132,7 +134,11 @@ class Servers:
         metrics: Callable[[], bytes],
         changed: Callable[[], None],
         commissioner: Commissioner | None = None,
+        notices: Notices | None = None,
+        live: LivePictures | None = None,
     ) -> None:
+        self._notices = notices
+        self._live = live
         self._commander = commander
         self._commissioner = commissioner
         self._running = running
@@ -256,7 +262,13 @@ class Servers:
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
                 tls = page_context(web)
                 return lambda: WebPublisher(
-                    wanted.cell, web, sources, context=tls, commissioner=self._commissioner
+                    wanted.cell,
+                    web,
+                    sources,
+                    context=tls,
+                    commissioner=self._commissioner,
+                    notices=self._notices,
+                    live=self._live,
                 )
 
     def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:

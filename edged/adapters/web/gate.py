@@ -102,7 +102,7 @@ class Gate:
 
 def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
     """Whether somebody may ask, from where they ask. Raises `Problem`."""
-    if not visitor.session and (route.changes or route.role > Role.VIEWER):
+    if not visitor.session and (route.needs_origin or route.role > Role.VIEWER):
         raise Problem(403, "log_in", "log in on the page first: a password alone may only look")
     if visitor.role < route.role:
         raise Problem(

@@ -29,6 +29,7 @@ from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
 from edged.adapters.web.routes import RouteTable
 from edged.adapters.web.settings import WebSettings, is_loopback, page_context
 from edged.adapters.web.setup import SetupRoutes
+from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, foremost
 from edged.adapters.web.visitors import Role, Visitor
 from edged.domain.arrays import Side
@@ -40,6 +41,8 @@ from edged.logs import LogLimit
 from edged.payload import Json
 from edged.ports import Commissioner
 from edged.report.page import render
+from edged.session.live import LivePictures
+from edged.session.notices import Notices
 
 log = logging.getLogger(__name__)
 
@@ -90,8 +93,8 @@ class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
-    commissioner : where people take the cell, if the settings let them. rooms : each adds its routes of
-    /api/v1, where there is one.
+    commissioner : where people take the cell, if the settings let them. notices, live : what tabs are told
+    and shown; None: of its own. rooms : each adds its routes of /api/v1, where there is one.
     """
 
     def __init__(
@@ -103,11 +106,16 @@ class WebPublisher:
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
         commissioner: Commissioner | None = None,
+        notices: Notices | None = None,
+        live: LivePictures | None = None,
         rooms: Sequence[Callable[[RouteTable], None]] = (),
     ) -> None:
         self._cell = cell
         self._sources = sources
+        self._notices = notices or Notices()
+        self._live = live
         self._rooms = rooms
+        self._sockets: Sockets | None = None
         self._settings = settings
         self._context = context
         self._commissioner = commissioner
@@ -182,8 +190,12 @@ class WebPublisher:
         table = RouteTable()
         setup = SetupRoutes(commissioner, self._drawer)
         setup.add_to(table)
-        overview = self._sources.overview
-        OverviewRoutes(self._cell, self._page, overview, lambda: setup.holder).add_to(table)
+        asked = self._sources.overview
+        overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder)
+        overview.add_to(table)
+        live = self._live or LivePictures(commissioner, self._notices)
+        self._sockets = Sockets(live, self._notices, self._drawer, self._visitor, overview.now)
+        self._sockets.add_to(table)
         for add_to in self._rooms:
             add_to(table)
         return Gate(table, commissioner, self._visitor)
@@ -192,10 +204,14 @@ class WebPublisher:
         """Note the event and wake the viewers."""
         if self._page.take(event):
             self._viewers.wake()
+            if self._sockets is not None:
+                self._sockets.cell_changed()
 
     async def close(self) -> None:
         """End every viewer and leave nothing behind."""
         self._viewers.close()
+        if self._sockets is not None:
+            await self._sockets.close()
         door, self._door = self._door, None
         if door is not None:
             door.shut()

@@ -1,0 +1,303 @@
+"""The WebSocket of a tab: the cell's state, drafts and tasks as they change, and live pictures.
+
+Every tab has a task of its own, and gets the newest of everything: a slow one gets fewer pictures, never late
+ones, since the next is sent when the last has been seen. A pair is encoded once for all, away from the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from aiohttp import WSCloseCode, WSMsgType, web
+from pydantic import Field, ValidationError
+
+from edged.adapters.web.overview import CellNow
+from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, RouteTable, Token
+from edged.adapters.web.visitors import Role, Visitor
+from edged.capture.tasks import cancel_and_await
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
+from edged.errors import SetupRefused
+from edged.payload import Json
+from edged.session.live import LivePictures
+from edged.session.notices import Notices
+
+MAX_SOCKETS = 32
+MESSAGE_BYTES = 1024
+"""Of a tab, at most."""
+PERIOD_S = 0.2
+"""The state of the cell is told this often at most."""
+PING_S = 15.0
+WRITE_S = 10.0
+"""A tab that does not read for so long has gone."""
+CLOSE_S = 0.3
+"""For a tab to answer that it has heard of the end."""
+WIDTH_PX = 960
+"""Of the pictures that are sent."""
+QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 75)
+LOGGED_OUT = 4401
+"""Why a socket is closed whose session has ended: the page asks for the password."""
+
+
+class FromTab(Body):
+    """What a tab says."""
+
+    live: bool | None = Field(None, description="whether pictures are wanted, by who has the cell")
+    token: Token | None = None
+    seen: int | None = Field(None, ge=0, description="the picture that was shown last: the next may come")
+
+
+@dataclass(frozen=True, slots=True)
+class _Encoded:
+    """A pair as it is sent: what it is, and both pictures."""
+
+    number: int
+    about: str
+    pictures: tuple[bytes, bytes]
+
+
+@dataclass(eq=False, slots=True)
+class _Tab:
+    """One socket. notes : what it has not been told yet, the newest of each thing. last : picture it got."""
+
+    request: web.Request
+    socket: web.WebSocketResponse
+    session: str
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+    notes: dict[tuple[str, object], str] = field(default_factory=dict)
+    cell: Json | None = None
+    is_cell_due: bool = True
+    has_seen: bool = True
+    last: int = 0
+    frame: _Encoded | None = None
+
+
+class Sockets:
+    """All of them.
+
+    visitor_of : who sent a request; None when their session has ended. now : the cell, as a session sees it.
+    encoder : where pictures are encoded.
+    """
+
+    def __init__(
+        self,
+        live: LivePictures,
+        notices: Notices,
+        encoder: Executor,
+        visitor_of: Callable[[web.Request], Visitor | None],
+        now: Callable[[str], CellNow],
+    ) -> None:
+        self._live = live
+        self._encoder = encoder
+        self._visitor_of = visitor_of
+        self._now = now
+        self._tabs: dict[_Tab, None] = {}
+        self._newest: tuple[int, FramePair] | None = None
+        self._encoding: asyncio.Task[None] | None = None
+        self._telling: asyncio.TimerHandle | None = None
+        self._closing = False
+        self._stops = (live.listen(self._take), notices.listen(self._note))
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the route."""
+        table.route(
+            "GET",
+            "/ws",
+            self._serve,
+            "State, drafts, tasks and live pictures as they change",
+            role=Role.VIEWER,
+            answer=WEBSOCKET,
+        )
+
+    def cell_changed(self) -> None:
+        """Tell every tab, soon."""
+        if self._tabs and self._telling is None:
+            self._telling = asyncio.get_running_loop().call_later(PERIOD_S, self._tell_cell)
+
+    async def close(self) -> None:
+        """End every socket, and hear of nothing any more."""
+        self._closing = True
+        for stop in self._stops:
+            stop()
+        if self._telling is not None:
+            self._telling.cancel()
+        tabs = tuple(self._tabs)
+        for tab in tabs:
+            tab.wake.set()
+        if self._encoding is not None:
+            await cancel_and_await(self._encoding)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2 * CLOSE_S):
+                for tab in tabs:
+                    await tab.ended.wait()
+
+    # --- what is told ------------------------------------------------------------------------
+
+    def _tell_cell(self) -> None:
+        self._telling = None
+        for tab in self._tabs:
+            tab.is_cell_due = True
+            tab.wake.set()
+
+    def _note(self, kind: str, document: Mapping[str, Any]) -> None:
+        if not self._tabs:
+            return
+        text = json.dumps({"type": kind, **document}, separators=(",", ":"))
+        for tab in self._tabs:
+            tab.notes.pop((kind, document.get("id")), None)
+            tab.notes[kind, document.get("id")] = text
+            tab.wake.set()
+
+    def _take(self, number: int, pair: FramePair) -> None:
+        self._newest = (number, pair)
+        self._feed()
+
+    def _feed(self) -> None:
+        """Encode the newest pair for who has seen the last one, unless one is being encoded."""
+        if self._encoding is None and self._newest is not None and self._hungry(self._newest[0]):
+            self._encoding = asyncio.create_task(self._encode(), name="live pictures")
+
+    def _hungry(self, number: int) -> list[_Tab]:
+        return [tab for tab in self._tabs if tab.has_seen and tab.last < number]
+
+    async def _encode(self) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            while self._newest is not None and self._hungry(self._newest[0]):
+                encoded = await loop.run_in_executor(self._encoder, _encoded, *self._newest)
+                for tab in self._hungry(encoded.number):
+                    tab.frame, tab.has_seen, tab.last = encoded, False, encoded.number
+                    tab.wake.set()
+        finally:
+            self._encoding = None
+
+    # --- a tab -------------------------------------------------------------------------------
+
+    async def _serve(self, call: Call[None]) -> web.WebSocketResponse:
+        if len(self._tabs) >= MAX_SOCKETS:
+            raise Problem(503, "sockets", f"{MAX_SOCKETS} pages are open already: close some")
+        socket = web.WebSocketResponse(
+            timeout=CLOSE_S, heartbeat=PING_S, max_msg_size=MESSAGE_BYTES, compress=False
+        )
+        if not socket.can_prepare(call.request).ok:
+            raise Problem(426, "websocket", "expected a WebSocket handshake")
+        tab = _Tab(call.request, socket, call.visitor.session)
+        self._tabs[tab] = None
+        telling: asyncio.Task[None] | None = None
+        try:
+            await socket.prepare(call.request)
+            tab.wake.set()
+            telling = asyncio.create_task(self._tell(tab), name="tab")
+            await self._hear(tab)
+        finally:
+            self._live.unwant(tab)
+            self._tabs.pop(tab, None)
+            if telling is not None:
+                if self._closing:  # it says so
+                    await asyncio.wait({telling}, timeout=CLOSE_S)
+                await cancel_and_await(telling)
+            tab.ended.set()
+        return socket
+
+    async def _hear(self, tab: _Tab) -> None:
+        """Until it goes, or says what is no message."""
+        async for message in tab.socket:
+            visitor = self._visitor_of(tab.request)
+            if visitor is None:
+                await tab.socket.close(code=LOGGED_OUT)
+                return
+            try:
+                if message.type is not WSMsgType.TEXT:
+                    raise ValueError("expected text")
+                self._obey(tab, visitor, FromTab.model_validate_json(message.data))
+            except (ValidationError, ValueError):
+                await tab.socket.close(code=WSCloseCode.POLICY_VIOLATION)
+                return
+
+    def _obey(self, tab: _Tab, visitor: Visitor, said: FromTab) -> None:
+        if said.seen is not None:
+            tab.has_seen = True
+            self._live.seen(tab)
+            self._feed()
+        if said.live is False:
+            self._live.unwant(tab)
+        if said.live:
+            try:
+                if visitor.role < Role.ENGINEER:
+                    raise SetupRefused("only an engineer may")
+                self._live.want(tab, said.token or "")
+            except SetupRefused as error:
+                refused = {"type": "live", "on": self._live.is_on, "code": "setup_refused"}
+                tab.notes["live", None] = json.dumps({**refused, "detail": str(error)})
+                tab.wake.set()
+
+    async def _tell(self, tab: _Tab) -> None:
+        """Send what is new, as fast as it is read."""
+        try:
+            while not self._closing:
+                await tab.wake.wait()
+                tab.wake.clear()
+                if self._visitor_of(tab.request) is None:
+                    await tab.socket.close(code=LOGGED_OUT)
+                    return
+                async with asyncio.timeout(WRITE_S):
+                    await self._send(tab)
+            await tab.socket.close(code=WSCloseCode.GOING_AWAY)
+        except (ConnectionError, TimeoutError):  # it has gone, or does not read
+            if tab.request.transport is not None:
+                tab.request.transport.abort()
+
+    async def _send(self, tab: _Tab) -> None:
+        if tab.is_cell_due:
+            tab.is_cell_due = False
+            cell = self._now(tab.session).model_dump()
+            if cell != tab.cell:
+                tab.cell = cell
+                await tab.socket.send_json({"type": "cell", **cell})
+        notes, tab.notes = tab.notes, {}
+        for note in notes.values():
+            await tab.socket.send_str(note)
+        frame, tab.frame = tab.frame, None
+        if frame is not None:
+            await tab.socket.send_str(frame.about)
+            for picture in frame.pictures:
+                await tab.socket.send_bytes(picture)
+
+
+def _encoded(number: int, pair: FramePair) -> _Encoded:
+    height, width = pair.left.image.shape
+    about = {
+        "type": "live",
+        "on": True,
+        "code": None,
+        "detail": None,
+        "number": number,
+        "width": width,
+        "height": height,
+        "exposed_ns": pair.exposed_ns,
+        "skew_ms": abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6,
+    }
+    head = number.to_bytes(8, "big")
+    return _Encoded(
+        number,
+        json.dumps(about, separators=(",", ":")),
+        (b"\0" + head + _jpeg(pair.left.image), b"\1" + head + _jpeg(pair.right.image)),
+    )
+
+
+def _jpeg(image: Image) -> bytes:
+    height, width = image.shape
+    if width > WIDTH_PX:
+        size = (WIDTH_PX, max(1, round(height * WIDTH_PX / width)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+    _, data = cv2.imencode(".jpg", image, QUALITY)
+    return data.tobytes()

@@ -1,0 +1,229 @@
+"""The WebSocket of a tab: who may open one, what it hears, and that it cannot hold anybody up."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from scriptedhead import until
+from webcell import Cell, run
+
+from edged.adapters.web import sockets
+
+PLACE = "/api/v1/ws"
+
+
+class Tab:
+    """The browser's end. pictures : (number, side) of those that came; told : the texts."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self.socket = socket
+        self.pictures: list[tuple[int, int]] = []
+        self.told: list[dict[str, Any]] = []
+        self.jpeg = b""
+
+    async def hear(self, kind: str, **expected: Any) -> dict[str, Any]:
+        """The next message of a kind that holds this; whatever comes before is remembered."""
+        while True:
+            message = await self.socket.receive()
+            if message.type is aiohttp.WSMsgType.BINARY:
+                self.jpeg = message.data[9:]
+                self.pictures.append((int.from_bytes(message.data[1:9], "big"), message.data[0]))
+                continue
+            assert message.type is aiohttp.WSMsgType.TEXT, message
+            document = json.loads(message.data)
+            self.told.append(document)
+            if document["type"] == kind and expected.items() <= document.items():
+                return document
+
+    async def look(self) -> int:
+        """One pair, to its second picture; returns its number."""
+        number = (await self.hear_frame())["number"]
+        while (number, 1) not in self.pictures:
+            message = await self.socket.receive()
+            assert message.type is aiohttp.WSMsgType.BINARY, message
+            self.jpeg = message.data[9:]
+            self.pictures.append((int.from_bytes(message.data[1:9], "big"), message.data[0]))
+        return int(number)
+
+    async def hear_frame(self) -> dict[str, Any]:
+        """What is said of the next pair."""
+        while "number" not in (document := await self.hear("live")):
+            pass
+        return document
+
+
+async def opened(cell: Cell) -> Tab:
+    """As the page opens it."""
+    return Tab(await cell.session.ws_connect(PLACE, origin=cell.origin))
+
+
+def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
+    """At once after it was opened, and after each change; of who has the cell, too."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        await tab.hear("cell", state="READY", setup=None)
+        _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
+        shown = await tab.hear("cell", state="SETUP")
+        assert ("Anna", True) == (shown["setup"]["name"], shown["setup"]["yours"])
+        await cell.ask("DELETE", "/api/v1/setup", entered)
+        await tab.hear("cell", state="READY")
+        await tab.socket.close()
+
+    run(test)
+
+
+def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
+    """Left and right of one exposure; the next only after `seen`; a viewer sees the same; off is off."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
+        tab, other = await opened(cell), await opened(cell)
+        await tab.socket.send_json({"live": True, **entered})
+        first = await tab.look()
+        assert [(first, 0), (first, 1)] == tab.pictures
+        image = cv2.imdecode(np.frombuffer(tab.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert (4, 4) == image.shape
+        taken = cell.head.captures
+        await until(lambda: cell.head.captures >= taken + 3)
+        assert tab.pictures[-1][0] == first
+        await tab.socket.send_json({"seen": first})
+        assert first + 3 <= await tab.look()
+        assert await other.look()
+        await tab.socket.send_json({"live": False})
+        await tab.hear("live", on=False)
+        taken = cell.head.captures
+        await cell.ask("POST", "/api/v1/captures", entered)
+        assert taken + 1 == cell.head.captures
+        for one in (tab, other):
+            await one.socket.close()
+
+    run(test)
+
+
+def test_closing_the_tab_ends_its_pictures() -> None:
+    """The cameras rest, and the cell is still taken."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
+        tab, other = await opened(cell), await opened(cell)
+        await tab.socket.send_json({"live": True, **entered})
+        await tab.look()
+        await tab.socket.close()
+        await other.hear("live", on=False)
+        assert (204, None) == await cell.ask("PUT", "/api/v1/setup/lease", entered)
+        await other.socket.close()
+
+    run(test)
+
+
+def test_live_without_the_cell_is_refused() -> None:
+    """It is said why, to who asked, and the tab stays."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        for said in ({"live": True}, {"live": True, "token": "of nobody"}):
+            await tab.socket.send_json(said)
+            refused = await tab.hear("live", on=False)
+            assert "setup_refused" == refused["code"]
+        assert 0 == cell.head.captures
+        await tab.socket.close()
+
+    run(test)
+
+
+@pytest.mark.parametrize("said", ["{", "[]", '{"seen": -1}', '{"seen": 1.5}', '{"colour": 1}', "[" * 900])
+def test_what_is_no_message_ends_the_socket(said: str) -> None:
+    """A page that says such things is none of ours."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        await tab.socket.send_str(said)
+        while not tab.socket.closed:
+            await tab.socket.receive()
+        assert aiohttp.WSCloseCode.POLICY_VIOLATION == tab.socket.close_code
+
+    run(test)
+
+
+def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
+    """Browsers open a WebSocket to any host: its Origin is looked at, as for all that changes the cell."""
+
+    async def test(cell: Cell) -> None:
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="401"):
+            await cell.session.ws_connect(PLACE, origin=cell.origin)
+        await cell.log_in()
+        for origin in ("http://evil.example", "null", None):
+            with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                await cell.session.ws_connect(PLACE, origin=origin)
+        assert 426 == (await cell.ask("GET", PLACE, None))[0]
+
+    run(test)
+
+
+def test_logging_out_ends_the_socket() -> None:
+    """With a code by which the page asks for the password."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        await tab.hear("cell")
+        async with cell.session.post("/logout", allow_redirects=False) as answer:
+            assert 303 == answer.status
+        await tab.socket.send_json({"seen": 0})
+        while not tab.socket.closed:
+            await tab.socket.receive()
+        assert sockets.LOGGED_OUT == tab.socket.close_code
+
+    run(test)
+
+
+def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is closed makes room."""
+    monkeypatch.setattr(sockets, "MAX_SOCKETS", 2)
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tabs = [await opened(cell) for _ in range(2)]
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
+            await opened(cell)
+        await tabs[0].socket.close()
+        async with asyncio.timeout(5):
+            while True:
+                try:
+                    tabs[0] = await opened(cell)
+                    break
+                except aiohttp.WSServerHandshakeError:
+                    await asyncio.sleep(0.01)
+        for tab in tabs:
+            await tab.socket.close()
+
+    run(test)
+
+
+def test_stopping_ends_every_socket() -> None:
+    """The browser is told, and the daemon does not wait for it."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        await tab.hear("cell")
+        closing = asyncio.create_task(cell.web.close())
+        while not tab.socket.closed:
+            await tab.socket.receive()
+        await closing
+        assert aiohttp.WSCloseCode.GOING_AWAY == tab.socket.close_code
+
+    run(test)
