@@ -45,7 +45,7 @@ Sizes = tuple[tuple[int, int], tuple[int, int]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looked:
+class Looked:
     """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies.
 
     small : the picture for people, THUMBNAIL_PX wide at most.
@@ -88,7 +88,7 @@ class Views:
 
     def __init__(self, boards: Sequence[NominalBoard]) -> None:
         self.boards = tuple(boards)
-        self._pairs: dict[str, tuple[Pair, _Looked, _Looked]] = {}
+        self._pairs: dict[str, tuple[Pair, Looked, Looked]] = {}
 
     @property
     def pairs(self) -> list[Pair]:
@@ -100,12 +100,13 @@ class Views:
 
         A pair of a name that is there already takes its place.
         """
-        tasks = [
-            partial(_look, picture, self.boards) for pair in pairs for picture in (pair.left, pair.right)
-        ]
-        looked = work_on(tasks, "finding the board", progress)
-        for pair, left, right in zip(pairs, looked[::2], looked[1::2], strict=True):
-            self._pairs[pair.name] = pair, left, right
+        looked = look_at(pairs, self.boards, progress)
+        for pair, (left, right) in zip(pairs, looked, strict=True):
+            self.put(pair, left, right)
+
+    def put(self, pair: Pair, left: Looked, right: Looked) -> None:
+        """Add a pair of which it is known what its pictures show of these boards."""
+        self._pairs[pair.name] = pair, left, right
 
     def remove(self, name: str) -> None:
         """Take a pair out; `KeyError` when there is none of this name."""
@@ -286,7 +287,16 @@ def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
     }
 
 
-def _look(picture: Picture, boards: Sequence[NominalBoard]) -> _Looked:
+def look_at(
+    pairs: Sequence[Pair], boards: Sequence[NominalBoard], progress: Progress = silent
+) -> list[tuple[Looked, Looked]]:
+    """What the left and the right picture of each pair show. Raises `ImageError`."""
+    tasks = [partial(_look, picture, boards) for pair in pairs for picture in (pair.left, pair.right)]
+    looked = work_on(tasks, "finding the board", progress)
+    return list(zip(looked[::2], looked[1::2], strict=True))
+
+
+def _look(picture: Picture, boards: Sequence[NominalBoard]) -> Looked:
     """Look for every board; after one is found the others are not tried."""
     image = picture.read()
     results: list[Detection | NotDetected] = []
@@ -294,7 +304,7 @@ def _look(picture: Picture, boards: Sequence[NominalBoard]) -> _Looked:
         seen_another = any(isinstance(result, Detection) for result in results)
         results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
     size = image.shape[1], image.shape[0]
-    return _Looked(size, hashlib.sha256(image.tobytes()).digest(), _small(image), results)
+    return Looked(size, hashlib.sha256(image.tobytes()).digest(), _small(image), results)
 
 
 def _small(image: Image) -> Image:

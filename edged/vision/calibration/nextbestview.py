@@ -8,7 +8,7 @@ Source of the idea: optimal experimental design (A-optimality), e.g. V. V. Fedor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,25 +24,50 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 
 BoolArray = npt.NDArray[np.bool_]
 
-_TILT_DEG = 35.0
+TILT_DEG = 35.0
+MOST_VIEWS = 30
+"""Beyond so many more it is not told how many: something else is amiss than their number."""
 _MIN_VISIBLE = 0.6  # of the marks, in either image: detectors want most of a board
 _EDGE_PX = 8.0
 _PLACES = (0.2, 0.5, 0.8)  # of the image's width and height
-_TILTS = (
-    ("square to the left camera", (0.0, 0.0)),
-    ("its right side turned towards the cameras", (0.0, 1.0)),
-    ("its left side turned towards the cameras", (0.0, -1.0)),
-    ("its lower side turned away", (1.0, 0.0)),
-    ("its upper side turned away", (-1.0, 0.0)),
+TILTS = (
+    ("square to the left camera", "square", (0.0, 0.0)),
+    ("its right side turned towards the cameras", "right-near", (0.0, 1.0)),
+    ("its left side turned towards the cameras", "left-near", (0.0, -1.0)),
+    ("its lower side turned away", "lower-away", (1.0, 0.0)),
+    ("its upper side turned away", "upper-away", (-1.0, 0.0)),
 )
+"""In words, as a code, and the axis to turn about."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Suggestion:
-    """A view to take. gain : share by which the calibration's part in the error of points would fall."""
+    """A view to take. gain : share by which the calibration's part in the error of points would fall.
+
+    where : in words, for people.  code : the same for programs, as "upper-left.near.lower-away".
+    left_from_board (4, 4) : where the board would be.
+    """
 
     where: str
     gain: float
+    code: str
+    board: Board
+    left_from_board: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What a calibration is worth, and what further views would do.
+
+    sigma_mm (3,) : standard deviations of X, Y, Z that the calibration gives to points, rms over its volume.
+    suggestions : the views that help most, the best first.  sigmas_mm (S, 3) : with each of them.
+    more_views : how many such views until no sigma is beyond the goal; None: without a goal, or out of reach.
+    """
+
+    sigma_mm: FloatArray
+    suggestions: tuple[Suggestion, ...]
+    sigmas_mm: FloatArray
+    more_views: int | None
 
 
 def volume_points(calibration: Calibration, count: int = 5) -> FloatArray:
@@ -65,6 +90,77 @@ def depths_mm(calibration: Calibration) -> FloatArray:
 
 def best_next_view(calibration: Calibration) -> Suggestion | None:
     """The candidate that helps most; None where nothing fits or the covariance is unknown."""
+    plan = plan_views(calibration, 1)
+    return plan.suggestions[0] if plan is not None and plan.suggestions else None
+
+
+def plan_views(calibration: Calibration, count: int = 3, goal_mm: float | None = None) -> Plan | None:
+    """The `count` candidates that help most, and how many it takes to the goal; None without a covariance."""
+    design = _design(calibration)
+    if design is None:
+        return None
+    before = design.rms_mm(design.information)
+    gains = [1 - design.rms_mm(design.information + told) / before for told in design.told]
+    order = sorted(range(len(gains)), key=lambda index: -gains[index])[:count]
+    suggestions = tuple(
+        Suggestion(one.where, gains[index], one.code, design.board, one.left_from_board)
+        for index in order
+        for one in (design.candidates[index],)
+    )
+    sigmas = [design.sigma_mm(design.information + design.told[index]) for index in order]
+    return Plan(
+        design.sigma_mm(design.information),
+        suggestions,
+        np.array(sigmas).reshape(-1, 3),
+        None if goal_mm is None else design.views_to(goal_mm),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A view that might be taken."""
+
+    where: str
+    code: str
+    left_from_board: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """What is known of the rig (P, P), what each candidate would tell of it, and what that does to points.
+
+    shift (N, 3, P) : of points, by the parameters that were estimated.
+    """
+
+    board: Board
+    information: FloatArray
+    shift: FloatArray
+    candidates: Sequence[Candidate]
+    told: Sequence[FloatArray]
+
+    def sigma_mm(self, information: FloatArray) -> FloatArray:
+        """Of X, Y, Z (3,), rms over the points."""
+        flat = self.shift.reshape(-1, self.shift.shape[2])
+        squares = np.sum((flat @ _inverse(information)) * flat, axis=1).reshape(-1, 3)
+        return np.asarray(np.sqrt(squares.mean(axis=0)))
+
+    def rms_mm(self, information: FloatArray) -> float:
+        """Of the distance."""
+        return float(np.linalg.norm(self.sigma_mm(information)))
+
+    def views_to(self, goal_mm: float) -> int | None:
+        """Views, each the best one then, until no coordinate's sigma is beyond the goal."""
+        information = self.information
+        for count in range(MOST_VIEWS + 1):
+            if self.sigma_mm(information).max() <= goal_mm:
+                return count
+            if not self.told:
+                break
+            information = min((information + told for told in self.told), key=self.rms_mm)
+        return None
+
+
+def _design(calibration: Calibration) -> _Design | None:
     rig = calibration.rig
     points = volume_points(calibration)
     if rig.covariance is None or not len(points):
@@ -77,41 +173,37 @@ def best_next_view(calibration: Calibration) -> Suggestion | None:
     selection[-6:, -6:] = np.eye(6)
     inverse = np.linalg.pinv(selection)
     information = _inverse(inverse @ rig.covariance @ inverse.T)
-    shift = (shift_by_parameters(rig, points) @ selection).reshape(-1, selection.shape[1])
-
-    def rms_mm(total: FloatArray) -> float:
-        return float(np.sqrt(np.sum((shift @ _inverse(total)) * shift) / len(points)))
-
-    before = rms_mm(information)
     boards = [fit.view.board for fit in calibration.views]
     board = max(set(boards), key=boards.count)
-    best: Suggestion | None = None
-    for where, pose in candidates(calibration, board):
-        seen = [_observed(calibration, board, pose, side) for side in SIDES]
+    fitting, told = list[Candidate](), list[FloatArray]()
+    for candidate in candidates(calibration, board):
+        seen = [_observed(calibration, board, candidate.left_from_board, side) for side in SIDES]
         if min(len(one.view) for one in seen) < _MIN_VISIBLE * len(board.points_mm):
             continue
-        state = BundleState(rig.left, rig.right, rig.right_from_left, pose[None])
-        gain = 1 - rms_mm(information + rig_information(state, seen[0], seen[1], *freedoms)[0]) / before
-        if best is None or gain > best.gain:
-            best = Suggestion(where, gain)
-    return best
+        state = BundleState(rig.left, rig.right, rig.right_from_left, candidate.left_from_board[None])
+        fitting.append(candidate)
+        told.append(rig_information(state, seen[0], seen[1], *freedoms)[0])
+    return _Design(board, information, shift_by_parameters(rig, points) @ selection, fitting, told)
 
 
-def candidates(calibration: Calibration, board: Board) -> Iterator[tuple[str, FloatArray]]:
-    """Places in the left image at three depths, each with five tilts; left_from_board (4, 4)."""
+def candidates(calibration: Calibration, board: Board) -> Iterator[Candidate]:
+    """Places in the left image at three depths, each with five tilts."""
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
-    for depth in depths_mm(calibration):
+    for depth, distance in zip(depths_mm(calibration), ("near", "middle", "far"), strict=True):
         for v, row in zip(_PLACES, ("upper", "middle", "lower"), strict=True):
             for u, column in zip(_PLACES, ("left", "middle", "right"), strict=True):
                 pixel = np.array([u * (camera.width - 1), v * (camera.height - 1)])
                 place = depth * np.append(camera.normalise(pixel), 1.0)
                 name = "middle" if row == column else f"{row} {column}"
-                for tilt, axis in _TILTS:
-                    rotation = rotation_matrix(np.radians(_TILT_DEG) * np.array([*axis, 0.0]))
-                    turned = tilt if axis == (0.0, 0.0) else f"{tilt} by {_TILT_DEG:.0f}°"
-                    text = f"board in the {name} of the left image, {depth:.0f} mm away, {turned}"
-                    yield text, transform(rotation, place - rotation @ middle)
+                for tilt, code, axis in TILTS:
+                    rotation = rotation_matrix(np.radians(TILT_DEG) * np.array([*axis, 0.0]))
+                    turned = tilt if axis == (0.0, 0.0) else f"{tilt} by {TILT_DEG:.0f}°"
+                    yield Candidate(
+                        f"board in the {name} of the left image, {depth:.0f} mm away, {turned}",
+                        f"{row}-{column}.{distance}.{code}",
+                        transform(rotation, place - rotation @ middle),
+                    )
 
 
 def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:

@@ -11,10 +11,9 @@ from rigs import make_rig, random_points
 
 from edged.report.charts import Chart, symmetric_limit, ticks
 from edged.vision.boards.board import Chessboard
-from edged.vision.calibration import nextbestview as nextview
 from edged.vision.calibration.bundle import moved_camera
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
-from edged.vision.calibration.nextbestview import best_next_view, volume_points
+from edged.vision.calibration.nextbestview import best_next_view, plan_views, volume_points
 from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.geometry.camera import LensModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
@@ -79,14 +78,13 @@ def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
     assert best_next_view(replace(known, rig=replace(known.rig, covariance=None))) is None
 
 
-def test_the_suggested_view_does_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_suggested_view_does_what_it_promises() -> None:
     """Taken and calibrated with, the view lowers the points' sigma by the share that was predicted."""
     before = calibration_of(RIG, 6, tilt_deg=12.0)
-    candidates = dict(nextview.candidates(before, BOARD))
     advice = best_next_view(before)
     assert advice is not None
     assert 0.02 < advice.gain < 0.9
-    poses = [*board_poses(RIG, BOARD, 6, 1, tilt_deg=12.0), candidates[advice.where]]
+    poses = [*board_poses(RIG, BOARD, 6, 1, tilt_deg=12.0), advice.left_from_board]
     after = calibrate_stereo(synthetic_views(RIG, BOARD, poses, 0.03, 1), SIZE, SIZE, "division")
     points = volume_points(before)
 
@@ -94,6 +92,32 @@ def test_the_suggested_view_does_what_it_promises(monkeypatch: pytest.MonkeyPatc
         return float(np.sqrt(np.mean(np.einsum("nii->n", calibration_covariance(calibration.rig, points)))))
 
     assert 1 - rms(after) / rms(before) == pytest.approx(advice.gain, abs=0.08)
+
+
+def test_a_plan_counts_the_views_to_a_goal() -> None:
+    """None for what is reached, one for what the best view reaches; no number for what is out of reach."""
+    calibration = calibration_of(RIG, 5)
+    plan = plan_views(calibration, 3)
+    assert plan is not None
+    assert plan.more_views is None
+    first, second, third = (suggestion.gain for suggestion in plan.suggestions)
+    assert 1 > first >= second >= third > 0
+    best = best_next_view(calibration)
+    assert best is not None
+    assert (first, plan.suggestions[0].code) == (best.gain, best.code)
+    assert (1 - first) * np.linalg.norm(plan.sigma_mm) == pytest.approx(np.linalg.norm(plan.sigmas_mm[0]))
+
+    def needed(goal_mm: float) -> int | None:
+        found = plan_views(calibration, 1, goal_mm)
+        assert found is not None
+        return found.more_views
+
+    assert 0 == needed(plan.sigma_mm.max())
+    assert 1 == needed(plan.sigmas_mm[0].max())
+    some = needed(0.4 * plan.sigma_mm.max())
+    assert some is not None
+    assert some > 1
+    assert needed(1e-9) is None
 
 
 def test_no_suggestion_where_nothing_fits() -> None:
