@@ -25,6 +25,11 @@ MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
 
 def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = None) -> None:
     """Write a rig as JSON. quality : figures of the calibration, kept for people."""
+    write_file(path, rig_text(rig, quality))
+
+
+def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
+    """What `save_rig` writes."""
     document = {
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
@@ -44,7 +49,7 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
         else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
         "quality": dict(quality or {}),
     }
-    write_file(path, (json.dumps(document, indent=1) + "\n").encode())
+    return (json.dumps(document, indent=1) + "\n").encode()
 
 
 def keep_old_rig(path: Path) -> Path | None:

@@ -169,6 +169,15 @@ class ShapedBoard:
 Board = NominalBoard | ShapedBoard
 
 
+def outline_mm(board: Board) -> FloatArray:
+    """(4, 3) once around the marks and a pitch more: what detectors want to see of a board, in its frame."""
+    low, high = board.points_mm.min(axis=0), board.points_mm.max(axis=0)
+    x, y = (
+        (one - board.pitch_mm, other + board.pitch_mm) for one, other in zip(low[:2], high[:2], strict=True)
+    )
+    return np.array([[x[0], y[0], 0.0], [x[1], y[0], 0.0], [x[1], y[1], 0.0], [x[0], y[1], 0.0]])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
     """A board found in one image.

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Side
-from edged.vision.boards.board import Board
+from edged.vision.boards.board import Board, Charuco, ShapedBoard, outline_mm
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration.calibrate import Calibration, freedom_of
 from edged.vision.geometry.camera import CameraModel, StereoRig
@@ -27,7 +27,8 @@ BoolArray = npt.NDArray[np.bool_]
 TILT_DEG = 35.0
 MOST_VIEWS = 30
 """Beyond so many more it is not told how many: something else is amiss than their number."""
-_MIN_VISIBLE = 0.6  # of the marks, in either image: detectors want most of a board
+_MIN_VISIBLE = 0.6  # of the marks of a ChArUco board, in either image; of others all, and what is around them
+_INWARD = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way out, where a board at the border would be cut
 _EDGE_PX = 8.0
 _PLACES = (0.2, 0.5, 0.8)  # of the image's width and height
 TILTS = (
@@ -178,8 +179,6 @@ def _design(calibration: Calibration) -> _Design | None:
     fitting, told = list[Candidate](), list[FloatArray]()
     for candidate in candidates(calibration, board):
         seen = [_observed(calibration, board, candidate.left_from_board, side) for side in SIDES]
-        if min(len(one.view) for one in seen) < _MIN_VISIBLE * len(board.points_mm):
-            continue
         state = BundleState(rig.left, rig.right, rig.right_from_left, candidate.left_from_board[None])
         fitting.append(candidate)
         told.append(rig_information(state, seen[0], seen[1], *freedoms)[0])
@@ -187,23 +186,40 @@ def _design(calibration: Calibration) -> _Design | None:
 
 
 def candidates(calibration: Calibration, board: Board) -> Iterator[Candidate]:
-    """Places in the left image at three depths, each with five tilts."""
+    """Places in the left image at three depths, each with five tilts, as far out as it can be found."""
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
     for depth, distance in zip(depths_mm(calibration), ("near", "middle", "far"), strict=True):
         for v, row in zip(_PLACES, ("upper", "middle", "lower"), strict=True):
             for u, column in zip(_PLACES, ("left", "middle", "right"), strict=True):
-                pixel = np.array([u * (camera.width - 1), v * (camera.height - 1)])
-                place = depth * np.append(camera.normalise(pixel), 1.0)
                 name = "middle" if row == column else f"{row} {column}"
                 for tilt, code, axis in TILTS:
                     rotation = rotation_matrix(np.radians(TILT_DEG) * np.array([*axis, 0.0]))
                     turned = tilt if axis == (0.0, 0.0) else f"{tilt} by {TILT_DEG:.0f}°"
-                    yield Candidate(
-                        f"board in the {name} of the left image, {depth:.0f} mm away, {turned}",
-                        f"{row}-{column}.{distance}.{code}",
-                        transform(rotation, place - rotation @ middle),
-                    )
+                    for share in _INWARD:
+                        out = 0.5 + share * (np.array([u, v]) - 0.5)
+                        place = depth * np.append(
+                            camera.normalise(out * (camera.width - 1, camera.height - 1)), 1.0
+                        )
+                        pose = transform(rotation, place - rotation @ middle)
+                        if _can_be_found(calibration.rig, board, pose):
+                            yield Candidate(
+                                f"board in the {name} of the left image, {depth:.0f} mm away, {turned}",
+                                f"{row}-{column}.{distance}.{code}",
+                                pose,
+                            )
+                            break
+
+
+def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> bool:
+    """Whether both images show enough of a board for its detector."""
+    stated = board.stated if isinstance(board, ShapedBoard) else board
+    if isinstance(stated, Charuco):
+        points = apply(left_from_board, board.points_mm)
+        in_right = apply(rig.right_from_left, points)
+        shares = _inside(rig.left, points, _EDGE_PX).mean(), _inside(rig.right, in_right, _EDGE_PX).mean()
+        return bool(min(shares) >= _MIN_VISIBLE)
+    return bool(_visible(rig, apply(left_from_board, outline_mm(board)), _EDGE_PX).all())
 
 
 def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:
