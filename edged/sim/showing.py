@@ -18,7 +18,7 @@ Pose = FloatArray | Callable[[int], FloatArray]
 SKIN = Surface(albedo=0.38, contrast=0.12, feature_mm=1.5, seed=3)
 GRIP_MM = 3.0
 """Fingers lie so far before the board that they hold."""
-WAVE_MM, WAVE_HZ = 25.0, 1.3
+WAVE_MM, WAVE_HZ = 14.0, 1.3
 """Half way and rate of a hand that waves."""
 BEFORE_LENS_MM = 55.0
 """A hand that waves before one camera: so near that the other does not see it."""

@@ -1,0 +1,50 @@
+"""Before which camera somebody waves a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from edged.domain.arrays import FloatArray, Image
+
+Key = TypeVar("Key")
+
+COLUMNS = 24
+"""A hand is large: so many fields across a picture show it; what trembles within one, and noise, do not."""
+LEAST_GREY, LEAST_SHARE_OF_GREY = 6.0, 0.1
+"""A field has changed by more than both, after what all have in common (light that flickers) is taken out."""
+LEAST_SHARE = 0.04
+"""Of the fields: a hand covers more."""
+CLEARLY = 3.0
+"""One picture changed so much more than the next."""
+
+
+def changed_share(before: Image, after: Image) -> float:
+    """Which share of a picture changed otherwise than by brighter or darker light; 0 to 1.
+
+    before, after : (H, W) uint8, of one size.
+    """
+    first, second = _small(before), _small(after)
+    seen = (first > LEAST_GREY) & (first < 250.0)
+    flicker = float(np.median(second[seen] / first[seen])) if seen.any() else 1.0
+    limit = np.maximum(LEAST_GREY, LEAST_SHARE_OF_GREY * first)
+    return float(np.mean(np.abs(second - flicker * first) > limit))
+
+
+def changed_most(shares: Mapping[Key, float]) -> Key | None:
+    """Whose picture changed, and no other's nearly as much; None where that is not clear."""
+    ranked = sorted(shares, key=lambda key: shares[key], reverse=True)
+    if not ranked or shares[ranked[0]] < LEAST_SHARE:
+        return None
+    if len(ranked) > 1 and shares[ranked[0]] < CLEARLY * shares[ranked[1]]:
+        return None
+    return ranked[0]
+
+
+def _small(image: Image) -> FloatArray:
+    height, width = image.shape
+    size = (COLUMNS, max(1, round(COLUMNS * height / width)))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
