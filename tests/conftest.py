@@ -13,15 +13,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 pytest_plugins = ["skips"]
 
-ALONE = ("tests/system/", "tests/wire/")
+ALONE = ("tests/cameras/", "tests/system/")
 """Cameras at fixed addresses (GVCP knows one port), broadcasts that all of them hear, throwaway machines."""
 
 
 class ByRoom(LoadScopeScheduling):
-    """Each file of tests is for one process; all that share the wire are for the same one."""
+    """Each file of tests is for one process; all that share the cameras' wire are for the same one."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return "wire" if nodeid.startswith(ALONE) else nodeid.partition("::")[0]
+        return "cameras" if nodeid.startswith(ALONE) else nodeid.partition("::")[0]
 
 
 def pytest_xdist_make_scheduler(config, log):

@@ -12,7 +12,7 @@ import pytest
 TESTS = Path(__file__).parents[1]
 
 LIST = "not on the list of tests/skips.py"
-DOCTOR = "tests/wire/test_doctor_networks.py"
+DOCTOR = "tests/cameras/test_doctor_networks.py"
 
 
 def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str]:

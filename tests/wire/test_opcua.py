@@ -56,7 +56,7 @@ def cell(secure: OpcUaSettings) -> Iterator[OpcUaCell]:
         yield running
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def open_cell() -> Iterator[OpcUaCell]:
     """A cell that everybody may look at and nobody command."""
     with OpcUaCell(OpcUaSettings("cell1", port=0, anonymous=True)) as running:

@@ -25,7 +25,7 @@ HELLO_URL = b"opc.tcp://cell"
 HOSTILE = "127.0.0.2"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def cell() -> Iterator[OpcUaCell]:
     """A cell that everybody may look at."""
     with OpcUaCell(OpcUaSettings("cell1", port=0, anonymous=True, max_clients=8)) as running:

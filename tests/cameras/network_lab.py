@@ -1,6 +1,6 @@
 """Runs `edged doctor` in networks that are well or sick, and prints {name of the network: checks} as JSON.
 
-unshare --net --mount python tests/wire/network_lab.py FOLDER [--text]
+unshare --net --mount python tests/cameras/network_lab.py FOLDER [--text]
 
 A port of this host (cam0) is wired to two virtual cameras in a network namespace of their own, by a pair of
 virtual Ethernet ports: addresses, ARP, MTU, routes and packet filter are the kernel's own. FOLDER holds a
