@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from robotlanguage import Program
 
 TOKEN = re.compile(
-    r"\s*(?:(?P<number>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)|(?P<text>\"[^\"]*\"|'[^']*')|(?P<name>[$A-Za-z_][\w$]*)"
+    r"\s*(?:(?P<number>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)|(?P<text>\"[^\"]*\"|'[^']*')|(?P<name>[$A-Za-z_][\w$]*%?)"
     r"|(?P<mark>:=|::|<>|!=|<=|>=|==|[-+*/=<>(),\[\]{}.#\\]))"
 )
 COMPARED: dict[str, Callable[[Any, Any], bool]] = {

@@ -106,11 +106,12 @@ def registers(
         typer.Option(
             "--format",
             help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python; "
-            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel",
+            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel, melfa",
         ),
     ] = "md",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="folder for the files of twincat, karel, krl")
+        Path | None,
+        typer.Option("--output", "-o", help="folder for formats of several files"),
     ] = None,
     read: Annotated[
         str | None, typer.Option("--read", help="HOST[:PORT] of a cell: print what its registers say")

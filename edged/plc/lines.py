@@ -24,6 +24,9 @@ POSE_NAMES: dict[Brand, tuple[str, ...]] = {
 def answer_fields(brand: Brand) -> tuple[str, ...]:
     """Names of an answer's fields, in their order.
 
+    END is the sequence once more: MELFA-BASIC ignores what a line has beyond the variables that were asked
+    for, and would take the answer of another brand for its own.
+
     >>> answer_fields(Brand.KUKA)[:4]
     ('SEQUENCE', 'STATUS', 'REMAINING', 'X')
     """
@@ -36,6 +39,7 @@ def answer_fields(brand: Brand) -> tuple[str, ...]:
         "SIGMA_Y",
         "SIGMA_Z",
         "AGE",
+        *(("END",) if brand is Brand.MITSUBISHI else ()),
     )
 
 
@@ -86,4 +90,5 @@ class Answer:
         pose = self.pose or (0.0,) * len(POSE_NAMES[brand])
         numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
         whole = (str(self.sequence), str(int(self.status)), str(self.remaining))
-        return (",".join((*whole, *numbers)) + "\n").encode()
+        end = (whole[0],) if brand is Brand.MITSUBISHI else ()
+        return (",".join((*whole, *numbers, *end)) + "\n").encode()

@@ -13,6 +13,7 @@ from edged.plc.clients import (
     drl_source,
     karel_files,
     krl_files,
+    melfa_files,
     plcopen_source,
     python_source,
     rapid_source,
@@ -125,4 +126,5 @@ SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "karel": karel_files,
     "krl": krl_files,
     "val3": val3_files,
+    "melfa": melfa_files,
 }

@@ -25,7 +25,7 @@ from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box, Picking
 from edged.plc import registers as reg
-from edged.plc.lines import LineStatus
+from edged.plc.lines import LineStatus, answer_fields
 from edged.plc.registers import Option
 from edged.robot.orientations import Brand, transform_of
 
@@ -90,8 +90,8 @@ def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
         np.testing.assert_allclose(
             numbers[size : size + 3], np.array(cell.targets[0].sigma_mm) * unit, atol=1e-4
         )
-        assert 0 <= numbers[-1] < 15
-        assert size + 4 == len(numbers)
+        assert 0 <= numbers[size + 3] < 15
+        assert ([7] if brand is Brand.MITSUBISHI else []) == numbers[size + 4 :]
 
 
 def test_every_target_is_given_one_after_the_other() -> None:
@@ -156,7 +156,7 @@ def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
             tool = target.rig_from_part @ PART_FROM_TCP
             for line, away_mm in (("9,GRASP", 0.0), ("9,APPROACH", 50.0)):
                 sequence, status, _, numbers = robot.ask(line)
-                assert (9, 0, size + 4) == (sequence, status, len(numbers))
+                assert (9, 0, len(answer_fields(brand)) - 3) == (sequence, status, len(numbers))
                 pose = transform_of(brand, tuple(numbers[:size]))
                 np.testing.assert_allclose(pose[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.1e-3)
                 np.testing.assert_allclose(pose[:3, :3], tool[:3, :3], atol=5e-5)
@@ -281,6 +281,18 @@ def test_what_is_no_request_is_answered_so(line: str) -> None:
         assert LineStatus.NOT_UNDERSTOOD == robot.ask(line)[1]
         ready(cell)
         assert 0 == robot.ask("8,LOCATE,0")[1]
+
+
+def test_an_end_of_line_may_be_any_of_three() -> None:
+    """With a carriage return, before or after the line feed, a line is one request and has one answer."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        for sequence, end in ((1, "\r"), (3, "\n\r"), (5, "\n\r\n")):
+            robot.socket.sendall(f"{sequence},LOCATE,0{end}".encode())
+            asked = robot.ask("" if end == "\r" else f"{sequence + 1},NEXT")
+            assert sequence == asked[0]
+            if end != "\r":
+                assert sequence + 1 == int(robot.file.readline().decode().partition(",")[0])
 
 
 WORDS = st.sampled_from(

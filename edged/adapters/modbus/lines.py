@@ -353,6 +353,8 @@ class LineServer:
                 line = await self._line_of(reader)
             if not line.endswith(b"\n"):
                 return
+            if line == b"\r\n":
+                continue  # the robot's own end of line, after the line feed that its program sent
             if may_write:
                 answer = await robot.answer(line)
             else:
