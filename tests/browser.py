@@ -10,11 +10,17 @@ import re
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import aiohttp
 
+AXE = Path(__file__).parent / "data" / "axe" / "axe.min.js"
 START_S, PATIENCE_S = 30.0, 20.0
+
+
+class Gone(Exception):
+    """What was asked belonged to a page that has been left meanwhile."""
 
 
 class Browser:
@@ -37,6 +43,8 @@ class Browser:
             elif message.get("method") == "Runtime.exceptionThrown":
                 self.complaints.append(json.dumps(message["params"]))
             elif message.get("id") == self._number:
+                if "error" in message:
+                    raise Gone(message["error"]["message"])
                 return dict(message["result"])
 
     async def open(self, url: str, width: int, height: int) -> None:
@@ -63,7 +71,13 @@ class Browser:
         return answer["result"].get("value")
 
     async def until(self, expression: str) -> None:
-        """Wait for something in the page to be true."""
+        """Wait for something in the page to be true, or in the one that it leads to."""
+        try:
+            await self._wait_for(expression)
+        except Gone:
+            await self._wait_for(expression)
+
+    async def _wait_for(self, expression: str) -> None:
         await self.value(
             f"""new Promise((done, failed) => {{
               const late = setTimeout(() => failed(new Error("never true")), {1e3 * PATIENCE_S});
@@ -110,6 +124,24 @@ class Browser:
             return [b.x + b.width / 2, b.y + b.height / 2]; }})()"""
         )
         return float(x), float(y)
+
+    async def type(self, selector: str, text: str) -> None:
+        """Into a field, as a person would, and leave it."""
+        await self.click(selector)
+        await self.value(f"document.querySelector({json.dumps(selector)}).select()")
+        await self.ask("Input.insertText", text=text)
+        await self.value(f"document.querySelector({json.dumps(selector)}).blur()")
+
+    async def violations(self) -> list[str]:
+        """What axe-core finds wrong for people who see, hear or move otherwise: rule and place of each."""
+        if not await self.value("Boolean(window.axe)"):
+            await self.ask("Runtime.evaluate", expression=AXE.read_text())
+        return list(
+            await self.value(
+                "axe.run().then(({violations}) => violations.flatMap(({id, nodes}) => "
+                "nodes.map(({target, failureSummary}) => `${id} ${target}: ${failureSummary}`)))"
+            )
+        )
 
     async def picture(self) -> bytes:
         """What it looks like, PNG."""

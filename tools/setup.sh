@@ -51,6 +51,8 @@ if command -v apt-get >/dev/null; then
     packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
     [ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime)
     apt_install "${packages[@]}" || true
+    # on its own: where a distribution has it as a snap only, the tests in a browser are skipped, and nothing else is
+    [ "$EDGED_FOR" != test ] || apt_install chromium || true
     if ! find_python >/dev/null; then # Ubuntu 22.04 comes with 3.10; its PyGObject must be built for 3.11
         apt_install python3.11 python3.11-venv python3.11-dev gcc pkg-config libgirepository1.0-dev libcairo2-dev || true
     fi

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import PurePosixPath
 
@@ -27,3 +28,8 @@ def read_assets() -> dict[str, str]:
 def type_of(name: str) -> str:
     """Its media type; "" for what is not served."""
     return TYPES.get(PurePosixPath(name).suffix, "")
+
+
+def modules(assets: Iterable[str]) -> list[str]:
+    """Scripts of the pages that set a cell up: a browser is told of all at once, and need not find them."""
+    return sorted(name for name in assets if name.endswith(".js") and name.startswith(("setup/", "vendor/")))

@@ -21,7 +21,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts, session_of
-from edged.adapters.web.assets import read_assets, type_of
+from edged.adapters.web.assets import modules, read_assets, type_of
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.overview import OverviewRoutes
@@ -126,10 +126,11 @@ class WebPublisher:
         self._viewers = Viewers(self._shown, self._page.history)
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
-        self._html = {
-            name: render(f"{name}.html", __package__, cell=cell) for name in ("index", "login", "nomanual")
-        }
         self._assets = read_assets()
+        self._html = {name: render(f"{name}.html", __package__, cell=cell) for name in ("login", "nomanual")}
+        is_set_up = settings.commissioning and commissioner is not None
+        self._html["index"] = render("index.html", __package__, cell=cell, setup=is_set_up)
+        self._html["setup"] = render("setup.html", __package__, cell=cell, modules=modules(self._assets))
         self._runner: web.AppRunner | None = None
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
@@ -166,6 +167,7 @@ class WebPublisher:
         app.router.add_get("/ready", self._ready)
         if settings.commissioning and self._commissioner is not None:
             self._api(self._commissioner).add_to(app.router)
+            app.router.add_get("/setup", self._setup)
         self._runner = runner = web.AppRunner(
             app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
         )
@@ -275,7 +277,7 @@ class WebPublisher:
             if not self._is_our_host(request):
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
             if not await self._may_see(request):
-                is_page = request.path == "/" or request.path.startswith("/manual")
+                is_page = request.path in ("/", "/setup") or request.path.startswith("/manual")
                 if is_page and "text/html" in request.headers.get("Accept", ""):
                     raise web.HTTPSeeOther("/login")
                 # a browser's page asks with its own form; a scraper must be told how
@@ -323,6 +325,9 @@ class WebPublisher:
 
     async def _index(self, _request: web.Request) -> web.Response:
         return _text(self._html["index"], "text/html")
+
+    async def _setup(self, _request: web.Request) -> web.Response:
+        return _text(self._html["setup"], "text/html")
 
     async def _static(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

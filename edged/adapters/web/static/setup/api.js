@@ -1,0 +1,51 @@
+// What the page asks of the cell, and what it is told when it cannot have it.
+import { signal } from "../vendor/ui.js";
+import { has, t } from "./texts.js";
+
+export class Problem extends Error {
+  constructor({ status = 0, code = "", detail = "", params = {} }) {
+    super(detail);
+    Object.assign(this, { status, code, detail, params });
+  }
+}
+
+// The last thing that went wrong, until somebody has read it.
+export const trouble = signal(null);
+
+export async function ask(method, path, body) {
+  let answer;
+  try {
+    answer = await fetch(`/api/v1/${path}`, {
+      method,
+      headers: body === undefined ? {} : { "Content-Type": "application/json" },
+      body: body === undefined ? undefined : JSON.stringify(body),
+    });
+  } catch {
+    throw new Problem({ code: "unreachable" });
+  }
+  const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
+  const document = isJson ? await answer.json() : {};
+  if (answer.ok) return document;
+  if (answer.status === 401) location.assign("/login?to=setup");
+  throw new Problem({ status: answer.status, code: `status_${answer.status}`, ...document });
+}
+
+// A sentence with cause and remedy; where there is none of ours, the server's own.
+export function sentence(problem) {
+  const id = `problem-${(problem.code ?? "").replaceAll("_", "-")}`;
+  if (has(id)) return t(id, { ...problem.params, detail: problem.detail || "" });
+  return t("problem-other", { detail: problem.detail || problem.message || problem.code });
+}
+
+// Do something, and show what went wrong; the answer, or undefined.
+export async function attempt(work) {
+  try {
+    const answer = await work();
+    trouble.value = null;
+    return answer;
+  } catch (problem) {
+    if (!(problem instanceof Problem)) throw problem;
+    trouble.value = problem;
+    return undefined;
+  }
+}

@@ -1,0 +1,235 @@
+// The calibration: which board, then hands free view by view until the goal, then the solution and its release.
+import { html, useEffect, useRef, useState } from "../vendor/ui.js";
+import { ask, attempt } from "./api.js";
+import { draft, holds, look, task, token } from "./live.js";
+import { Filmstrip, short } from "./filmstrip.js";
+import { Pair, points } from "./picture.js";
+import { Dialog, NumberField, say, Shape } from "./pieces.js";
+import { has, number, t } from "./texts.js";
+
+const GOAL_UM = 5;
+const worst = (sigma) => (sigma ? Math.max(...["x", "y", "z"].map((axis) => sigma[axis] ?? 0)) : null);
+const micrometres = (value) => number(value, value < 9.5 ? 1 : 0);
+const place = () => `calibrations/${draft.value.id}`;
+const change = (method, path, body = {}) =>
+  attempt(async () => {
+    draft.value = await ask(method, `${place()}${path}`, body);
+    return true;
+  });
+
+// The newest that is not in use yet: what somebody began goes on, here or on another screen.
+async function find() {
+  const { calibrations } = await ask("GET", "calibrations");
+  const begun = calibrations.find(({ active }) => !active);
+  draft.value = begun ? await ask("GET", `calibrations/${begun.id}`) : null;
+}
+
+// --- which board ---
+
+const KINDS = ["chessboard", "charuco", "dots", "circles"];
+function Board() {
+  const [isStated, setStated] = useState(false);
+  const [mm, setMm] = useState(null);
+  const [goal, setGoal] = useState(GOAL_UM);
+  const [kind, setKind] = useState(KINDS[0]);
+  const [size, setSize] = useState({ columns: 11, rows: 8, marker: 3, dictionary: "5X5_250" });
+  const spec = () => [kind, `${size.columns}x${size.rows}`, mm, ...(kind === "charuco" ? [size.marker, size.dictionary] : [])].join(":");
+  const begin = () =>
+    attempt(async () => {
+      draft.value = await ask("POST", "calibrations", { ...(isStated ? { boards: [spec()] } : { recognise: true, mm }), goal_um: goal });
+    });
+  const count = (name) => html`<${NumberField} label=${t(`board-${name}`)} unit="" digits=${0} low=${3} high=${99} value=${size[name]} onValue=${(value) => setSize({ ...size, [name]: Math.round(value) })} />`;
+  return html`<section aria-labelledby="board">
+    <h2 id="board">${t("board-title")}</h2>
+    <div class="choices" role="radiogroup" aria-label=${t("board-title")}>
+      ${[false, true].map((stated) => html`<label class="choice"><input type="radio" name="board" checked=${isStated === stated} onChange=${() => setStated(stated)} /> ${t(stated ? "board-state" : "board-recognise")}</label>`)}
+    </div>
+    ${isStated &&
+    html`<div class="row">
+      <label class="field"><span>${t("board-kind")}</span><select value=${kind} onChange=${(event) => setKind(event.currentTarget.value)}>${KINDS.map((one) => html`<option value=${one} selected=${one === kind}>${t(`kind-${one}`)}</option>`)}</select></label>
+      ${count("columns")} ${count("rows")}
+      ${kind === "charuco" && html`<${NumberField} label=${t("board-marker")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${size.marker} onValue=${(marker) => setSize({ ...size, marker })} />
+        <label class="field"><span>${t("board-dictionary")}</span><input value=${size.dictionary} onInput=${(event) => setSize({ ...size, dictionary: event.currentTarget.value.trim() })} /></label>`}
+    </div>`}
+    <div class="row">
+      <${NumberField} label=${t(kind === "dots" || kind === "circles" ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${mm} onValue=${setMm} name="mm" />
+      <${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal} onValue=${setGoal} name="goal" />
+    </div>
+    <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>
+    <div class="actions"><button type="button" class="primary" disabled=${mm === null} onClick=${begin}>${t("board-begin")}</button></div>
+  </section>`;
+}
+
+// --- view by view ---
+
+const why = (code) => (has(`why-${String(code).replaceAll("_", "-")}`) ? t(`why-${String(code).replaceAll("_", "-")}`) : String(code));
+
+// The suggested board dashed, the seen one solid; both have a letter, so that no colour is needed.
+function boards(side) {
+  const seen = draft.value.shown?.[side];
+  const ghost = draft.value.suggestion?.[side];
+  const label = (polygon, key) => html`<text x=${polygon[0][0]} y=${polygon[0][1] - 12}>${t(key)}</text>`;
+  return html`${ghost && html`<g class="ghost"><polygon points=${points(ghost)} style=${{ fillOpacity: 0.1 + 0.5 * (draft.value.in_ghost ?? 0) }} />${label(ghost, "ghost-here")}</g>`}
+  ${seen?.polygon && html`<g class="seen ${seen.clipped ? "clipped" : ""}"><polygon points=${points(seen.polygon)} />${seen.polygon.map(([x, y]) => html`<circle cx=${x} cy=${y} r="7" />`)}</g>`}`;
+}
+
+function Seen({ side }) {
+  const seen = draft.value.shown?.[side];
+  if (!seen) return null;
+  const shape = seen.clipped ? "doubt" : seen.polygon ? "tick" : "gap";
+  return html`<p class="verdict small"><${Shape} is=${shape} /> ${seen.clipped ? t("seen-clipped") : seen.polygon ? t("seen-whole") : why(seen.missing)}</p>`;
+}
+
+let audio = null;
+function beep() {
+  audio ??= new AudioContext();
+  const [tone, gain] = [audio.createOscillator(), audio.createGain()];
+  tone.frequency.value = 880;
+  gain.gain.setValueAtTime(0.3, audio.currentTime);
+  gain.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + 0.25);
+  tone.connect(gain).connect(audio.destination);
+  tone.start();
+  tone.stop(audio.currentTime + 0.25);
+}
+
+const SOUND = "edged.sound";
+function Figure() {
+  const { sigma_um, suggestion, goal_um, more_views, views } = draft.value;
+  const used = views.filter((view) => view.used).length;
+  const now = worst(sigma_um);
+  const then = worst(suggestion?.sigma_um);
+  if (now === null) return html`<p class="big figure">${t("sigma-unknown", { used })}</p>`;
+  const isReached = now <= goal_um;
+  return html`<p class="big figure" role="status">
+    ${t("sigma-now", { now: micrometres(now) })}${then !== null && html`, ${t("sigma-then", { then: micrometres(then) })}`}, ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}:${" "}
+    <strong>${isReached ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}</strong>
+  </p>`;
+}
+
+function Capture() {
+  const { views, still, in_ghost, auto, suggestion } = draft.value;
+  const [hasSound, setSound] = useState(localStorage.getItem(SOUND) === "on");
+  const [isFlashing, setFlashing] = useState(false);
+  const count = useRef(views.length);
+  useEffect(() => {
+    if (views.length > count.current) {
+      const { used, why: code, name } = views[views.length - 1];
+      say(used ? t("view-taken", { name: short(name) }) : t("view-refused", { name: short(name), why: why(code) }));
+      setFlashing(true);
+      setTimeout(() => setFlashing(false), 300);
+      if (hasSound) beep();
+    }
+    count.current = views.length;
+  }, [views.length]);
+  const mute = () => {
+    localStorage.setItem(SOUND, hasSound ? "off" : "on");
+    if (!hasSound) beep(); // lets the browser play later ones, and says what they are like
+    setSound(!hasSound);
+  };
+  const share = Math.round(100 * (in_ghost ?? 0));
+  return html`<div class="capture">
+    ${isFlashing && html`<div class="flash" aria-hidden="true"></div>`}
+    ${suggestion &&
+    html`<label class="meter"><span>${t("ghost-share", { percent: number(share) })}</span><progress max="100" value=${share}></progress></label>
+      ${suggestion.text_code && html`<p class="hint">${why(suggestion.text_code)}</p>`}`}
+    <p class="verdict small"><${Shape} is=${still ? "tick" : "none"} /> ${t(still ? "board-still" : "board-moves")}</p>
+    <div class="actions">
+      <button type="button" class=${auto ? "" : "primary"} aria-pressed=${Boolean(auto)} disabled=${!holds.value} onClick=${() => change("PUT", "/auto", { token: token.value, on: !auto })}>${t(auto ? "auto-stop" : "auto-start")}</button>
+      <button type="button" disabled=${!holds.value} onClick=${() => change("POST", "/views", { token: token.value })}>${t("view-take")}</button>
+      <button type="button" aria-pressed=${hasSound} onClick=${mute}>${t(hasSound ? "sound-on" : "sound-off")}</button>
+    </div>
+  </div>`;
+}
+
+// --- solution and release ---
+
+function Progress({ id, onDone }) {
+  const state = task.value?.id === id ? task.value : null;
+  useEffect(() => {
+    // pushed as well; asked for where a message was missed
+    const timer = setInterval(async () => {
+      const told = await attempt(() => ask("GET", `tasks/${id}`));
+      if (told) task.value = told;
+    }, 2000);
+    return () => clearInterval(timer);
+  }, [id]);
+  useEffect(() => {
+    if (state && state.state !== "running") onDone(state);
+  }, [state?.state]);
+  return html`<div class="task">
+    <label class="meter"><span>${t("solve-running")} ${state?.text && html`<span class="muted" translate=${false}>${state.text}</span>`}</span><progress max="1" value=${state?.done ?? undefined}></progress></label>
+    <div class="actions"><button type="button" onClick=${() => attempt(() => ask("DELETE", `tasks/${id}`))}>${t("solve-cancel")}</button></div>
+  </div>`;
+}
+
+function Solve() {
+  const { views, task: running, solved } = draft.value;
+  const [ended, setEnded] = useState(null);
+  const used = views.filter((view) => view.used).length;
+  const solve = () =>
+    attempt(async () => {
+      setEnded(null);
+      const { task: id } = await ask("POST", `${place()}/solve`, {});
+      draft.value = { ...draft.value, task: id, solved: null };
+    });
+  const done = async (state) => {
+    setEnded(state);
+    await attempt(async () => {
+      draft.value = await ask("GET", place());
+    });
+    say(t(`solve-${state.state}`));
+  };
+  return html`<section aria-labelledby="solve">
+    <h2 id="solve">${t("solve-title")}</h2>
+    ${running
+      ? html`<${Progress} id=${running} onDone=${done} />`
+      : html`<p>${t("solve-what", { used })}</p>
+          <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < 3} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
+    ${ended?.state === "failed" && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("solve-failed")} <span translate=${false}>${ended.problem?.detail ?? ended.problem ?? ""}</span></p>`}
+    ${ended?.state === "cancelled" && html`<p>${t("solve-cancelled")}</p>`}
+    ${solved && !running && html`<${Solved} ...${solved} />`}
+  </section>`;
+}
+
+function Solved({ rms_px, heldout_px, sigma_um, moved_um }) {
+  const [isAsked, setAsked] = useState(false);
+  const [note, setNote] = useState("");
+  const [release, setRelease] = useState(null);
+  const activate = () =>
+    attempt(async () => {
+      setRelease(await ask("POST", `${place()}/activate`, { ...(token.value ? { token: token.value } : {}), note }));
+      setAsked(false);
+      await look();
+    });
+  return html`<dl class="facts">
+      <dt>${t("solved-rms")}</dt><dd>${number(rms_px, 3)} px</dd>
+      <dt>${t("solved-heldout")}</dt><dd>${number(heldout_px, 3)} px</dd>
+      <dt>${t("solved-sigma")}</dt><dd>± ${micrometres(worst(sigma_um))} µm</dd>
+      ${moved_um !== null && moved_um !== undefined && html`<dt>${t("solved-moved")}</dt><dd>${micrometres(moved_um)} µm</dd>`}
+    </dl>
+    <div class="actions">
+      <a class="button" href="/api/v1/${place()}/report" target="_blank" rel="noopener">${t("solved-report")}</a>
+      <button type="button" class="primary" onClick=${() => setAsked(true)}>${t("activate")}</button>
+    </div>
+    ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("activated", { number: release.number })}</p>`}
+    <${Dialog} title=${t("activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
+      <p>${t("activate-what")}</p>
+      <label class="field"><span>${t("activate-note")}</span><input value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
+      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${activate}>${t("activate")}</button></div>
+    <//>`;
+}
+
+export function Calibrate() {
+  useEffect(() => {
+    if (!draft.value) attempt(find);
+  }, []);
+  if (!draft.value) return html`<h1>${t("calibrate-title")}</h1><p class="lead">${t("calibrate-what")}</p><${Pair} /><${Board} />`;
+  const { boards: specs } = draft.value;
+  return html`<h1>${t("calibrate-title")}</h1>
+    <p class="lead">${specs.length ? html`${t("calibrate-board")} <span translate=${false}>${specs.join(", ")}</span>` : t("calibrate-looking")}</p>
+    <${Figure} />
+    <${Pair} over=${boards} below=${(side) => html`<${Seen} side=${side} />`} />
+    <${Capture} />
+    <${Filmstrip} change=${change} why=${why} />
+    <${Solve} />`;
+}

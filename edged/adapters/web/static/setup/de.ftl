@@ -1,0 +1,290 @@
+# Texte der Seiten, die eine Zelle einrichten. Zahlen kommen mit ihrer Einheit von der Seite.
+
+## Um jede Seite
+skip = Zum Inhalt
+nav = Seiten
+nav-run = Betrieb
+nav-setup = Einrichten
+nav-manual = Handbuch
+language = Sprache
+log-out = Abmelden
+steps = Der Weg zum gegriffenen Teil
+step-of = Schritt { $number } von { $count }:
+understood = Verstanden
+back = Zurück
+left = Links
+right = Rechts
+state-starting = STARTET
+state-ready = BEREIT
+state-busy = MISST
+state-fault = FEHLER
+state-setup-by = EINRICHTEN durch { $name }
+state-setup-nobody = EINRICHTEN
+plc-locked = AUTO_LOCK: die Anlage läuft mit dieser Zelle
+plc-owner = SPS
+plc-nobody = keine SPS verbunden
+connection-lost = Keine Verbindung zur Zelle: neuer Versuch läuft
+
+## Schritte
+step-welcome = Willkommen
+step-cameras = Kameras
+step-light = Licht und Schärfe
+step-calibrate = Kalibrieren
+step-check = Prüfen
+step-teach = Einlernen
+step-try = Probieren
+step-robot = Roboter
+step-plc = SPS und Start
+state-tick = erledigt
+state-doubt = nochmals ansehen
+state-gap = fehlt
+state-none = hier nicht bekannt
+
+## Wer die Zelle hat
+lease = Wer die Zelle hat
+lease-free = Die Zelle misst für die Anlage. Um ihre Kameras zu benutzen, übernehmen Sie sie: dann antwortet sie keiner SPS, bis Sie sie zurückgeben.
+lease-incomplete = Die Zelle kann noch nicht messen. Übernehmen Sie sie, um sie einzurichten.
+lease-locked = Die Anlage läuft mit dieser Zelle (AUTO_LOCK ist 1), deshalb kann niemand sie übernehmen. Schalten Sie die Anlage zuerst auf Handbetrieb.
+lease-yours = Sie haben die Zelle. Sie misst nichts für die Anlage, bis Sie sie zurückgeben.
+lease-elsewhere = Sie haben die Zelle, an einem anderen Bildschirm. Machen Sie hier weiter, dann sieht jener nur zu.
+lease-others = { $name } hat die Zelle. Sie sehen dieselben Bilder und Zahlen, live.
+lease-others-view = { $name } hat die Zelle. Sie sehen dieselben Bilder und Zahlen, live; zum Ändern braucht es die Rolle „engineer“.
+lease-view = Sie dürfen alles ansehen. Zum Ändern braucht es die Rolle „engineer“.
+lease-unattended = Niemand kümmert sich um die Zelle. Sie misst nicht, bis jemand nachgesehen hat, dass niemand darin steht.
+lease-take = Zelle übernehmen
+lease-take-over = Übernehmen
+lease-continue = Hier weitermachen
+lease-leave = Zurückgeben
+lease-end = Einrichten beenden
+ask-take-title = Zelle übernehmen?
+ask-take = Die Zelle beendet den laufenden Zyklus, dann fällt READY: jeder Befehl der SPS wird abgelehnt, bis Sie sie zurückgeben.
+ask-take-yes = Übernehmen
+ask-over-title = Von { $name } übernehmen?
+ask-over = { $name } erfährt es und kann danach nur noch zusehen. Es wird im Protokoll vermerkt.
+ask-over-yes = Übernehmen
+ask-leave-title = Zelle zurückgeben?
+ask-leave = Es gelten wieder die aktiven Einstellungen, ein Probepaar wird aufgenommen, dann ist die Zelle BEREIT. Niemand darf in der Zelle stehen, und keine Tafel darf darin liegen.
+ask-leave-yes = Zurückgeben
+ask-end-title = Ist niemand in der Zelle?
+ask-end = Das darf nur sagen, wer nachgesehen hat: danach wird die Zelle BEREIT, und die Anlage kann anlaufen.
+ask-end-yes = Ich habe nachgesehen: niemand ist darin
+
+## Was nicht ging: Ursache und Abhilfe
+problem-other = Das ging nicht: { $detail }
+problem-unreachable = Die Zelle antwortet nicht. Prüfen Sie Netzwerkkabel und Zellen-PC; die Seite versucht es von selbst wieder.
+problem-log-in = Sie sind nicht mehr angemeldet. Melden Sie sich neu an.
+problem-origin = Der Browser hat nicht gesagt, dass diese Seite fragt. Öffnen Sie die Seite unter ihrer eigenen Adresse.
+problem-setup-refused = Das geht gerade nicht: { $detail }
+problem-lease-lost = Sie haben die Zelle nicht mehr: { $detail }
+problem-lease = Sie haben die Zelle nicht mehr: { $detail }
+problem-role = Ihre Rolle erlaubt das nicht. Jemand mit der Rolle „engineer“ kann es.
+problem-gone = Dieses Bild ist nicht mehr da. Nehmen Sie ein neues auf.
+problem-status-404 = Diese Zelle bietet das nicht an. Bringen Sie edged auf dem Zellen-PC auf den neuen Stand und laden Sie die Seite neu.
+problem-status-429 = Zu viele Versuche. Warten Sie eine halbe Minute.
+problem-status-500 = Die Zelle hat selbst einen Fehler gemacht: sehen Sie in ihr Protokoll (journalctl -u edged).
+
+## Willkommen
+welcome-title = { $cell }: einrichten
+welcome-new = Neun Schritte von ausgepackten Kameras zum gegriffenen Teil. Ein Haken kommt von dem, was die Zelle hat, nicht von dem, was geklickt wurde.
+welcome-complete = Die Zelle hat alles, was sie zum Messen braucht. Jeder Schritt lässt sich ansehen und wiederholen.
+welcome-done = Hier fehlt nichts.
+welcome-facts = Was die Zelle hat
+welcome-later = Mit Befehlen
+welcome-later-why = Diese Schritte gibt es noch nicht im Browser. Das Handbuch nennt die Befehle.
+next-cameras = Weiter: die Kameras
+next-light = Weiter: Licht und Schärfe
+next-calibrate = Weiter: kalibrieren
+fact-cameras = Kameras
+fact-cameras-found =
+    { $count ->
+        [0] keine gefunden
+        [one] eine gefunden
+       *[other] { $count } gefunden
+    }{ $troubled ->
+        [0] { "" }
+        [one] , eine mit einem Problem
+       *[other] , { $troubled } mit einem Problem
+    }
+fact-unknown = noch nicht nachgesehen
+fact-rig = Kalibrierung
+fact-no-rig = noch keine
+fact-jobs = Aufträge
+fact-no-jobs = noch keine
+fact-plc = SPS
+fact-plc-owner = schreibt von
+fact-no-plc = noch hat keine geschrieben
+fact-error = Fehler
+manual-cameras = so richtet man Kameras ein
+manual-light = so richtet man Kameras ein
+manual-calibrate = so kalibriert man
+manual-check = so prüft man
+manual-teach = so lernt man ein
+manual-try = so läuft der Betrieb
+manual-robot = so misst man den Roboter ein
+manual-plc = so verbindet man eine SPS
+
+## Live-Bilder
+live-left = Linke Kamera, live
+live-right = Rechte Kamera, live
+live-waiting = Das erste Bild kommt gleich.
+live-watching = Ein Bild kommt, sobald auf die Kameras sieht, wer die Zelle hat.
+live-take = Kein Bild: übernehmen Sie die Zelle, um ihre Kameras zu sehen.
+
+## Kameras
+cameras-title = Kameras
+cameras-what = Beide Kameras müssen da sein, ohne Problem, und jede auf ihrer Seite, von den Kameras zum Teil gesehen.
+cameras-found = Gefunden
+cameras-none = Keine Kamera antwortet. Prüfen Sie Strom und Netzwerkkabel; auch eine Kamera in einem anderen Subnetz wird gezeigt, und was zu ändern ist.
+cameras-again = Neu suchen
+is-left = linke Kamera
+is-right = rechte Kamera
+is-neither = von dieser Zelle nicht benutzt
+trouble-in-use = von einem anderen Programm belegt
+trouble-wrong-subnet = ihre Adresse gehört zu einem anderen Subnetz als die Netzwerkkarte
+trouble-no-address = sie hat noch keine eigene Adresse
+wave-title = Welche ist die linke?
+wave-what = Winken Sie nur vor der linken Kamera. Was sich in einem Bild allein bewegt, sagt, welche Kamera es ist.
+wave-start = Auf eine Hand warten
+wave-again = Noch einmal warten
+wave-stop = Nicht mehr warten
+wave-now = Winken Sie jetzt vor der linken Kamera.
+wave-left = Das linke Bild hat sich bewegt: die Kameras sind auf ihren Seiten.
+wave-right = Das rechte Bild hat sich bewegt: links und rechts sind vertauscht.
+wave-swap = Links und rechts tauschen
+wave-swapped = Getauscht. Winken Sie zur Sicherheit noch einmal.
+test-title = Probepaar
+test-what = Eine Belichtung beider Kameras. Wie weit sie auseinanderliegen, bestimmt, wie schnell sich ein Teil bewegen darf.
+test-take = Probepaar aufnehmen
+test-left = Probebild der linken Kamera
+test-right = Probebild der rechten Kamera
+test-skew = { $skew } ms zwischen den beiden Belichtungen.
+test-together = Nahe genug für ein Teil, das sich bewegt.
+test-apart = Zu weit auseinander für ein Teil, das sich bewegt: prüfen Sie den Trigger.
+
+## Licht und Schärfe
+light-title = Licht und Schärfe
+light-what = Kanten scharf, nichts übersteuert: zuerst das Licht, dann die Ringe der Objektive, und sehen Sie dabei, was es kostet.
+light-no-settings = Hier lässt sich nichts einstellen: die Kamera nennt keine Grenzen oder ist nicht da.
+light-no-figures = Zahlen kommen mit den Live-Bildern.
+settings-left = Einstellungen der linken Kamera
+settings-right = Einstellungen der rechten Kamera
+setting-exposure-us = Belichtung
+setting-gain-db = Verstärkung
+field-limits = Eine Zahl von { $low } bis { $high } { $unit }
+field-number = Eine Zahl, als 0,5 oder 0.5
+light-clipped = { $share } % übersteuert.
+light-clipped-remedy = Weniger Belichtung oder weniger Licht: dort lässt sich nichts messen.
+light-dark = { $share } % zu dunkel.
+light-noise = Rauschen { $grey } Grauwerte.
+legend-clipped = übersteuert
+legend-dark = zu dunkel
+light-copy = Rechte Kamera genauso einstellen
+focus-title = Breite der Kanten
+place-near = nah
+place-middle = Mitte
+place-far = fern
+spread-now = { $now } px
+spread-none = keine Kante
+spread-best = bestes { $best } px
+focus-cost =
+    { $percent ->
+        [0] Das kostet nichts an Sigma Z.
+       *[other] Das kostet +{ $percent } % an Sigma Z.
+    }
+focus-reset = Bestes vergessen
+
+## Kalibrieren
+calibrate-title = Kalibrieren
+calibrate-what = Halten Sie eine Kalibriertafel vor beide Kameras, an verschiedenen Orten und verschieden geneigt. edged sagt, welche Ansicht am meisten hilft, und wann es genug ist.
+calibrate-board = Tafel:
+calibrate-looking = Halten Sie die Tafel vor beide Kameras: sie wird erkannt.
+board-title = Welche Tafel?
+board-recognise = In den Bildern erkennen
+board-state = Ich gebe sie an
+board-kind = Art
+kind-chessboard = Schachbrett
+kind-charuco = ChArUco
+kind-dots = Punktplatte
+kind-circles = versetzte Kreise
+board-columns = Innere Ecken (oder Marken) je Zeile
+board-rows = Zeilen davon
+board-marker = Kante eines Markers
+board-dictionary = Wörterbuch der Marker
+board-mm = Kante eines Feldes
+board-pitch = Von Marke zu Marke
+board-goal = Ziel: ein Punkt im Messraum auf ±
+board-proof = Messen Sie die Länge mit dem Messschieber über viele Felder. Nichts in den Bildern kann sie beweisen, und jede Koordinate hängt daran.
+board-begin = Beginnen
+sigma-unknown =
+    { $used ->
+        [0] Zeigen Sie beiden Kameras die Tafel.
+        [one] Eine Ansicht. Die erste Zahl kommt mit dreien.
+       *[other] { $used } Ansichten. Die erste Zahl kommt bald.
+    }
+sigma-now = ein Punkt hier: jetzt ±{ $now } µm
+sigma-then = ±{ $then } mit dieser Ansicht
+sigma-goal = Ziel ±{ $goal }
+sigma-reached = erreicht
+sigma-on = weiter
+sigma-more =
+    { $count ->
+        [one] noch etwa eine
+       *[other] noch etwa { $count }
+    }
+ghost-here = hier
+ghost-share = { $percent } % am gestrichelten Ort
+seen-whole = Die ganze Tafel ist zu sehen.
+seen-clipped = Teile der Tafel sind übersteuert: weniger Licht.
+board-still = Die Tafel ist ruhig.
+board-moves = Halten Sie die Tafel einen Augenblick ruhig.
+auto-start = Ansichten von selbst aufnehmen
+auto-stop = Nicht mehr von selbst
+view-take = Diese Ansicht jetzt
+sound-on = Ton ist an
+sound-off = Ton ist aus
+why-no-board = Keine Tafel zu sehen.
+why-cut = Die Tafel ist vom Bildrand abgeschnitten.
+why-moved = Die Tafel hat sich zwischen den Belichtungen bewegt.
+why-blurred = Die Tafel ist unscharf.
+why-clipped = Die Tafel ist übersteuert.
+why-outlier = Sie widerspricht den anderen Ansichten.
+why-removed = Von Hand weggelassen.
+why-duplicate = Fast gleich wie eine andere Ansicht.
+views-title =
+    { $count ->
+        [one] Eine Ansicht
+       *[other] { $count } Ansichten
+    }
+view = Ansicht { $name }
+view-rms = rms { $rms } px
+view-heldout = zurückgehalten { $heldout } px
+view-remove = Weglassen
+view-remove-name = Ansicht { $name } weglassen
+view-taken = Ansicht { $name } aufgenommen.
+view-refused = Ansicht { $name } ist nicht brauchbar: { $why }
+view-removed = Ansicht { $name } ist weggelassen.
+undo = Rückgängig
+undone = Rückgängig gemacht.
+solve-title = Lösen
+solve-what =
+    { $used ->
+        [one] Eine Ansicht wird benutzt.
+       *[other] { $used } Ansichten werden benutzt.
+    } Jede wird auch einmal zurückgehalten und aus den anderen vorhergesagt.
+solve-start = Lösen
+solve-again = Nochmals lösen
+solve-running = Wird gelöst
+solve-cancel = Abbrechen
+solve-done = Gelöst.
+solve-failed = Es ließ sich nicht lösen:
+solve-cancelled = Abgebrochen. Alle Ansichten sind noch da.
+solved-rms = Restfehler, rms
+solved-heldout = Zurückgehalten, rms
+solved-sigma = Ein Punkt im Messraum
+solved-moved = Punkte verschoben gegen die Kalibrierung davor um
+solved-report = Bericht (neues Fenster)
+activate = Diese Kalibrierung benutzen
+activate-title = Diese Kalibrierung benutzen?
+activate-what = Sie wird eine eigene Freigabe. Was auch schiefgeht, die alte bleibt; zurück geht es mit einem Schritt in der Liste der Freigaben.
+activate-note = Warum (für alle, die es später ansehen)
+activated = In Gebrauch, als Freigabe { $number }.

@@ -1,0 +1,168 @@
+// What the cell is and does now: facts and pictures over one WebSocket, and the lease of whoever sets it up.
+import { batch, computed, effect, signal } from "../vendor/ui.js";
+import { ask, attempt, Problem, trouble } from "./api.js";
+
+const KEPT = "edged.lease";
+const LEASE_MS = 5000;
+const LOGGED_OUT = 4401;
+const AGAIN_MS = [250, 500, 1000, 2000, 4000];
+export const SIDES = ["left", "right"];
+
+export const me = signal(null);
+export const cell = signal(null);
+export const cameras = signal(null);
+export const quality = signal(null);
+export const draft = signal(null);
+export const task = signal(null);
+export const isConnected = signal(false);
+export const pictures = { left: signal(null), right: signal(null) };
+export const liveState = signal({});
+export const token = signal(localStorage.getItem(KEPT) ?? "");
+export const isLiveWanted = signal(false);
+
+// Whether this cell has a route: a page without its routes is not entered.
+let offered = new Set();
+export const offers = (path) => offered.has(`/api/v1/${path}`);
+
+export const holds = computed(() => Boolean(token.value && cell.value?.setup?.yours));
+export const mayTake = computed(() => me.value?.role === "engineer");
+
+// --- the lease ---
+
+function keep(value) {
+  if (value) localStorage.setItem(KEPT, value);
+  else localStorage.removeItem(KEPT);
+  token.value = value;
+}
+
+// The server knows the names of its users; who has none is called by the role.
+const named = () => (me.value.name ? {} : { name: me.value.role });
+
+export const take = (isTakenOver) =>
+  attempt(async () => {
+    const { token: given } = await ask("POST", "setup", { ...named(), ...(isTakenOver ? { take_over: true } : {}) });
+    keep(given);
+    await look();
+  });
+
+export const leave = () =>
+  attempt(async () => {
+    const held = token.value;
+    keep("");
+    await ask("DELETE", "setup", { token: held });
+    await look();
+  });
+
+// Somebody at the cell has seen that nobody stands in it.
+export const end = () =>
+  attempt(async () => {
+    await ask("DELETE", "setup", { name: me.value.name || me.value.role });
+    await look();
+  });
+
+async function renew() {
+  if (!token.value) return;
+  try {
+    await ask("PUT", "setup/lease", { token: token.value });
+  } catch (problem) {
+    if (!(problem instanceof Problem)) throw problem;
+    if (problem.status !== 409 && problem.status !== 403) return; // not reached: the cell waits for a minute
+    keep("");
+    trouble.value = new Problem({ code: "lease_lost", detail: problem.detail });
+  }
+}
+
+// --- facts ---
+
+export async function look() {
+  cell.value = await ask("GET", "cell");
+}
+
+export const lookAtCameras = () =>
+  attempt(async () => {
+    cameras.value = await ask("GET", "cameras");
+  });
+
+// --- the socket ---
+
+let socket = null;
+let failures = 0;
+const waiting = new Map();
+
+function open() {
+  const opened = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/ws`);
+  opened.binaryType = "arraybuffer";
+  opened.onopen = () => {
+    failures = 0;
+    batch(() => {
+      isConnected.value = true;
+      socket = opened;
+    });
+    tellLive();
+  };
+  opened.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : see(data));
+  opened.onclose = ({ code }) => {
+    if (code === LOGGED_OUT) location.assign("/login?to=setup");
+    isConnected.value = false;
+    socket = null;
+    waiting.clear();
+    setTimeout(open, AGAIN_MS[Math.min(failures++, AGAIN_MS.length - 1)]);
+  };
+}
+
+function hear({ type, ...told }) {
+  if (type === "cell") cell.value = told;
+  else if (type === "draft") draft.value = told;
+  else if (type === "task") task.value = told;
+  else if (type === "quality") quality.value = told;
+  else if (type === "live") {
+    const { width, height } = liveState.value;
+    liveState.value = { width, height, ...told };
+    // it ends when nobody has looked for a while: a tablet that slept looks again
+    if (told.code === "unseen" && document.visibilityState === "visible") tellLive();
+  }
+}
+
+// Of a whole image of a camera, whatever the size of the picture that is shown.
+export function rawSize(side) {
+  const { width, height } = liveState.value.width ? liveState.value : (pictures[side].value ?? { width: 4, height: 3 });
+  return { width, height };
+}
+
+// A number's picture of both sides, and only then the next: a slow tablet gets fewer, never late ones.
+async function see(data) {
+  const view = new DataView(data);
+  const side = SIDES[view.getUint8(0)];
+  const count = view.getBigUint64(1);
+  const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 9)], { type: "image/jpeg" }));
+  const pair = waiting.get(count) ?? {};
+  pair[side] = bitmap;
+  waiting.set(count, pair);
+  if (!pair.left || !pair.right) return;
+  for (const older of [...waiting.keys()]) if (older <= count) waiting.delete(older);
+  const before = SIDES.map((one) => pictures[one].value);
+  batch(() => {
+    for (const one of SIDES) pictures[one].value = pair[one];
+  });
+  for (const old of before) old?.close();
+  requestAnimationFrame(() => say({ seen: Number(count) }));
+}
+
+const say = (message) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+const tellLive = () => say(isLiveWanted.value && holds.value ? { live: true, token: token.value } : { live: false });
+
+export async function start() {
+  me.value = await ask("GET", "me");
+  offered = new Set(Object.keys((await ask("GET", "openapi.json")).paths));
+  await look();
+  if (token.value) await renew();
+  open();
+  if (offers("cameras")) ask("GET", "cameras").then((found) => (cameras.value = found), () => {}); // its page says what went wrong
+  setInterval(renew, LEASE_MS);
+  addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());
+  effect(() => {
+    void isLiveWanted.value;
+    void holds.value;
+    tellLive();
+  });
+}

@@ -1,0 +1,124 @@
+// What stands around every page: whose cell it is, what state it is in, where one is, and what went wrong.
+import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
+import { sentence, trouble } from "./api.js";
+import { cell, end, holds, isConnected, leave, mayTake, me, take } from "./live.js";
+import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
+import { isBuilt, State, STEPS } from "./steps.js";
+import { choose, language, LANGUAGES, t } from "./texts.js";
+
+const here = signal("");
+const follow = () => {
+  here.value = location.hash.replace(/^#\//, "");
+};
+
+const STATES = { READY: ["good", "tick"], BUSY: ["idle", "busy"], SETUP: ["warn", "hand"], FAULT: ["bad", "gap"] };
+function StateChip() {
+  const { state, setup } = cell.value;
+  const [kind, shape] = STATES[state] ?? ["idle", "none"];
+  const text = state === "SETUP" ? (setup?.name ? t("state-setup-by", { name: setup.name }) : t("state-setup-nobody")) : t(`state-${(state ?? "starting").toLowerCase()}`);
+  return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">${text}<//>`;
+}
+
+function PlcChip() {
+  const { owner, auto_lock } = cell.value.plc;
+  if (auto_lock) return html`<${Chip} kind="warn" shape="plant">${t("plc-locked")}<//>`;
+  return html`<${Chip} kind="plain" shape="plant">${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}<//>`;
+}
+
+function Head() {
+  return html`<header>
+    <p class="cell" translate=${false}>${cell.value.name}</p>
+    <${StateChip} />
+    <${PlcChip} />
+    ${!isConnected.value && html`<${Chip} kind="bad" shape="gap" role="alert">${t("connection-lost")}<//>`}
+    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current="true">${t("nav-setup")}</a><a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
+    <label class="language"><span class="unseen">${t("language")}</span>
+      <select onChange=${(event) => choose(event.currentTarget.value)}>${Object.entries(LANGUAGES).map(([tag, name]) => html`<option value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}>${name}</option>`)}</select></label>
+    <form method="post" action="/logout" class="user"><span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button></form>
+  </header>`;
+}
+
+function Steps() {
+  const menu = useRef(null);
+  const list = html`<ol class="steps">
+    ${STEPS.map((step, i) => {
+      const { id, state } = step;
+      const inside = html`<span class="count" aria-hidden="true">${i + 1}</span><span class="what">${t(`step-${id}`)}</span><${State} is=${state()} />`;
+      const shut = () => menu.current?.removeAttribute("open");
+      return html`<li key=${id}>${isBuilt(step) ? html`<a href="#/${id}" aria-current=${here.value === id ? "step" : undefined} onClick=${shut}>${inside}</a>` : html`<span class="closed">${inside}</span>`}</li>`;
+    })}
+  </ol>`;
+  const at = STEPS.findIndex(({ id }) => id === here.value);
+  return html`<nav class="path" aria-label=${t("steps")}>
+    <div class="wide">${list}</div>
+    <details ref=${menu}><summary>${t("step-of", { number: at + 1, count: STEPS.length })} ${t(`step-${here.value}`)}</summary>${list}</details>
+  </nav>`;
+}
+
+// Who has the cell, and what one can do about it.
+function Lease() {
+  const [isAsked, setAsked] = useState("");
+  const { setup, plc, state } = cell.value;
+  const person = setup?.source === "person" || setup?.name ? setup : null;
+  const close = () => setAsked("");
+  const act = (work) => async () => {
+    close();
+    await work();
+  };
+  let [text, buttons] = [t("lease-free"), null];
+  const button = (key, what, isPrimary) => html`<button type="button" class=${isPrimary ? "primary" : ""} onClick=${what}>${t(key)}</button>`;
+  if (plc.auto_lock && !holds.value) text = t("lease-locked");
+  else if (!mayTake.value) text = person?.name ? t("lease-others-view", { name: person.name }) : t("lease-view");
+  else if (holds.value) [text, buttons] = [t("lease-yours"), button("lease-leave", () => setAsked("leave"))];
+  else if (person?.yours) [text, buttons] = [t("lease-elsewhere"), button("lease-continue", act(() => take(true)), true)];
+  else if (person?.name) [text, buttons] = [t("lease-others", { name: person.name }), button("lease-take-over", () => setAsked("over"))];
+  else if (person) [text, buttons] = [t("lease-unattended"), html`${button("lease-take", act(() => take(true)), true)} ${button("lease-end", () => setAsked("end"))}`];
+  else if (state) [text, buttons] = [t(setup ? "lease-incomplete" : "lease-free"), button("lease-take", setup ? act(() => take(false)) : () => setAsked("take"), true)];
+  const question = (id, work) => html`<${Dialog} title=${t(`ask-${id}-title`, { name: person?.name ?? "" })} isOpen=${isAsked === id} onClose=${close}>
+    <p>${t(`ask-${id}`, { name: person?.name ?? "" })}</p>
+    <div class="actions"><button type="button" onClick=${close}>${t("back")}</button><button type="button" class="primary" onClick=${act(work)}>${t(`ask-${id}-yes`)}</button></div>
+  <//>`;
+  return html`<aside class="lease ${holds.value ? "mine" : ""}" aria-label=${t("lease")}>
+    <p><${Shape} is=${holds.value ? "hand" : "none"} /> ${text}</p>
+    <div class="actions">${buttons}</div>
+    ${question("take", () => take(false))} ${question("over", () => take(true))} ${question("leave", leave)} ${question("end", end)}
+  </aside>`;
+}
+
+function Trouble() {
+  if (!trouble.value) return null;
+  return html`<div class="trouble" role="alert">
+    <p><${Shape} is="doubt" /> ${sentence(trouble.value)}</p>
+    <button type="button" onClick=${() => (trouble.value = null)}>${t("understood")}</button>
+  </div>`;
+}
+
+export function Shell() {
+  const main = useRef(null);
+  useEffect(() => {
+    follow();
+    addEventListener("hashchange", follow);
+    return () => removeEventListener("hashchange", follow);
+  }, []);
+  const step = STEPS.find((one) => isBuilt(one) && one.id === here.value) ?? STEPS[0];
+  useEffect(() => {
+    if (step.id !== here.value) history.replaceState(null, "", `#/${step.id}`);
+    follow();
+    document.title = `${cell.value.name}: ${t(`step-${step.id}`)}`;
+  }, [step.id, language.value]);
+  const skip = (event) => {
+    event.preventDefault();
+    main.current.focus();
+  };
+  return html`<a class="skip" href="#main" onClick=${skip}>${t("skip")}</a>
+    <${Head} />
+    <div class="body">
+      <${Steps} />
+      <div class="column">
+        <${Lease} />
+        <${Trouble} />
+        <main id="main" ref=${main} tabindex="-1"><${step.page} key=${step.id} /></main>
+      </div>
+    </div>
+    <${Spoken} />`;
+}

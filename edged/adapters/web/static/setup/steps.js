@@ -1,0 +1,46 @@
+// The way from unboxed cameras to a picked part: nine steps, whose ticks come from facts and never from clicks.
+import { computed, html } from "../vendor/ui.js";
+import { Calibrate } from "./calibrate.js";
+import { Cameras } from "./cameras.js";
+import { Light } from "./light.js";
+import { cameras, cell, draft, isConnected, offers, quality, SIDES } from "./live.js";
+import { Shape } from "./pieces.js";
+import { t } from "./texts.js";
+import { Welcome } from "./welcome.js";
+
+const MOST_CLIPPED = 0.01;
+const MOST_FACTOR = 1.25;
+
+function ofCameras() {
+  if (!cameras.value) return "none";
+  const { configured, found } = cameras.value;
+  if (!SIDES.every((side) => configured?.[side])) return "gap";
+  return found.some(({ trouble, side }) => side && trouble) ? "doubt" : "tick";
+}
+
+function ofLight() {
+  if (!quality.value) return "none";
+  return SIDES.every((side) => quality.value[side].clipped_share <= MOST_CLIPPED && (quality.value[side].sigma_z_factor ?? 1) <= MOST_FACTOR) ? "tick" : "doubt";
+}
+
+function ofRig() {
+  if (cell.value.missing.includes("rig")) return "gap";
+  return draft.value && !draft.value.release ? "doubt" : "tick";
+}
+
+const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
+export const STEPS = [
+  { id: "welcome", page: Welcome, state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
+  { id: "cameras", page: Cameras, needs: "cameras", state: ofCameras },
+  { id: "light", page: Light, needs: "cameras", state: ofLight },
+  { id: "calibrate", page: Calibrate, needs: "calibrations", state: ofRig },
+  { id: "check", state: () => "none" },
+  { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
+  { id: "try", state: () => "none" },
+  { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
+  { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
+];
+export const isBuilt = ({ page, needs }) => page && (!needs || offers(needs));
+export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));
+
+export const State = ({ is }) => html`<span class="state ${is}"><${Shape} is=${is} /><span class="unseen">${t(`state-${is}`)}</span></span>`;

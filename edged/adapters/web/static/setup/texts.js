@@ -1,0 +1,66 @@
+// Words and numbers in the language of whoever looks. No text stands in the pages themselves: see the .ftl files.
+import { computed, FluentBundle, FluentResource, signal } from "../vendor/ui.js";
+
+export const LANGUAGES = { en: "English", de: "Deutsch" };
+const PSEUDO = new URLSearchParams(location.search).has("pseudo");
+const KEPT = "edged.language";
+const resources = new Map();
+export const language = signal("en");
+
+const bundle = computed(() => {
+  // no isolating marks: every text is one sentence in one language, and tests compare what is seen
+  const made = new FluentBundle(language.value, { useIsolating: false, transform: PSEUDO ? stretched : (text) => text });
+  // what another language lacks comes in English; the tests see to it that nothing does
+  for (const tag of new Set([language.value, "en"])) if (resources.has(tag)) made.addResource(resources.get(tag), { allowOverrides: false });
+  return made;
+});
+
+// Longer by two fifths and with accents: what is not stretched is written into a page, what does not fit shows.
+const ACCENTS = { a: "á", e: "é", i: "í", o: "ó", u: "ú", A: "Á", E: "É", I: "Í", O: "Ó", U: "Ú", n: "ñ", s: "š", c: "č" };
+function stretched(text) {
+  if (!text.trim()) return text;
+  const accented = [...text].map((letter) => ACCENTS[letter] ?? letter).join("");
+  return `⟦${accented}${"~".repeat(Math.round(text.trim().length * 0.4))}⟧`;
+}
+
+async function load(tag) {
+  if (resources.has(tag)) return;
+  const answer = await fetch(`/static/setup/${tag}.ftl`);
+  if (answer.ok) resources.set(tag, new FluentResource(await answer.text()));
+}
+
+export async function speak(tag) {
+  await Promise.all([load(tag), load("en")]);
+  language.value = tag;
+  document.documentElement.lang = tag;
+}
+
+export async function choose(tag) {
+  localStorage.setItem(KEPT, tag);
+  await speak(tag);
+}
+
+// What was chosen here, what the user's record says, what the browser would like.
+export const preferred = (users) => [localStorage.getItem(KEPT), users, ...navigator.languages.map((tag) => tag.split("-")[0])].find((tag) => tag in LANGUAGES) ?? "en";
+
+export const has = (id) => bundle.value.hasMessage(id);
+export function t(id, values) {
+  const message = bundle.value.getMessage(id);
+  if (!message?.value) return id;
+  return bundle.value.formatPattern(message.value, values, []);
+}
+
+const formats = computed(() => ({ tag: language.value, by: new Map() }));
+export function number(value, digits = 0) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const { tag, by } = formats.value;
+  if (!by.has(digits)) by.set(digits, new Intl.NumberFormat(tag, { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+  return by.get(digits).format(value);
+}
+export const sign = (value, digits) => `${value < 0 ? "−" : "+"}${number(Math.abs(value), digits)}`;
+
+// As people type it: 0,5 and 0.5 are the same; NaN for everything else, also for 1.000,5.
+export function parseNumber(text) {
+  const plain = text.trim().replace("−", "-").replace(",", ".");
+  return /^-?(\d+\.?\d*|\.\d+)$/.test(plain) ? Number(plain) : NaN;
+}

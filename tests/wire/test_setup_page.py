@@ -1,0 +1,161 @@
+"""Setting a cell up in a real browser: who has it, in which language, on a screen and on a phone."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import Awaitable, Callable
+
+import pytest
+from browser import Browser, browser
+from scriptedhead import Ear, until
+from webcell import PASSWORD, Cell, running
+
+from edged.domain.cell import CellPhase
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+
+STATE = 'document.querySelector("#state").textContent.trim()'
+LEASE = 'document.querySelector(".lease").textContent'
+DIALOG = 'document.querySelector("dialog[open]")'
+TOO_WIDE = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
+SMALL_TARGETS = """[...document.querySelectorAll("button, a, select, input, summary")]
+  .filter((e) => e.checkVisibility() && !e.matches(".skip"))
+  .map((e) => e.closest("label") ?? e)
+  .filter((e) => e.getBoundingClientRect().height < 47.5).map((e) => e.outerHTML.slice(0, 80))"""
+UNTRANSLATED = """(() => {
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [];
+  for (let node; (node = texts.nextNode()); ) {
+    const [text, isData] = [node.textContent, node.parentElement.closest("[translate=no], script, noscript")];
+    if (/\\p{L}{2}/u.test(text) && !text.includes("⟦") && !isData) found.push(text);
+  }
+  for (const e of document.querySelectorAll("[aria-label]"))
+    if (!e.getAttribute("aria-label").includes("⟦")) found.push(e.getAttribute("aria-label"));
+  return found; })()"""
+
+
+def on_the_page(
+    test: Callable[[Browser, Cell], Awaitable[None]],
+    width: int = 1280,
+    height: int = 900,
+    place: str = "/setup",
+) -> None:
+    """Run a test on the page of whoever logged in; nothing may fail unseen."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(60), running(Ear(), True) as cell, browser() as page:
+            await page.open(f"{cell.origin}/setup", width, height)
+            await page.until('document.querySelector("#password")')
+            await page.type("#password", PASSWORD)
+            await page.click("button")
+            await page.until('!document.querySelector("#password")')
+            page.complaints.clear()  # of the form: it has no field for a name
+            await page.open(f"{cell.origin}{place}", width, height)
+            await page.until('document.querySelector("main h1")')
+            await test(page, cell)
+            assert [] == page.complaints
+
+    asyncio.run(bounded())
+
+
+async def take(page: Browser) -> None:
+    """With the button, and its question answered."""
+    await page.click(".lease .primary")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await page.until('document.querySelector(".lease.mine")')
+
+
+def test_somebody_takes_the_cell_and_gives_it_back() -> None:
+    """The state stands in words; a reload and the back button keep cell and step; leaving is asked about."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.until(f'{STATE} === "READY"')
+        await take(page)
+        assert cell.ear.state() is CellPhase.SETUP
+        assert (await page.value(STATE)).startswith("SETUP by ")
+
+        await page.ask("Page.reload")
+        await page.until('document.querySelector(".lease.mine")')
+        assert "#/welcome" == await page.value("location.hash")
+
+        await page.click(".lease button")
+        await page.until(DIALOG)
+        assert cell.ear.state() is CellPhase.SETUP
+        await page.click("dialog[open] .primary")
+        await until(lambda: cell.ear.state() is CellPhase.READY)
+        await page.until(f'{STATE} === "READY"')
+
+    on_the_page(test)
+
+
+def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
+    """And can only look from then on, until they take it over again."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await take(page)
+        await cell.log_in()
+        status, _ = await cell.ask("POST", "/api/v1/setup", {"name": "Ben", "take_over": True})
+        assert 201 == status
+        await page.until(f'{LEASE}.includes("Ben has the cell")')
+        await page.until(f'{STATE} === "SETUP by Ben"')
+        await page.click(".lease button")
+        await page.until(DIALOG)
+        assert "Take over from Ben?" in await page.value(f"{DIALOG}.textContent")
+        await page.click("dialog[open] .primary")
+        await page.until('document.querySelector(".lease.mine")')
+
+    on_the_page(test)
+
+
+def test_the_page_speaks_as_it_is_told() -> None:
+    """The language is chosen at once and kept; numbers are written, and read, as people write them."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.value(
+            """(() => { const list = document.querySelector(".language select"); list.value = "de";
+            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
+        )
+        await page.until(f'{STATE} === "BEREIT"')
+        await page.ask("Page.reload")
+        await page.until(f'document.querySelector("#state") && {STATE} === "BEREIT"')
+        assert "de" == await page.value("document.documentElement.lang")
+        read = "import('/static/setup/texts.js').then((m) => [m.number(1234.5, 1), ...%s.map(m.parseNumber)])"
+        assert ["1.234,5", 0.5, 0.5, -3.0] == await page.value(read % "['0,5', ' .5', '-3']")
+        wrong = (
+            "import('/static/setup/texts.js').then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
+        )
+        assert [] == await page.value(wrong % "['1.000,5', '', '4 mm', '1e3', '.', '--1']")
+
+    on_the_page(test)
+
+
+def test_no_word_is_written_into_the_page() -> None:
+    """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits."""
+
+    async def test(page: Browser, _cell: Cell) -> None:
+        assert [] == await page.value(UNTRANSLATED)
+        await take(page)
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+
+    on_the_page(test, 360, 740, "/setup?pseudo")
+
+
+@pytest.mark.parametrize(("width", "height"), [(360, 740), (800, 480), (1920, 1080)])
+def test_everybody_can_use_the_shell(width: int, height: int) -> None:
+    """axe finds nothing; all fits the window, also with letters twice as large; fingers find every target."""
+
+    async def test(page: Browser, _cell: Cell) -> None:
+        await take(page)
+        assert [] == await page.violations()
+        assert 0 == await page.value(TOO_WIDE)
+        assert [] == await page.value(SMALL_TARGETS)
+        await page.value('document.documentElement.style.fontSize = "200%"')
+        assert 0 == await page.value(TOO_WIDE)
+
+    on_the_page(test, width, height)
