@@ -20,18 +20,21 @@ from edged.capture.tasks import cancel_and_await
 from edged.domain.arrays import Side
 from edged.domain.cell import CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import (
+    REGISTERING,
     Command,
     CommandFailed,
     CommandKind,
     ExposureDone,
     Idle,
     JobChanged,
+    Registered,
     Reloaded,
     Snapshot,
 )
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
+from edged.domain.registration import Obstacle
 from edged.drift import DriftMonitor
 from edged.errors import (
     BeingSetUp,
@@ -40,12 +43,14 @@ from edged.errors import (
     CameraUnreachable,
     CaptureError,
     CommandRefused,
+    EdgedError,
 )
 from edged.logs import cycle_number, fields
 from edged.loop.announcements import Announcements
 from edged.loop.loaded import NO_JOB, Locate, Setup
 from edged.loop.measurement import Measurement
 from edged.loop.queue import CommandQueue
+from edged.loop.registering import Registering, Registrar
 from edged.ports import Head, Publisher
 from edged.session.cameras import CameraChanges, SetupCameras
 from edged.session.desk import SetupDesk
@@ -65,6 +70,7 @@ class Cycle:
     """The measuring loop of one cell; also the `Commander` of its publishers, and the `Commissioner`.
 
     notebook : None: who has the cell is forgotten with this process.
+    registrar : None: no robot's program registers the rig.
     """
 
     def __init__(
@@ -74,6 +80,7 @@ class Cycle:
         utc_ns: Callable[[], int] = time.time_ns,
         *,
         notebook: Notebook | None = None,
+        registrar: Registrar | None = None,
     ) -> None:
         self._head = head
         self._setup = setup
@@ -90,6 +97,7 @@ class Cycle:
         self._rests_until_s = 0.0
         self._desk = SetupDesk(self._wake.set, taken=notebook is not None and notebook.is_taken())
         self._cameras = SetupCameras(self._is_still_asked)
+        self._registering = Registering(registrar)
         self._session = SetupSession(self._desk, self._cameras, notebook)
         self._in_setup = False
         self._vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
@@ -106,6 +114,8 @@ class Cycle:
             while not self.stopping.is_set():
                 if self._pending is not None:
                     await self._apply(*self._pending)
+                elif self._setup_source is SetupSource.ROBOT:
+                    await self._register_or_wait()
                 elif self._setup_source is not SetupSource.NONE:
                     await self._set_up()
                 elif self._in_setup:
@@ -125,7 +135,9 @@ class Cycle:
 
     @property
     def _setup_source(self) -> SetupSource:
-        return SetupSource.PERSON if self._desk.taken else self._setup.lacks
+        if self._desk.taken:
+            return SetupSource.PERSON
+        return SetupSource.ROBOT if self._registering.is_on else self._setup.lacks
 
     async def _check_cameras(self) -> None:
         """Open what is closed. When it fails the daemon runs on without, and tries again later."""
@@ -145,6 +157,7 @@ class Cycle:
         does what is to measure "the active job", when that is another part now.
         """
         self._pending = None
+        self._registering.end("the configuration was reloaded")
         if (setup.calibration_id, setup.drift) != (self._setup.calibration_id, self._setup.drift):
             self._drift = DriftMonitor(setup.drift)
         self._setup = setup
@@ -165,7 +178,8 @@ class Cycle:
     async def _set_up(self) -> None:
         """Do one thing for whoever has the cell, or wait a moment."""
         self._wake.clear()
-        if not self._in_setup:
+        if not self._in_setup or self._registering.is_on:
+            self._registering.end("a person has taken the cell")
             self._begin_setup()
         self._tell_state(CellPhase.SETUP)
         if await self._session.serve(self._head):
@@ -196,6 +210,68 @@ class Cycle:
         log.info("READY: SETUP has ended, job %d (%s)", self._active.number, self._active.name)
         self._tell_state(CellPhase.READY)
 
+    async def _register_or_wait(self) -> None:
+        """One command of a robot's registration, or wait a moment."""
+        self._wake.clear()
+        self._told.announce(Idle())
+        if self._commands:
+            await self._register(self._commands.take())
+        elif self._registering.is_silent:
+            self._registering.end("nobody went on with it")
+        else:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), IDLE_CHECK_S)
+
+    async def _register(self, command: Command) -> None:
+        registering, registrar = self._registering, self._registering.registrar
+        is_start = command.kind in (CommandKind.HAND_EYE_START, CommandKind.TOUCH_START)
+        if registrar is None or not (is_start or registering.is_on):
+            self._told.announce(registering.refused(command, Obstacle.NO_REGISTRATION))
+            return
+        if is_start:
+            told = registrar.begin(command)
+            registering.begun(told)
+            self._told.announce(told)
+            if not self._in_setup:
+                self._begin_setup()
+            return
+        adds = command.kind is CommandKind.REGISTER_ADD
+        told = await (self._add(registrar, command) if adds else self._solve(registrar, command))
+        if registering.is_on:
+            registering.note(told)
+        if not adds and told.obstacle is None:
+            registering.done()
+            if self._setup_source is SetupSource.NONE:
+                self._in_setup = False
+                self._cameras.hand_back()
+                self._tell_state(CellPhase.READY)  # first: whoever hears of it may measure at once
+        self._told.announce(told)
+
+    async def _add(self, registrar: Registrar, command: Command) -> Registered:
+        try:
+            pair = await self._cameras.capture(self._head, listens=self._setup.listens)
+        except CaptureError as error:
+            return self._registering.refused(command, Obstacle.CAPTURE_FAULT, str(error))
+        self._told.announce(ExposureDone(self._number, command, pair))
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._vision, registrar.add, command, pair)
+
+    async def _solve(self, registrar: Registrar, command: Command) -> Registered:
+        loop = asyncio.get_running_loop()
+        told = await loop.run_in_executor(self._vision, registrar.solve, command)
+        if told.obstacle is not None:
+            return told
+        if self._setup_source is not SetupSource.ROBOT or self._pending is not None:
+            return self._registering.refused(command, Obstacle.NO_REGISTRATION, "it was ended meanwhile")
+        try:
+            setup = await registrar.activate()
+        except (EdgedError, OSError) as error:
+            return self._registering.refused(command, Obstacle.FAILED, f"it cannot be saved: {error}")
+        self._setup = setup
+        self._active = setup.jobs[self._active.number]
+        self._told.announce(Reloaded())
+        return told
+
     def _fail_waiting(self, why: str) -> None:
         while self._commands:
             self._told.announce(CommandFailed(self._commands.take(), why))
@@ -203,7 +279,7 @@ class Cycle:
     def _is_still_asked(self) -> bool:
         """Whether somebody waits for a picture; a sign of life of the loop, which waits for it, too."""
         self._told.announce(Idle())
-        return self._desk.taken and not self.stopping.is_set()
+        return (self._desk.taken or self._registering.is_on) and not self.stopping.is_set()
 
     # --- measuring -----------------------------------------------------------------------
 
@@ -211,6 +287,9 @@ class Cycle:
         """One command, or one tick. heard : the exposure, when it has been made already."""
         if command is not None and command.kind is CommandKind.CHANGE_JOB:
             self._change_job(command)
+            return
+        if command is not None and command.kind in REGISTERING:
+            await self._register(command)
             return
         self._number += 1
         cycle_number.set(self._number)
@@ -362,9 +441,13 @@ class Cycle:
         """Queue a command. Raises `CommandRefused` when stopping, full, or the job is unknown."""
         if self.stopping.is_set():
             raise CommandRefused("the daemon is stopping")
-        if self._setup_source is not SetupSource.NONE:
+        source, registers = self._setup_source, command.kind in REGISTERING
+        if source is not SetupSource.NONE and not (registers and source is SetupSource.ROBOT):
             raise BeingSetUp("the cell is being set up")
-        if problem := self._setup.problem(command):
+        problem = self._setup.problem(command)
+        if registers and not problem:
+            problem = self._registering.problem(command, locked=self._desk.locked)
+        if problem:
             raise CommandRefused(problem)
         try:
             self._commands.add(command)
@@ -376,6 +459,9 @@ class Cycle:
     def lock_setup(self, locked: bool) -> None:
         """Let nobody take the cell for SETUP, and end it where a person has; or let them again."""
         self._desk.lock(locked)
+        if locked and self._registering.is_on:
+            self._registering.end("the plant runs: its PLC has ended SETUP (AUTO_LOCK)")
+            self._wake.set()
 
     # --- Commissioner --------------------------------------------------------------------
 
@@ -397,6 +483,7 @@ class Cycle:
 
     def end_setup(self, name: str) -> None:
         """Somebody at the cell says that it is free, whoever had it."""
+        self._registering.end(f"{name} has ended SETUP")
         self._desk.end(f"{name} has ended SETUP")
 
     async def capture(self, token: str) -> FramePair:

@@ -6,6 +6,7 @@
     │   ├── FileFormatError       a rig, job, model or recording that cannot be used
     │   ├── ImageError            an image that cannot be read or does not fit
     │   ├── CalibrationError      calibration images that cannot give a calibration
+    │   │   └── Undetermined      poses or points that leave something open: more of them, elsewhere
     │   └── TeachError            a region that cannot give a job
     ├── CaptureError              a camera did not deliver: a fault, the daemon goes on
     │   ├── CameraUnreachable     not found, or not answering
@@ -63,6 +64,10 @@ class ImageError(UserError):
 
 class CalibrationError(UserError):
     """Calibration input that cannot give a trustworthy calibration."""
+
+
+class Undetermined(CalibrationError):
+    """Poses or points of a robot that leave a part of its registration open."""
 
 
 class TeachError(UserError):

@@ -18,7 +18,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, SetupSource
-from edged.domain.events import Command, Snapshot
+from edged.domain.events import Command, Registered, Snapshot
 from edged.domain.measurement import (
     Circle3D,
     Corner3D,
@@ -162,6 +162,24 @@ def state_to_json(state: CellState) -> Json:
         "setup": None
         if state.setup is SetupSource.NONE
         else {"source": state.setup.name, "by": state.setup_by},
+    }
+
+
+def registered_to_json(event: Registered) -> Json:
+    """How far a registration by commands is."""
+    state = event.registration
+    return {
+        "command": command_to_json(event.command),
+        "method": state.method.name,
+        "samples": state.samples,
+        "used": state.used,
+        "worst": state.worst,
+        "rms_mm": _number(state.rms_mm),
+        "held_out_mm": _number(state.held_out_mm),
+        "limit_mm": _number(state.limit_mm),
+        "sigma_mm": [_number(sigma) for sigma in state.sigma[:3]],
+        "sigma_deg": [_number(sigma) for sigma in state.sigma[3:]],
+        "text": event.why,
     }
 
 

@@ -3,8 +3,9 @@
 Time does not pass, it jumps: the event loop moves its clock to the next timer as soon as nothing is left to
 do. So a day takes a minute or two, every instant in it can be looked at, and a seed repeats it exactly.
 
-Two PLCs, one of which writes the same registers every 20 ms for ever, a careless third client and triggers as
-they come over Zenoh use the cell at once, while it is stopped, killed, and reloaded section by section.
+Two PLCs, one of which writes the same registers every 20 ms for ever, a robot that talks in lines of text and
+registers the rig now and then, a careless third client and triggers as they come over Zenoh use the cell at
+once, while it is stopped, killed, and reloaded section by section.
 
 Checked at every look of an independent observer, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
@@ -36,19 +37,30 @@ import structured_text
 from snapshots import make_target
 
 from edged.adapters.modbus.cell import CellRegisters, ClientView
+from edged.adapters.modbus.lines import Robot
 from edged.adapters.modbus.pdu import RequestRefused, respond
-from edged.adapters.modbus.settings import ModbusSettings
+from edged.adapters.modbus.settings import LineSettings, ModbusSettings
 from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle
-from edged.domain.events import CommandFailed, CommandKind, Event, Snapshot
+from edged.domain.events import (
+    Command,
+    CommandFailed,
+    CommandKind,
+    Event,
+    Registered,
+    Snapshot,
+)
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.domain.picking import Grasp, Picking
+from edged.domain.registration import Method, Obstacle, Registration
 from edged.errors import CommandRefused, FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.plc.clients import structured_text_source
+from edged.plc.lines import Answer
+from edged.robot.orientations import Brand
 
 VALIDITY_S = 2.0
 CYCLE_S = 0.02
@@ -126,10 +138,12 @@ class WatchedRegisters(CellRegisters):
         self._exposed_for_s = -math.inf  # when the newest command that makes an exposure was written
         super().__init__(*args)
 
-    def write(self, client: int, address: int, words: Sequence[int]) -> None:
+    def write(
+        self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
+    ) -> None:
         """Note who it is that writes."""
         self._writer = client
-        super().write(client, address, words)
+        super().write(client, address, words, shown=shown)
 
     def _step(self, event: Any, now_s: float) -> tuple[hs.Effect, ...]:
         effects = super()._step(event, now_s)
@@ -175,7 +189,9 @@ class Book:
                 self.counts["parts given by NEXT_PART"] += 1
             refused = effect.reason in NEVER_OPEN or is_next
             self.expect(key not in self.ended, f"a second answer for {effect}")
-            self.expect((key in self.open) != refused, f"an answer without a command: {effect}")
+            # SETUP ends what is open, and refuses what is not
+            known = (key in self.open) != refused or effect.reason is hs.Reason.SETUP
+            self.expect(known, f"an answer without a command: {effect}")
             self.open.pop(key, None)
             self.ended.add(key)
 
@@ -224,6 +240,40 @@ class Head:
 
     async def close(self) -> None:
         """Disconnect."""
+
+
+class Registrar:
+    """Takes every pose; every third solution is not good."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._samples = world, 0
+
+    def problem(self, _kind: CommandKind) -> str:
+        """It may always begin."""
+        return ""
+
+    def begin(self, command: Command) -> Registered:
+        """From nothing."""
+        self._samples = 0
+        return self._told(command)
+
+    def add(self, command: Command, _pair: FramePair) -> Registered:
+        """One more."""
+        self._samples += 1
+        return self._told(command)
+
+    def solve(self, command: Command) -> Registered:
+        """Good, or not."""
+        return self._told(command, Obstacle.NOT_GOOD if self._world.dice.random() < 0.3 else None)
+
+    async def activate(self) -> Setup:
+        """Where the rig is now."""
+        await asyncio.sleep(self._world.dice.choice((0.0, 0.01)))
+        self._world.book.counts["registrations"] += 1
+        return self._world.setup()
+
+    def _told(self, command: Command, obstacle: Obstacle | None = None) -> Registered:
+        return Registered(command, Registration(Method.HAND_EYE, self._samples), obstacle)
 
 
 class Trigger:
@@ -338,7 +388,7 @@ class World:
     def boot(self) -> None:
         """Start the daemon."""
         self.new_head()
-        self.cycle = Cycle(self.head, self.setup(), self.utc_ns)
+        self.cycle = Cycle(self.head, self.setup(), self.utc_ns, registrar=Registrar(self))
         self.trigger = Trigger(self)
         self.serve()
         self.task = self.loop.create_task(self.cycle.run())
@@ -411,8 +461,8 @@ class Line:
     def __init__(self, world: World, number: int, step: int) -> None:
         self._world, self._step = world, step
         self.number = number
-        self.intent: set[int] = set()
-        self._server = world.cell
+        self.intent: set[int] | Any16 = set()
+        self.server = world.cell
         world.lines[number] = self
 
     def means(self, sequence: int) -> bool:
@@ -425,20 +475,20 @@ class Line:
         """A new connection where the server is another one. Raises `LinkDown`."""
         if self._world.is_down:
             raise LinkDown
-        if self._server is not self._world.cell:
+        if self.server is not self._world.cell:
             self.renew()
 
     def renew(self) -> None:
         """Hang up and connect again."""
         self.gone()
         self.number += self._step
-        self._server = self._world.cell
+        self.server = self._world.cell
         self._world.lines[self.number] = self
 
     def ask(self, pdu: bytes) -> bytes:
         """The answer of whatever daemon runs now."""
         self.connect()
-        return respond(pdu, ClientView(self._server, self.number), may_write=True)
+        return respond(pdu, ClientView(self.server, self.number), may_write=True)
 
     def read(self, block: reg.Block) -> dict[str, reg.Number]:
         """One block by name."""
@@ -452,8 +502,37 @@ class Line:
 
     def gone(self) -> None:
         """The connection ends."""
-        self._server.gone(self.number)
+        self.server.gone(self.number)
         self._world.lines.pop(self.number, None)
+
+
+class Any16:
+    """Every number is meant, once: NEXT has one that the cell chooses."""
+
+    def __contains__(self, _sequence: int) -> bool:
+        return True
+
+    def discard(self, _sequence: int) -> None:
+        """It stays so."""
+
+
+class Link:
+    """A robot's connection to the socket."""
+
+    def __init__(self, line: Line, world: World) -> None:
+        self.line, self._world = line, world
+        view = ClientView(line.server, line.number)
+        self._robot = Robot(view, world.settings, LineSettings(0, Brand.KUKA))
+
+    async def ask(self, request: str) -> Answer:
+        """The answer. Raises `LinkDown` when the server is another one before it comes."""
+        asked = asyncio.ensure_future(self._robot.answer(request.encode() + b"\n"))
+        while not asked.done():
+            await asyncio.wait({asked}, timeout=0.05)
+            if self._world.is_down or self._world.cell is not self.line.server:
+                asked.cancel()
+                raise LinkDown
+        return asked.result()
 
 
 class Soak:
@@ -486,7 +565,8 @@ class Soak:
     async def _run(self, seconds: float) -> None:
         self.world = World(self.loop, self.dice, self.book)
         self.end_s = self.loop.time() + seconds
-        people = [self._plc, self._cyclic, self._careless, self._zenoh, self._observe, self._bad_luck]
+        people = [self._plc, self._cyclic, self._robot, self._careless, self._zenoh]
+        people += [self._observe, self._bad_luck]
         if self._block_s:
             people.append(self._block)
         await asyncio.gather(*(one() for one in people))
@@ -528,7 +608,7 @@ class Soak:
 
     async def _handshake(self, line: Line, sequence: int) -> bool:
         """Whether the command was answered."""
-        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2))[0]
+        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2, 0, 0, 1, 1))[0]
         job = self.dice.choice((1, 2)) if self.dice.random() < 0.99 else 9
         goes_on = self._listed[1] > 0 and self.dice.random() < 0.8
         if goes_on:
@@ -638,6 +718,70 @@ class Soak:
                 line.intent.clear()
                 asked_s = -math.inf
 
+    async def _robot(self) -> None:
+        """Lines of text, a link for each picture; some answers are lost on the way, and asked for again."""
+        sequence = self.dice.randrange(65535)
+        while self._going:
+            await asyncio.sleep(self.dice.uniform(0.0, 4.0))
+            if self.world.is_down:
+                continue
+            link = Link(self._line(), self.world)
+            try:
+                sequence = sequence % 65535 + 1
+                if self.dice.random() < 0.05:
+                    sequence = await self._registers_the_rig(link, sequence)
+                    continue
+                job, asked_s = self.dice.choice((0, 1, 2)), self.loop.time()
+                answer = await self._said(link, sequence, f"LOCATE,{job}")
+                while answer.status == 0:
+                    self._place_picked(sequence, answer, job, asked_s)
+                    if self.dice.random() < 0.5:
+                        await link.ask(f"{answer.sequence},ACK")
+                    if not answer.remaining or self.dice.random() < 0.2:
+                        break
+                    sequence = sequence % 65535 + 1
+                    answer = await self._said(link, sequence, "NEXT")
+            except LinkDown:
+                self.book.counts["links lost"] += 1
+            finally:
+                link.line.gone()
+
+    async def _said(self, link: Link, sequence: int, request: str) -> Answer:
+        """The answer; where it is asked for twice, both are of one command."""
+        link.line.intent = Any16() if request == "NEXT" else {sequence}
+        answer = await link.ask(f"{sequence},{request}")
+        self.book.counts[f"lines answered with {answer.status}"] += 1
+        self.book.expect(answer.sequence == sequence, f"{answer.sequence} answers line {sequence}")
+        if self.dice.random() < 0.1:
+            link.line.intent = set()
+            again = await link.ask(f"{sequence},{request}")
+            same = again.status != 0 or again.pose == answer.pose
+            self.book.expect(same, f"another answer to line {sequence}: {again} after {answer}")
+        return answer
+
+    async def _registers_the_rig(self, link: Link, sequence: int) -> int:
+        """Three poses, sometimes more; what the cell says of each is not looked at. The last number."""
+        requests = ["HAND_EYE_START", *["REGISTER_ADD,0,1,2,3,0,0,0"] * self.dice.choice((3, 8))]
+        for request in (*requests, "REGISTER_SOLVE", "REGISTER_SOLVE", "REGISTER_SOLVE"):
+            sequence = sequence % 65535 + 1
+            link.line.intent = {sequence}
+            answer = await link.ask(f"{sequence},{request}")
+            self.book.counts[f"{request.partition(',')[0]} answered with {answer.status}"] += 1
+            if request == "REGISTER_SOLVE" and answer.status == 0:
+                break
+            await asyncio.sleep(self.dice.uniform(0.0, 0.5))
+        return sequence
+
+    def _place_picked(self, number: int, answer: Answer, job: int, asked_s: float) -> None:
+        """As `_pick`, of an answer in mm."""
+        x_mm, y_mm, z_mm = answer.pose[:3]
+        result = {"X": round(x_mm * 1000), "Z": round(z_mm * 1000), "Y": round(y_mm * 1000)}
+        self._pick(CommandKind.LOCATE, job, {**result, "JOB": job or round(y_mm)}, asked_s)
+        self.book.counts["parts picked over the socket"] += 1
+        self.book.expect(
+            answer.age_s <= VALIDITY_S + 0.06, f"line {number} with an age of {answer.age_s:.3f} s"
+        )
+
     async def _careless(self) -> None:
         """A third client: reads, tries to write, floods the queue, starts a heartbeat and forgets it."""
         while self._going:
@@ -648,7 +792,7 @@ class Soak:
                     sequence = self.dice.choice((self.dice.randrange(65536), self.dice.randrange(9)))
                     line.intent = {sequence}
                     option = self.dice.choice((0, reg.Option.ALL_JOBS, reg.Option.ONCE))
-                    words = (self.dice.choice((1, 2, 3, 4, 5, 5, 77)), 0, sequence, 0, 0, option)
+                    words = (self.dice.choice((1, 2, 3, 4, 5, 5, 8, 9, 77)), 0, sequence, 0, 0, option)
                     if line.write(reg.ADDRESS["COMMAND"], *words):
                         self.book.counts["careless writes"] += 1
                 if self.dice.random() < 0.3:
@@ -792,6 +936,8 @@ class Soak:
         expect(not (reg.StatusBit.ACK in bits and reg.StatusBit.NACK in bits), "ACK and NACK")
         expect(int(status["OPEN_COMMANDS"]) <= 8, "more than 8 open commands")
         valid = reg.StatusBit.RESULT_VALID in bits
+        expect(not (valid and status["STATE"] == 5), "VALID in SETUP")
+        self.book.counts["looks at a registration under way"] += status["STATE"] == 5
         flags = (result["FLAGS"], ur["UR_FLAGS"], mirror["F_FLAGS"], grasp["G_FLAGS"], tool["UG_FLAGS"])
         expect({bool(int(word) & reg.Flag.VALID) for word in flags} == {valid}, f"VALID: {flags}, {bits!r}")
         places = (result["X"], ur["UR_X"], row["X"], grasp["G_X"], tool["UG_X"])

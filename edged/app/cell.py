@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
+from edged.cellfiles import CellFiles, UnfinishedCell, fingerprint, read_any_cell, read_cell
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome
 from edged.drift import DriftLimits
+from edged.errors import UserError
+from edged.files.atomic import read_bytes
+from edged.files.rig import rig_of
 from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate
 from edged.vision.kernels.jit import load_called
@@ -75,6 +78,31 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         bounds=config.limits.bounds(),
     )
     return LoadedCell(cell, rig, setup)
+
+
+def with_registration(loaded: LoadedCell) -> LoadedCell:
+    """The cell with the rig as its file is now: the same cameras, standing elsewhere to the robot.
+
+    Its jobs stay in memory: they measure in the rig's own frame. Raises `EdgedError`.
+    """
+    cell, prepared = loaded.cell, loaded.rig
+    if not isinstance(cell, CellFiles) or prepared is None:
+        raise UserError("a cell without a rig cannot be registered")
+    path = cell.config.cell.rig
+    data = read_bytes(path, "a rig")
+    rig = rig_of(data, path)
+    contents = {**cell.contents, "rig.json": data}
+    files = {name: content for name, content in contents.items() if name != "cell.toml"}
+    identity = fingerprint(cell.config, files)
+    setup = replace(
+        loaded.setup,
+        fingerprint=identity,
+        robot_from_rig=rig.robot_from_rig,
+        registration_covariance=rig.registration_covariance,
+        flange_from_rig=rig.flange_from_rig,
+    )
+    registered = replace(cell, rig=rig, fingerprint=identity, contents=contents)
+    return LoadedCell(registered, replace(prepared, rig=rig), setup)
 
 
 def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], None]], Outcome]:

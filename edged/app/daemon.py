@@ -13,15 +13,18 @@ from typing import TYPE_CHECKING
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import head_of
-from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up
+from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
+from edged.app.registrar import CellRegistrar, check_unchanged
 from edged.app.servers import Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import exposed_secrets
+from edged.commissioning.registration import Registered, save
 from edged.cycle import Cycle
-from edged.errors import EdgedError
+from edged.errors import EdgedError, UserError
 from edged.files.setupnote import SetupNote
 from edged.logs import fields
+from edged.loop.loaded import Setup
 from edged.ports import Publisher
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
@@ -82,7 +85,12 @@ class Daemon:
         self._loaded = loaded
         self._world = world
         self._head = head_for(loaded, world)
-        self._cycle = Cycle(self._head, loaded.setup, notebook=_setup_note(path))
+        self._cycle = Cycle(
+            self._head,
+            loaded.setup,
+            notebook=_setup_note(path),
+            registrar=CellRegistrar(lambda: self._loaded, self._take_registration),
+        )
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
@@ -156,6 +164,22 @@ class Daemon:
             )
             self._warn_of_exposed_secrets()
             return True
+
+    async def _take_registration(self, base: LoadedCell, solved: Registered) -> Setup:
+        """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
+        async with self._reloading:
+            if self._loaded is not base:
+                raise UserError("the configuration was reloaded meanwhile")
+            rig = base.cell.config.cell.rig
+
+            def save_and_load() -> LoadedCell:
+                check_unchanged(rig, base.cell.contents["rig.json"])
+                save(rig, solved, rig)
+                return with_registration(base)
+
+            self._loaded = await asyncio.to_thread(save_and_load)
+            log.info("registered, fingerprint %s", self._loaded.setup.fingerprint)
+            return self._loaded.setup
 
     def _warn_of_exposed_secrets(self) -> None:
         for secret in exposed_secrets(self._path, self._loaded.cell.config):

@@ -94,6 +94,12 @@ def from_points(rig: StereoRig, rig_mm: FloatArray, robot_mm: FloatArray, limit_
 
 def rig_from_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> FloatArray | NotDetected:
     """Where one pair shows the board, (4, 4). Raises `UserError` for pictures of another size."""
+    placed = pose_of_board(rig, view_of_board(rig, pair, board))
+    return placed if isinstance(placed, NotDetected) else placed[1]
+
+
+def view_of_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> StereoView:
+    """The board in both pictures, found or not. Raises `UserError` for pictures of another size."""
     sides = []
     for side in SIDES:
         picture = pair.side(side)
@@ -102,8 +108,7 @@ def rig_from_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> FloatArra
         if image.shape != (camera.height, camera.width):
             raise UserError(f"{picture.label}: not of the size the rig was calibrated for")
         sides.append(detect_board(image, board))
-    placed = pose_of_board(rig, StereoView(pair.name, board, sides[0], sides[1]))
-    return placed if isinstance(placed, NotDetected) else placed[1]
+    return StereoView(pair.name, board, sides[0], sides[1])
 
 
 def from_poses(

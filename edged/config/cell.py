@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from edged.config.fields import FilePath, Name, Section
 from edged.domain.picking import Bounds, Box
+from edged.errors import CalibrationError
+from edged.vision.boards.board import NominalBoard, parse_boards
 
 
 class CellSection(Section):
@@ -86,6 +88,35 @@ class LimitsSection(Section):
     def bounds(self) -> Bounds:
         """The value that is measured by."""
         return Bounds(tuple(one.box() for one in self.box), tuple(one.box() for one in self.keep_out))
+
+
+class RegistrationSection(Section):
+    """A robot's program may register the rig (HAND_EYE_START, TOUCH_START). Left out: only people may."""
+
+    board: str | None = Field(
+        None, description="for HAND_EYE_START, as for `edged calibrate`: chessboard:11x8:4.0, ..."
+    )
+    mount: Literal["fixed", "flange"] = Field("fixed", description="where the cameras are")
+    limit_mm: float = Field(
+        0.5, gt=0, le=100, description="no registration is taken whose poses or points disagree by more"
+    )
+
+    @field_validator("board")
+    @classmethod
+    def _is_board(cls, text: str | None) -> str | None:
+        if text is not None:
+            try:
+                boards = parse_boards(text)
+            except CalibrationError as error:
+                raise ValueError(str(error)) from None
+            if len(boards) != 1:
+                raise ValueError("one board, not several")
+        return text
+
+    @property
+    def pattern(self) -> NominalBoard | None:
+        """The board."""
+        return None if self.board is None else parse_boards(self.board)[0]
 
 
 class RecorderSection(Section):

@@ -7,7 +7,14 @@ from pathlib import Path
 from pydantic import model_validator
 
 from edged.config.cameras import CamerasSection
-from edged.config.cell import CellSection, CycleSection, DriftSection, LimitsSection, RecorderSection
+from edged.config.cell import (
+    CellSection,
+    CycleSection,
+    DriftSection,
+    LimitsSection,
+    RecorderSection,
+    RegistrationSection,
+)
 from edged.config.fields import Section
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection, tcp_port
@@ -23,6 +30,7 @@ class Config(Section):
     zenoh: ZenohSection = ZenohSection()
     drift: DriftSection = DriftSection()
     limits: LimitsSection = LimitsSection()
+    registration: RegistrationSection | None = None
     recorder: RecorderSection | None = None
     web: WebSection | None = None
     opcua: OpcUaSection | None = None

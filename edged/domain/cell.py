@@ -49,6 +49,8 @@ class SetupSource(enum.IntEnum):
     """There is no rig file yet."""
     NO_JOB = 3
     """There is no job yet."""
+    ROBOT = 4
+    """A robot's program registers the rig: HAND_EYE_START or TOUCH_START began it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,5 +82,7 @@ class CellState:
                 return "setup: no calibration yet"
             case SetupSource.NO_JOB:
                 return "setup: no job yet"
+            case SetupSource.ROBOT:
+                return "setup: a robot's program registers the rig"
             case SetupSource.PERSON:
                 return f"setup by {self.setup_by}" if self.setup_by else "setup, and nobody looks after it"

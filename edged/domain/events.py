@@ -12,6 +12,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, DriftState
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Nearest, NotMeasured, Status, Target
+from edged.domain.registration import Obstacle, Registration
 
 
 class CommandKind(enum.IntEnum):
@@ -27,7 +28,25 @@ class CommandKind(enum.IntEnum):
     """Measure and say OK or NOK, without coordinates."""
     NEXT_PART = 5
     """Give the next good part that the last LOCATE found, without another picture."""
+    HAND_EYE_START = 6
+    """Begin to register the rig by poses of the flange and a board; SETUP until REGISTER_SOLVE is good."""
+    TOUCH_START = 7
+    """The same by points that the tool's tip touched."""
+    REGISTER_ADD = 8
+    """Take a picture for the pose that FLANGE says; a NACK added nothing."""
+    REGISTER_SOLVE = 9
+    """Solve, and register the rig if the result is good; a NACK changes nothing."""
 
+
+REGISTERING = frozenset(
+    {
+        CommandKind.HAND_EYE_START,
+        CommandKind.TOUCH_START,
+        CommandKind.REGISTER_ADD,
+        CommandKind.REGISTER_SOLVE,
+    }
+)
+"""Commands with which a robot's program registers the rig."""
 
 PLC_SOURCE = "modbus"
 """Source of the commands of whoever holds the right to write registers; nobody else's go before them."""
@@ -42,6 +61,7 @@ class Command:
     robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
     tries_all : every job is tried, and the part that agrees best counts; job is then 0.
     box : of the cell's boxes this one alone counts, from 1; 0: each of them.
+    shown : the numbers that robot_from_flange was read from, as the robot wrote them; () where not known.
     """
 
     kind: CommandKind
@@ -51,6 +71,7 @@ class Command:
     robot_from_flange: FloatArray | None = field(default=None, compare=False)
     tries_all: bool = False
     box: int = 0
+    shown: tuple[float, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +93,16 @@ class JobChanged:
     number: int
     name: str
     command: Command | None
+
+
+@dataclass(frozen=True, slots=True)
+class Registered:
+    """A command of a registration has ended. obstacle : None: it was carried out. why : for people."""
+
+    command: Command
+    registration: Registration
+    obstacle: Obstacle | None = None
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,4 +175,4 @@ class Idle:
     """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
 
 
-Event = Snapshot | ExposureDone | JobChanged | CommandFailed | CellState | Reloaded | Idle
+Event = Snapshot | ExposureDone | JobChanged | Registered | CommandFailed | CellState | Reloaded | Idle

@@ -26,7 +26,8 @@ The rules:
   as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
   a client that is lost, the validity time-out, a reload and SETUP. Without one NEXT_PART is a NACK.
 - While the cell is set up (`Suspended` to `Resumed`) nothing is open, shown or valid: what was open ends in
-  NACK, SETUP, and so does each command that is written.
+  NACK, SETUP, and so does each command that is written. Where a robot's program registers the rig, that is so
+  but for the commands of the registration, which run and never show a result.
 - At most `Limits.queue` commands are open; one more is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
@@ -77,6 +78,20 @@ class Reason(enum.IntEnum):
     """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
     NO_LIST = 9
     """NEXT_PART, and there is no next part: the list is at its end, too old or gone, or never was."""
+    NO_REGISTRATION = 10
+    """REGISTER_ADD or REGISTER_SOLVE, and nothing was begun, or it ended meanwhile: begin again."""
+    NOT_SEEN = 11
+    """REGISTER_ADD: board or part not seen well in both pictures; nothing was added, take it again."""
+    SAME_PLACE = 12
+    """REGISTER_ADD: this pose or point is there already; nothing was added, go elsewhere."""
+    TOO_FEW = 13
+    """REGISTER_SOLVE: six poses are needed, or four points."""
+    TURN_MORE = 14
+    """REGISTER_SOLVE: the poses do not turn enough about two axes, or the points lie on one line."""
+    NOT_GOOD = 15
+    """REGISTER_SOLVE: they do not agree within the limit, or are mirrored: see block registration, log."""
+    OTHER_READING = 16
+    """REGISTER_SOLVE: the poses agree when read in another convention or unit: the log says which."""
 
 
 class Verdict(enum.Enum):
@@ -142,7 +157,7 @@ class Handshake(Generic[Payload]):
 
     parts : None where there is no list; one at its end is none.
     synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
-    suspended : the cell is set up.
+    suspended : the cell is set up. registers : by a robot's program, whose commands run.
     """
 
     limits: Limits
@@ -162,6 +177,7 @@ class Handshake(Generic[Payload]):
     heartbeat_due_s: float | None = None
     client_lost: bool = False
     suspended: bool = False
+    registers: bool = False
     owner: int | None = None
     owner_until_s: float = 0.0
 
@@ -176,6 +192,7 @@ class SequenceWritten:
     client : who wrote it. once : it is no part of a block that is written again and again: it runs although
     nothing is known of what this client wrote before. timeout_s : for this command, None for none.
     next_of : it is NEXT_PART, of a list of this job (0: whatever job); None: it is another command.
+    registers : it is one with which a robot's program registers the rig.
     """
 
     sequence: int
@@ -184,6 +201,7 @@ class SequenceWritten:
     client: int = 0
     once: bool = False
     next_of: int | None = None
+    registers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +292,12 @@ class Reloaded:
 
 @dataclass(frozen=True, slots=True)
 class Suspended:
-    """The cell is set up from now on: its cameras, its rig or its jobs may change."""
+    """The cell is set up from now on: its cameras, its rig or its jobs may change.
+
+    registers : by a robot's program, whose commands run.
+    """
+
+    registers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -407,7 +430,8 @@ def _take(
             # already down when the write is answered
             return (replace(state, exposure_done=False) if state.command_sequence == 0 else state), ()
         case Exposed(ticket):
-            mine = (state.command_sequence == 0 or ticket == state.ticket) and not state.suspended
+            is_served = not state.suspended or state.registers
+            mine = (state.command_sequence == 0 or ticket == state.ticket) and is_served
             return (replace(state, exposure_done=True) if mine else state), ()
         case ClaimedBy(client):
             return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
@@ -418,20 +442,23 @@ def _take(
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Reloaded():
             return replace(state, parts=None), ()
-        case Suspended():
-            return _suspend(state)
+        case Suspended(registers):
+            return _suspend(state, registers)
         case Resumed():
-            return replace(state, suspended=False), ()
+            return replace(state, suspended=False, registers=False), ()
         case Tick():
             return state, ()
 
 
-def _suspend(state: Handshake[Payload]) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+def _suspend(state: Handshake[Payload], registers: bool) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    if (state.suspended, state.registers) == (True, registers):
+        return state, ()  # a command of the registration goes on
     effects: tuple[Effect, ...] = ()
     for command in state.open:
         state, ended = _end(state, command.ticket, Answer.NACK, Reason.SETUP)
         effects += ended
-    return replace(state, suspended=True, result=None, parts=None, exposure_done=False), effects
+    state = replace(state, suspended=True, registers=registers, result=None, parts=None)
+    return replace(state, exposure_done=False), effects
 
 
 def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
@@ -465,7 +492,7 @@ def _command(
         ticket += SEQUENCE_MASK + 1
     # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
     state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
-    if state.suspended:
+    if state.suspended and not (state.registers and event.registers):
         return _refuse(state, Reason.SETUP)
     if is_baseline:
         return _refuse(state, Reason.BASELINE)
@@ -535,7 +562,7 @@ def _finish(
     is_fault = event.verdict is Verdict.FAULT
     answer, reason = (Answer.NACK, Reason.CAPTURE_FAULT) if is_fault else (Answer.ACK, Reason.NONE)
     state, effects = _end(state, event.ticket, answer, reason)
-    is_newest = event.ticket == state.ticket and state.command_sequence != 0
+    is_newest = event.ticket == state.ticket and state.command_sequence != 0 and not state.suspended
     if effects and is_newest and event.payload is not None:
         sequence = event.ticket & SEQUENCE_MASK
         shown = Result(sequence, event.verdict, event.exposed_s, event.payload)

@@ -44,7 +44,7 @@ def answer_fields(brand: Brand) -> tuple[str, ...]:
 
 
 class LineStatus(enum.IntEnum):
-    """Second field of an answer. 1 to 9: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
+    """Second field of an answer. 1 to 99: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
 
     OK = 0
     """Carried out; after LOCATE and NEXT: the pose may be used."""

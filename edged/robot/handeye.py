@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError
+from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import (
     apply,
     invert,
@@ -107,13 +107,13 @@ def _check_motion(A: FloatArray) -> None:
     turns = np.array([rotation_vector(invert(A[0])[:3, :3] @ pose[:3, :3]) for pose in A[1:]])
     angles = np.linalg.norm(turns, axis=1)
     if angles.max() < MIN_TURN_RAD:
-        raise CalibrationError(
+        raise Undetermined(
             f"the flange turned by at most {np.degrees(angles.max()):.1f}°: poses that only shift leave the "
             "board's place open; turn the wrist by 20° or more"
         )
     spread = np.linalg.svd(turns[angles > 0.3 * MIN_TURN_RAD], compute_uv=False)
     if len(spread) < 2 or spread[1] < MIN_AXES_SPREAD * spread[0]:
-        raise CalibrationError(
+        raise Undetermined(
             "all rotations of the flange are about one axis: the place along it stays open; turn about "
             "another axis too"
         )

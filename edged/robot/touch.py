@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError
+from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 
 TWIN_SHARE = 0.005
@@ -150,10 +150,10 @@ def _check_spread(name: str, points: FloatArray) -> None:
     twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
     if len(twins):
         one, two = twins[0] + 1
-        raise CalibrationError(f"points {one} and {two} are nearly the same place in the {name}'s frame")
+        raise Undetermined(f"points {one} and {two} are nearly the same place in the {name}'s frame")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < FLAT_SHARE * spread[0]:
-        raise CalibrationError(
+        raise Undetermined(
             f"the points lie on one line in the {name}'s frame: the rotation about it stays open; "
             "touch a point beside it"
         )

@@ -455,6 +455,29 @@ def test_a_result_of_before_is_not_valid_after_setup() -> None:
     assert run.valid
 
 
+def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
+    """Its commands are carried out and show nothing, even by mistake; a person ends what is open."""
+    run = Run()
+    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1, registers=True))
+    run.tell(hs.Finished(1, 0, Verdict.DONE, run.now_s, None))
+    assert (1, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+    run.tell(hs.Suspended(registers=True))
+    (refused,) = run.tell(hs.SequenceWritten(2))
+    assert hs.Answered(2, Answer.NACK, Reason.SETUP) == refused
+    assert (hs.Submit(3),) == run.tell(hs.SequenceWritten(3, registers=True))
+    assert () == run.tell(hs.Suspended(registers=True)), "the same state, told again"
+    run.tell(hs.Exposed(3))
+    assert run.state.exposure_done
+    run.good(3)
+    assert (3, Answer.ACK, None) == (run.state.done_sequence, run.state.answer, run.state.result)
+    run.tell(hs.SequenceWritten(4, registers=True))
+    assert (hs.Answered(4, Answer.NACK, Reason.SETUP),) == run.tell(hs.Suspended())
+    (refused,) = run.tell(hs.SequenceWritten(5, registers=True))
+    assert hs.Answered(5, Answer.NACK, Reason.SETUP) == refused
+    run.tell(hs.Resumed())
+    assert (hs.Submit(6),) == run.tell(hs.SequenceWritten(6, registers=True))
+
+
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
@@ -475,6 +498,8 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.given: set[str] = set()  # parts that were shown
         self.shown = ""  # the part that is on display, where NEXT_PART showed it
         self.is_set_up = False  # somebody has the cell for setting it up
+        self.is_registering = False  # it is a robot's program
+        self.registering: list[int] = []  # its commands
 
     @rule(
         sequence=st.sampled_from([0, 1, 2, 3, 4, 65534, 65535]),
@@ -483,28 +508,41 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         client=st.sampled_from([1, 1, 1, 2]),
         once=st.sampled_from([False, False, True]),
         next_of=st.sampled_from([None, None, 0, 0, 7, 8]),
+        registers=st.booleans(),
     )
     def write_sequence(
-        self, sequence: int, known: bool, quick: bool, client: int, once: bool, next_of: int | None
+        self,
+        sequence: int,
+        known: bool,
+        quick: bool,
+        client: int,
+        once: bool,
+        next_of: int | None,
+        registers: bool,
     ) -> None:
+        registers = registers and known and next_of is None  # no command is both
+        refused = self.is_set_up and not (registers and self.is_registering)
         begins = client != self.last_writer and not once
         self.last_writer = client
         changed = sequence != self.run.state.command_sequence or (begins and sequence != 0)
         timeout_s = 0.5 if quick else None
-        effects = self.run.tell(hs.SequenceWritten(sequence, known, timeout_s, client, once, next_of))
+        effects = self.run.tell(
+            hs.SequenceWritten(sequence, known, timeout_s, client, once, next_of, registers)
+        )
         if changed:
             self.check_next_part(
-                effects, sequence, client, next_of, asked=known and not begins and not self.is_set_up
+                effects, sequence, client, next_of, asked=known and not begins and not refused
             )
         if next_of is not None:
             assert not any(isinstance(effect, hs.Submit) for effect in effects), "NEXT_PART made an exposure"
         submitted = [effect.ticket for effect in effects if isinstance(effect, hs.Submit)]
-        may_run = changed and sequence != 0 and known and not begins and not self.is_set_up
+        may_run = changed and sequence != 0 and known and not begins and not refused
         assert len(submitted) <= int(may_run)
-        if changed and sequence != 0 and self.is_set_up:
+        if changed and sequence != 0 and refused:
             assert effects[-1:] == (hs.Answered(self.run.state.ticket, Answer.NACK, Reason.SETUP),)
         self.accepted += submitted
         self.in_cell += submitted
+        self.registering += submitted if registers else []
         if changed:
             assert self.shown or not self.run.valid, "an old result survived a new command"
             self.written_at = self.run.state.ticket if sequence else None
@@ -602,17 +640,24 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if result is not None and sequence == result.sequence:
             assert not self.run.valid
 
-    @rule(late=st.booleans())
-    def is_taken_for_setup(self, late: bool) -> None:
-        """All that is open ends at once; what the cell still finishes of it, late, changes nothing."""
+    @rule(late=st.booleans(), registers=st.booleans())
+    def is_taken_for_setup(self, late: bool, registers: bool) -> None:
+        """All that is open ends at once; what the cell still finishes of it, late, changes nothing.
+
+        Said again, it changes nothing: a robot's registration goes on.
+        """
         still_open = {command.ticket for command in self.run.state.open}
-        effects = self.run.tell(hs.Suspended())
+        again = self.is_set_up and self.is_registering == registers
+        effects = self.run.tell(hs.Suspended(registers))
         ended = {e.ticket: e.reason for e in effects if isinstance(e, hs.Answered)}
+        if again:
+            assert set(ended.values()) <= {Reason.TIMEOUT}
+            return
         assert still_open == set(ended)
         assert set(ended.values()) <= {Reason.SETUP, Reason.TIMEOUT}
         assert self.run.state.result is None
         assert not self.run.state.exposure_done
-        self.is_set_up, self.list = True, []
+        self.is_set_up, self.is_registering, self.list = True, registers, []
         if not late:
             self.in_cell = []
 
@@ -622,13 +667,13 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         was_valid = self.run.valid
         assert not any(isinstance(effect, hs.Submit) for effect in self.run.tell(hs.Resumed()))
         assert was_valid or not self.run.valid
-        self.is_set_up = False
+        self.is_set_up = self.is_registering = False
 
     @rule(ticket_back=st.integers(0, 3))
     def exposure(self, ticket_back: int) -> None:
         """Of a command, of none, or of one that has ended."""
         self.run.tell(hs.Exposed(None if ticket_back == 0 else self.run.state.ticket - ticket_back + 1))
-        assert not (self.is_set_up and self.run.state.exposure_done)
+        assert not (self.is_set_up and not self.is_registering and self.run.state.exposure_done)
 
     @rule(value=st.integers(0, 3))
     def beat(self, value: int) -> None:
@@ -648,9 +693,12 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @invariant()
     def nothing_is_valid_open_or_shown_while_it_is_set_up(self) -> None:
+        """But that a robot's program may have its commands open; nothing is shown for those."""
         if hasattr(self, "run") and self.is_set_up:
             state = self.run.state
-            assert (None, (), False) == (state.result, state.open, state.exposure_done)
+            assert state.result is None
+            assert self.is_registering or ((), False) == (state.open, state.exposure_done)
+            assert {command.ticket for command in state.open} <= set(self.registering)
             assert 0 == hs.remaining(state)
             assert not self.run.valid
 

@@ -34,9 +34,10 @@ from edged.adapters.zenoh import (
 )
 from edged.adapters.zenoh.routers import PATIENCE, Routers
 from edged.adapters.zenoh.worker import Worker
-from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
+from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged, Registered
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
+from edged.domain.registration import Method, Obstacle, Registration
 from edged.errors import CommandRefused, ConfigError, ListenError
 
 SCHEMA = load_schema()
@@ -50,6 +51,9 @@ def listener(port: int) -> contextlib.AbstractContextManager[Peer]:
 def python_threads() -> set[str]:
     """Names of the threads that run, apart from those of the test's own executor."""
     return {thread.name for thread in threading.enumerate() if not thread.name.startswith("asyncio_")}
+
+
+REGISTERED = Registration(Method.HAND_EYE, 10, 9, 4, rms_mm=0.02)
 
 
 def test_every_cycle_arrives_in_order_and_documented():
@@ -131,19 +135,36 @@ def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
                     lambda command: cell.publisher.announce(CommandFailed(command, "job 2 is gone")),
                     ignore,
                     lambda command: cell.publisher.announce(JobChanged(2, "cover", command)),
+                    lambda command: cell.publisher.announce(Registered(command, REGISTERED, None, "it fits")),
+                    lambda command: cell.publisher.announce(
+                        Registered(command, REGISTERED, Obstacle.NOT_SEEN, "too dark")
+                    ),
                 ]
             )
             cell.commander.react = lambda command: next(reactions)(command)
             selectors = ("", "?job=2", "?timeout_s=0.2", "?kind=change_job;job=2")
+            selectors += ("?kind=register_solve", "?kind=register_add;flange=1,2,3,1,0,0,0")
             replies = await ask(cell.port, *(f"edged/cell1/trigger{selector}" for selector in selectors))
             cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late: no harm
             return replies, cell
 
     replies, cell = asyncio.run(main())
-    assert [False, False, False, True] == [reply["ok"] for reply in replies]
+    assert [False, False, False, True, True, False] == [reply["ok"] for reply in replies]
     errors = [reply["document"].get("error") for reply in replies]
-    assert ["queue full", "job 2 is gone", "no result within 0.2 s", None] == errors
+    assert [
+        "queue full",
+        "job 2 is gone",
+        "no result within 0.2 s",
+        None,
+        None,
+        "NOT_SEEN: too dark",
+    ] == errors
     assert "cover" == replies[3]["document"]["job"]
+    solved = replies[4]["document"]
+    assert ("HAND_EYE", 10, 0.02, None) == tuple(
+        solved[name] for name in ("method", "samples", "rms_mm", "held_out_mm")
+    )
+    assert (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0) == cell.commander.commands[5].shown
     assert [] == [problem for reply in replies for problem in violations(reply["document"], SCHEMA, SCHEMA)]
     assert CommandKind.CHANGE_JOB is cell.commander.commands[3].kind
 
@@ -151,7 +172,8 @@ def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
 def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
-        "kind=melt": "kind: expected one of locate, change_job, grab, verify, got 'melt'",
+        "kind=melt": "kind: expected one of locate, change_job, grab, verify, hand_eye_start, touch_start, "
+        "register_add, register_solve, got 'melt'",
         "job=-1": "job: expected a number from 0 to 65535, or all, got '-1'",
         "job=99999999999999999999": "job: expected a number from 0 to 65535, or all, got "
         "'99999999999999999999'",

@@ -7,6 +7,7 @@ import enum
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject
+from edged.domain.registration import Method
 from edged.pictures.captions import REASONS
 from edged.plc.handshake import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
@@ -20,6 +21,7 @@ CODES: dict[str, type[enum.IntEnum]] = {
     "NACK_REASON": Reason,
     "POSE_CONVENTION": Convention,
     "SETUP_SOURCE": SetupSource,
+    "H_METHOD": Method,
 }
 BITS: dict[str, type[enum.IntFlag]] = {
     "STATUS_BITS": StatusBit,

@@ -19,15 +19,18 @@ from edged.domain.arrays import FloatArray
 from edged.domain.cell import Calibrated, CellPhase, CellState, SetupSource
 from edged.domain.events import (
     PLC_SOURCE,
+    REGISTERING,
     Command,
     CommandFailed,
     CommandKind,
     Event,
     ExposureDone,
     JobChanged,
+    Registered,
     Reloaded,
     Snapshot,
 )
+from edged.domain.registration import Registration
 from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
 from edged.plc import handshake as hs
@@ -103,6 +106,7 @@ class CellRegisters:
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
+        self._place(reg.REGISTRATION, reg.registration_values(Registration(), 0, self._epoch))
         self.clients = 0
         self.changed: Callable[[], None] = lambda: None  # told of each write and event
 
@@ -247,9 +251,12 @@ class CellRegisters:
 
     # --- writing -----------------------------------------------------------------------------
 
-    def write(self, client: int, address: int, words: Sequence[int]) -> None:
+    def write(
+        self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
+    ) -> None:
         """Take words of the command block as a whole; CMD_SEQ acts after all the others.
 
+        shown : the flange as the robot wrote it, where that is not what FLANGE has.
         Raises `RequestRefused`: outside the block, another client's turn, an option that does not exist.
         """
         start = address - self._settings.base_address - reg.COMMAND.address
@@ -276,7 +283,7 @@ class CellRegisters:
         if _offset("AUTO_LOCK") in written:
             self._lock(client if new[_offset("AUTO_LOCK")] else None)
         if _offset("CMD_SEQ") in written:
-            self._trigger(client, now_s, reg.Option(options))
+            self._trigger(client, now_s, reg.Option(options), shown)
         if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
         self.changed()
@@ -298,11 +305,11 @@ class CellRegisters:
         self._step(hs.Released(client, gone=True), self._clock_s())
         self.changed()
 
-    def _trigger(self, client: int, now_s: float, options: reg.Option) -> None:
+    def _trigger(self, client: int, now_s: float, options: reg.Option, shown: tuple[float, ...]) -> None:
         code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
-        flange = self._taken_flange()
+        flange, written = self._taken_flange()
         event = hs.SequenceWritten(
             self._command[_offset("CMD_SEQ")],
             known,
@@ -310,12 +317,14 @@ class CellRegisters:
             client,
             reg.Option.ONCE in options,
             job if code == CommandKind.NEXT_PART else None,
+            registers=code in REGISTERING,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, hs.Submit):
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
                 box = self._command[_offset("BOX")]
-                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box))
+                pose = shown or written
+                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose))
 
     def _lock(self, client: int | None) -> None:
         """Tell the cell when the plant begins or ceases to forbid SETUP. client : who wrote it last."""
@@ -323,18 +332,19 @@ class CellRegisters:
         if self._commander is not None and was_locked != (client is not None):
             self._commander.lock_setup(client is not None)
 
-    def _taken_flange(self) -> FloatArray | None:
+    def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
         """Pose of the flange, which serves one command: the next must not measure with an old one.
 
-        All zeros: not said. No robot has its flange in its base's origin.
+        Also its numbers, mm and degrees. All zeros: not said. No robot has its flange in its base's origin.
         """
         start, end = _offset("FLANGE_X"), _offset("TIMEOUT")
         values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
         pose = [float(values[f"FLANGE_{axis}"]) / 1000 for axis in "XYZABC"]  # µm, 0.001° to mm, degrees
         self._command[start:end] = [0] * (end - start)
         if not any(pose):
-            return None
-        return transform(rotation_of(self._settings.convention, *pose[3:]), np.array(pose[:3]))
+            return None, ()
+        turned = rotation_of(self._settings.convention, *pose[3:])
+        return transform(turned, np.array(pose[:3])), tuple(pose)
 
     def _submit(self, command: Command) -> None:
         if self._commander is None:
@@ -363,6 +373,8 @@ class CellRegisters:
                 ticket = self._ticket(command)
                 if ticket is not None:
                     self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
+            case Registered():
+                self._take_registered(event, now_s)
             case CommandFailed(command, reason):
                 ticket = self._ticket(command)
                 if ticket not in (None, NOBODYS):
@@ -378,12 +390,24 @@ class CellRegisters:
                     self._step(hs.CycleBegun(), now_s)
                 self._cell = event
                 if event.state is CellPhase.SETUP:
-                    self._step(hs.Suspended(), now_s)
+                    self._step(hs.Suspended(event.setup is SetupSource.ROBOT), now_s)
                 elif self._state.suspended and event.state is not CellPhase.STOPPING:
                     self._step(hs.Resumed(), now_s)
             case _:
                 pass
         self.changed()
+
+    def _take_registered(self, event: Registered, now_s: float) -> None:
+        ticket = self._ticket(event.command)
+        is_mine = ticket is not None and ticket != NOBODYS
+        sequence = event.command.sequence & hs.SEQUENCE_MASK if is_mine else 0
+        self._place(reg.REGISTRATION, reg.registration_values(event.registration, sequence, self._epoch))
+        if ticket is None or not is_mine:
+            return
+        if event.obstacle is None:
+            self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
+        else:
+            self._step(hs.Declined(ticket, hs.Reason[event.obstacle.name]), now_s)
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)
@@ -432,9 +456,9 @@ class ClientView:
         """Words of one picture."""
         return self._cell.read(address, count)
 
-    def write(self, address: int, words: Sequence[int]) -> None:
+    def write(self, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()) -> None:
         """Write as this client."""
-        self._cell.write(self._client, address, words)
+        self._cell.write(self._client, address, words, shown=shown)
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:
         """Write bits as this client."""

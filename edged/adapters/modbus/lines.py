@@ -26,14 +26,14 @@ from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
 from edged.domain.arrays import FloatArray
-from edged.domain.events import CommandKind
+from edged.domain.events import REGISTERING, CommandKind
 from edged.domain.measurement import Reject
 from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason
-from edged.plc.lines import MAX_LINE_BYTES, UNKNOWN, Answer, LineStatus
+from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
 
@@ -43,6 +43,8 @@ TIMEOUT_S = 10.0
 POLL_S = 0.005
 READ = ("GRASP", "APPROACH")
 """What is asked of the part that was given last: no commands."""
+QUALITY = ("RMS", "HELD_OUT", "LIMIT")
+"""Lengths that the answer to a command of a registration begins with, where others have X, Y, Z."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
 SEND_S = 5.0
 """A robot that does not read its answer for so long is hung up on."""
@@ -60,7 +62,8 @@ class _Refused(Exception):
 class Request:
     """A line that was understood.
 
-    flange : robot_from_flange (4, 4) in mm, None when it was not said. tries_all : the job was "*".
+    flange : robot_from_flange (4, 4) in mm, None when it was not said; shown : its numbers. tries_all : the
+    job was "*".
     """
 
     sequence: int
@@ -68,6 +71,7 @@ class Request:
     job: int
     flange: FloatArray | None
     tries_all: bool = False
+    shown: tuple[float, ...] = ()
 
 
 def parse(line: bytes, brand: Brand) -> Request:
@@ -83,8 +87,8 @@ def parse(line: bytes, brand: Brand) -> Request:
     command = "NEXT_PART" if command == "NEXT" else command
     if command not in (*CommandKind.__members__, *READ, "ACK"):
         raise ValueError(f"no such command: {command}")
-    flange = transform_of(brand, tuple(float(field) for field in fields[3:])) if len(fields) > 3 else None
-    return Request(sequence, command, job, flange, tries_all)
+    shown = tuple(float(field) for field in fields[3:])
+    return Request(sequence, command, job, transform_of(brand, shown) if shown else None, tries_all, shown)
 
 
 class Robot:
@@ -128,10 +132,13 @@ class Robot:
             return self._tool(request)
         if request.command == "NEXT_PART":
             return await self._next(request)
+        if CommandKind[request.command] in REGISTERING:
+            return await self._register(request)
         await self._locate(request)
         result = self._read(reg.RESULT)
         code = int(result["RESULT"])
-        if code == reg.ResultCode.LOW_QUALITY and not int(result["REJECT"]) & ~FORBIDDEN:
+        reject = int(result["REJECT"])
+        if code == reg.ResultCode.LOW_QUALITY and reject and not reject & ~FORBIDDEN:
             raise _Refused(LineStatus.OUT_OF_LIMITS)
         if request.command == "LOCATE":
             if code != reg.ResultCode.OK:
@@ -170,8 +177,27 @@ class Robot:
             raise _Refused(LineStatus.NO_FURTHER if is_end else refused.status) from None
         return self._part(request.sequence, LineStatus.NO_FURTHER)
 
+    async def _register(self, request: Request) -> Answer:
+        """A command of a registration: how far it is, instead of a pose, also where it was refused."""
+        status: int = LineStatus.OK
+        try:
+            await self._locate(request)
+        except _Refused as refused:
+            status = refused.status
+        state = self._read(reg.REGISTRATION)
+        if state["H_SEQ"] != self._sequence:
+            raise _Refused(status)
+        to_unit = 1e-6 if self._line.brand is Brand.UR else 1e-3  # from µm
+        lengths = (float(state[f"H_{name}"]) for name in QUALITY)
+        told = [length * to_unit if length != reg.INT32_MIN else UNKNOWN for length in lengths]
+        numbers = (*told, float(state["H_USED"]), float(state["H_WORST"]))
+        blank = (0.0,) * (len(POSE_NAMES[self._line.brand]) - len(numbers))
+        sigmas = self._sigma(state, "H_SIGMA")
+        return Answer(request.sequence, status, int(state["H_SAMPLES"]), (*numbers, *blank), sigmas)
+
     def _begin(self, request: Request, sequence: int) -> None:
-        self._write("COMMAND", self._command(request, sequence))
+        start = self._settings.base_address + reg.ADDRESS["COMMAND"]
+        self._view.write(start, self._command(request, sequence), shown=request.shown)
         self._sequence, self._asked = sequence, (request.sequence, request.command == "NEXT_PART")
 
     async def _end(self) -> None:

@@ -33,7 +33,8 @@ KEYS = (
         "trigger",
         "queryable",
         "target",
-        "measure now; replies with the result; to `change_job` with a job message",
+        "measure now; replies with the result; to `change_job` with a job message, to the commands of a "
+        "registration with a registration message",
     ),
     Key("last", "queryable", "target", "the last result and its age"),
     Key("jobs", "queryable", "jobs", "what can be measured"),
@@ -42,7 +43,10 @@ KEYS = (
 QUERYABLES = tuple(key.path for key in KEYS if key.kind == "queryable")
 
 TRIGGER_PARAMETERS = {
-    "kind": ("locate", "locate, change_job, grab or verify"),
+    "kind": (
+        "locate",
+        "locate, change_job, grab or verify; hand_eye_start, touch_start, register_add or register_solve",
+    ),
     "job": (
         "0",
         "number of the job; 0: the active one; all: each is tried, the part that agrees best counts",
@@ -50,7 +54,8 @@ TRIGGER_PARAMETERS = {
     "timeout_s": ("", "seconds until the reply is an error, up to 60; left out: `zenoh.trigger_timeout_s`"),
     "flange": (
         "",
-        "X,Y,Z,QW,QX,QY,QZ (mm; scalar first): where the flange is, if the robot carries the cameras",
+        "X,Y,Z,QW,QX,QY,QZ (mm; scalar first): where the flange is, if the robot carries the cameras, and "
+        "for register_add",
     ),
 }
 """By name: what counts when it is left out, and what it says."""

@@ -33,9 +33,25 @@ from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
 from edged.ages import ExposureClock
 from edged.domain.cell import CellPhase, CellState
-from edged.domain.events import Command, CommandFailed, Event, ExposureDone, JobChanged, Snapshot
+from edged.domain.events import (
+    Command,
+    CommandFailed,
+    Event,
+    ExposureDone,
+    JobChanged,
+    Registered,
+    Snapshot,
+)
 from edged.errors import CommandRefused, ConfigError, ListenError
-from edged.payload import Json, command_to_json, encode, message, snapshot_to_json, state_to_json
+from edged.payload import (
+    Json,
+    command_to_json,
+    encode,
+    message,
+    registered_to_json,
+    snapshot_to_json,
+    state_to_json,
+)
 from edged.ports import Commander
 
 log = logging.getLogger(__name__)
@@ -139,6 +155,11 @@ class ZenohPublisher:
         elif isinstance(event, JobChanged):
             document = self._message("job", self._dated({"job_number": event.number, "job": event.name}))
             self._answer_command(event.command, lambda: document)
+        elif isinstance(event, Registered) and event.obstacle is None:
+            told = self._message("registration", self._dated(registered_to_json(event)))
+            self._answer_command(event.command, lambda: told)
+        elif isinstance(event, Registered) and event.obstacle is not None:
+            self._settle(event.command, f"{event.obstacle.name}: {event.why}")
         elif isinstance(event, CommandFailed):
             self._settle(event.command, event.reason)
 
@@ -289,7 +310,12 @@ class ZenohPublisher:
             self._reply_error(query, f"{MAX_PENDING} triggers are waiting already")
             return
         command = self._triggers.add(
-            query, asked.kind, asked.job, asked.robot_from_flange, tries_all=asked.tries_all
+            query,
+            asked.kind,
+            asked.job,
+            asked.robot_from_flange,
+            tries_all=asked.tries_all,
+            shown=asked.shown,
         )
         late = f"no result within {asked.timeout_s:g} s"
         loop = asyncio.get_running_loop()

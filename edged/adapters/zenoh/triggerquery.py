@@ -20,7 +20,7 @@ class Trigger(NamedTuple):
     """A command, and how long its result is waited for. job : number, 0 for the active one.
 
     tries_all : every job, instead.
-    robot_from_flange (4, 4) : None where it was not said.
+    robot_from_flange (4, 4) : None where it was not said; shown : its numbers.
     """
 
     kind: CommandKind
@@ -28,6 +28,7 @@ class Trigger(NamedTuple):
     timeout_s: float
     robot_from_flange: FloatArray | None
     tries_all: bool = False
+    shown: tuple[float, ...] = ()
 
 
 def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Trigger:
@@ -56,14 +57,16 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
         raise CommandRefused(
             f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
         )
-    return Trigger(kind, int(known["job"][:6]), timeout_s, _parse_flange(known["flange"]), tries_all)
+    flange, shown = _parse_flange(known["flange"])
+    return Trigger(kind, int(known["job"][:6]), timeout_s, flange, tries_all, shown)
 
 
-def _parse_flange(text: str) -> FloatArray | None:
-    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first."""
+def _parse_flange(text: str) -> tuple[FloatArray | None, tuple[float, ...]]:
+    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first, and these numbers."""
     if not text:
-        return None
+        return None, ()
     try:
-        return transform_of(Brand.ABB, tuple(float(part) for part in text[:400].split(",")))
+        shown = tuple(float(part) for part in text[:400].split(","))
+        return transform_of(Brand.ABB, shown), shown
     except ValueError as error:
         raise CommandRefused(f"flange: {error}") from None

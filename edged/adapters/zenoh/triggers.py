@@ -43,10 +43,11 @@ class Triggers(Generic[Query]):
         robot_from_flange: FloatArray | None,
         *,
         tries_all: bool = False,
+        shown: tuple[float, ...] = (),
     ) -> Command:
         """The command of a trigger, which waits from now on."""
         self._count += 1
-        command = Command(kind, SOURCE, self._count, job, robot_from_flange, tries_all)
+        command = Command(kind, SOURCE, self._count, job, robot_from_flange, tries_all, shown=shown)
         self._pending[command.sequence] = _Pending(query, command)
         return command
 

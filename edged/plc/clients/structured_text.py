@@ -296,8 +296,8 @@ IF iState = 10 THEN
         uiError := WORD_TO_UINT(awStatus[@REASON@]);
         iState := 40;
     ELSIF xMine AND (wBits AND @ACK@) <> 16#0 THEN
-        IF uiRunning = @CHANGE_JOB@ THEN
-            iState := 30; (* a job change has no result *)
+        IF uiRunning = @CHANGE_JOB@ OR uiRunning >= @HAND_EYE_START@ THEN
+            iState := 30; (* a job change, or a step of a registration, has no result *)
         ELSE
             iState := 20;
         END_IF;
@@ -309,7 +309,7 @@ always decoded in this scan: the result grows old, and a new command withdraws i
 xFits := awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence)
     AND awResult[@RESULT_EPOCH@] = wEpochFirst AND awResult[@RESULT_EPOCH@ + 1] = wEpochSecond;
 stResult.xValid := FALSE;
-IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ THEN
+IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ AND uiRunning < @HAND_EYE_START@ THEN
 @DECODE@
     stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 16#0
         AND ((awResult[@FLAGS@] AND @ROBOT_FRAME@) <> 16#0 OR (xRigFrame AND xAllowRigFrame))
@@ -352,6 +352,7 @@ def _block() -> str:
     words = {
         "LOCATE": CommandKind.LOCATE.value,
         "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
+        "HAND_EYE_START": CommandKind.HAND_EYE_START.value,
         "NEXT_PART": CommandKind.NEXT_PART.value,
         "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),

@@ -18,6 +18,7 @@ from edged.plc.registers.layout import (
     FLOAT,
     GRASP,
     JOBS,
+    REGISTRATION,
     RESULT,
     ROWS,
     STATUS,
@@ -53,6 +54,7 @@ from edged.plc.registers.values import (
     counted,
     job_values,
     measured,
+    registration_values,
     result_values,
     row_values,
 )
@@ -73,6 +75,7 @@ __all__ = [
     "MAGIC",
     "MAP_VERSION",
     "NOTHING",
+    "REGISTRATION",
     "RESULT",
     "ROWS",
     "ROW_WORDS",
@@ -102,6 +105,7 @@ __all__ = [
     "encode",
     "job_values",
     "measured",
+    "registration_values",
     "result_values",
     "row_values",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject
+from edged.domain.registration import Method
 from edged.plc.registers.schema import (
     JOB_ROWS,
     NAME_WORDS,
@@ -54,7 +55,8 @@ COMMAND = make_block(
             _U16,
             "",
             f"{list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and answers OK or NOK, "
-            "but no robot gets coordinates from it; NEXT_PART goes on with the parts of the last LOCATE",
+            "but no robot gets coordinates from it; NEXT_PART goes on with the parts of the last LOCATE; the "
+            "others register the rig by the robot's own program, where `[registration]` allows it",
         ),
         ("JOB", _U16, "", "job number; 0: the active one"),
         (
@@ -86,7 +88,8 @@ COMMAND = make_block(
                 _I32,
                 "µm" if axis in "XYZ" else "0.001°",
                 "pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a rig that the "
-                "robot carries (LOCATE is refused without it); serves one command, then reads 0",
+                "robot carries (LOCATE is refused without it), and for REGISTER_ADD (after TOUCH_START "
+                "of the tool's tip where it touched); serves one command, then reads 0",
             )
             for axis in AXES
         ),
@@ -148,7 +151,8 @@ STATUS = make_block(
             "",
             "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
             "7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another client's: "
-            "nothing ran, 9 no next part",
+            "nothing ran, 9 no next part; of a registration 10 none is under way, 11 not seen, "
+            "12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
         (
@@ -288,6 +292,37 @@ GRASP = make_block(
     ],
 )
 
+REGISTRATION = make_block(
+    "registration",
+    576,
+    [
+        ("H_SEQ", _U16, "", "CMD_SEQ of the command of a registration that this is the state after; 0: none"),
+        ("H_METHOD", _U16, "", list_codes(Method)),
+        ("H_SAMPLES", _U16, "", "poses or points that were taken"),
+        ("H_USED", _U16, "", "of them, those that REGISTER_SOLVE did not reject as outliers"),
+        (
+            "H_WORST",
+            _U16,
+            "",
+            "number of the one that agrees least, from 1; 0: none stands out",
+        ),
+        ("H_RMS", _I32, "µm", "of all used, at the board or the points; INT32_MIN: not solved"),
+        ("H_HELD_OUT", _I32, "µm", "the same, each seen by all the others; at most H_LIMIT is good"),
+        ("H_LIMIT", _I32, "µm", "`registration.limit_mm`"),
+        *(
+            (
+                f"H_SIGMA_{axis}",
+                _U16,
+                "0.1 µm" if axis in "XYZ" else "0.001°",
+                "of the robot's frame in the middle of the samples, A, B, C about X, Y, Z; 65535: not known",
+            )
+            for axis in AXES
+        ),
+        ("H_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("H_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
+    ],
+)
+
 
 def _row(index: int) -> Block:
     t = f"T{index}_"
@@ -353,7 +388,20 @@ def _job(index: int) -> Block:
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
-BLOCKS = (CONSTANTS, COMMAND, STATUS, RESULT, UR, UR_GRASP, FLOAT, GRASP, COUNTERS, *TABLE, *JOBS)
+BLOCKS = (
+    CONSTANTS,
+    COMMAND,
+    STATUS,
+    RESULT,
+    UR,
+    UR_GRASP,
+    FLOAT,
+    GRASP,
+    REGISTRATION,
+    COUNTERS,
+    *TABLE,
+    *JOBS,
+)
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""
 

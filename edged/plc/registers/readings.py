@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 
 from edged.domain.cell import SetupSource
 from edged.domain.measurement import Reject
+from edged.domain.registration import Method
 from edged.plc.registers.schema import (
     INT32_MIN,
     Flag,
@@ -33,6 +34,7 @@ BITS: Mapping[str, type[enum.IntFlag]] = {
 CODES: Mapping[str, type[enum.IntEnum]] = {
     **dict.fromkeys(("RESULT", "UR_RESULT", "F_RESULT"), ResultCode),
     "SETUP_SOURCE": SetupSource,
+    "H_METHOD": Method,
 }
 MAX_NS = 253_402_300_799 * 10**9
 """The year 9999, where calendars end."""

@@ -17,6 +17,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.events import CommandKind, Snapshot
 from edged.domain.measurement import Status, Target
+from edged.domain.registration import Registration
 from edged.plc.registers.layout import AXES
 from edged.plc.registers.schema import (
     INT32_MAX,
@@ -374,6 +375,29 @@ def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
         for bit in reject:
             add(f"N_{bit.name}")
     return counts
+
+
+def registration_values(registration: Registration, sequence: int, epoch: int) -> dict[str, Number]:
+    """Values of the block registration. sequence : CMD_SEQ of the command that it is the state after."""
+    values: dict[str, Number] = {
+        "H_SEQ": sequence,
+        "H_METHOD": registration.method,
+        "H_SAMPLES": _clamp(registration.samples, UINT16_MAX),
+        "H_USED": _clamp(registration.used, UINT16_MAX),
+        "H_WORST": _clamp(registration.worst, UINT16_MAX),
+        "H_RMS": _limited_um(registration.rms_mm),
+        "H_HELD_OUT": _limited_um(registration.held_out_mm),
+        "H_LIMIT": _limited_um(registration.limit_mm),
+        "H_START_EPOCH": epoch,
+    }
+    for axis, sigma in zip(AXES, registration.sigma, strict=True):
+        values[f"H_SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+    return values
+
+
+def _limited_um(value_mm: float) -> int:
+    """A length that may be of any size; INT32_MIN for what is not known."""
+    return min(round(value_mm * 1000), INT32_MAX) if math.isfinite(value_mm) else INT32_MIN
 
 
 def job_values(index: int, jobs: Sequence[tuple[int, str]]) -> dict[str, Number]:

@@ -1,0 +1,115 @@
+"""The robot's registration with the files of a cell: what it begins with, and how its result is taken."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from edged.app.cell import LoadedCell
+from edged.commissioning.pairs import Pair
+from edged.commissioning.registration import Registered as Solved
+from edged.commissioning.sampling import Sampling, Step
+from edged.domain.events import Command, CommandKind, Registered
+from edged.domain.frames import FramePair
+from edged.domain.registration import Method, Obstacle
+from edged.errors import UserError
+from edged.loop.loaded import Setup
+
+
+class CellRegistrar:
+    """The `Registrar` of a daemon.
+
+    running : what it measures by. activate : saves the rig of a cell and takes it into use.
+    """
+
+    def __init__(
+        self, running: Callable[[], LoadedCell], activate: Callable[[LoadedCell, Solved], Awaitable[Setup]]
+    ) -> None:
+        self._running = running
+        self._activate = activate
+        self._base: LoadedCell | None = None
+        self._sampling: Sampling | None = None
+        self._solved: Solved | None = None
+
+    def problem(self, kind: CommandKind) -> str:
+        """Why a registration cannot begin so; "" when it can."""
+        loaded = self._running()
+        allowed = loaded.cell.config.registration
+        if allowed is None:
+            return "no robot's program may register the rig: there is no [registration] in the configuration"
+        if kind is CommandKind.HAND_EYE_START and allowed.board is None:
+            return "HAND_EYE_START needs registration.board in the configuration"
+        if kind is CommandKind.TOUCH_START and allowed.mount == "flange":
+            return "TOUCH_START is for cameras that stand still, registration.mount is flange"
+        return _unwritable(loaded.cell.config.cell.rig)
+
+    def begin(self, command: Command) -> Registered:
+        """Forget what was taken before."""
+        self._base, self._solved = self._running(), None
+        allowed, rig = self._base.cell.config.registration, self._base.rig
+        assert allowed is not None and rig is not None  # `problem` was asked; without a rig it is in SETUP
+        is_touch = command.kind is CommandKind.TOUCH_START
+        self._sampling = Sampling(
+            rig.rig,
+            Method.TOUCH if is_touch else Method.HAND_EYE,
+            "eye-in-hand" if allowed.mount == "flange" else "eye-to-hand",
+            allowed.pattern,
+            allowed.limit_mm,
+        )
+        by = "touched points" if is_touch else f"poses of the flange with {allowed.board}"
+        return Registered(command, self._sampling.state, None, f"begun, by {by}; the cell is in SETUP")
+
+    def add(self, command: Command, pair: FramePair) -> Registered:
+        """One pose or point, with its pictures."""
+        sampling, _ = self._under_way
+        try:
+            step = self._added(command, pair)
+        except UserError as error:  # pictures of another size
+            step = Step(sampling.state, Obstacle.FAILED, str(error))
+        return _told(command, step)
+
+    def _added(self, command: Command, pair: FramePair) -> Step:
+        sampling, base = self._under_way
+        assert command.robot_from_flange is not None  # it is refused without
+        if sampling.method is Method.TOUCH:
+            setup = base.setup
+            job = setup.jobs[command.job or setup.active_job]
+            found = job.locate(pair, lambda _stage: None)
+            return sampling.add_part(found, command.robot_from_flange, command.shown)
+        pictures = Pair.of_images("pose", pair.left.image, pair.right.image)
+        return sampling.add_board(pictures, command.robot_from_flange, command.shown)
+
+    def solve(self, command: Command) -> Registered:
+        """Judge; nothing is saved."""
+        step = self._under_way[0].solve()
+        self._solved = step.registered
+        return _told(command, step)
+
+    async def activate(self) -> Setup:
+        """Save what was solved, and take it into use. Raises `EdgedError`, `OSError`."""
+        _, base = self._under_way
+        assert self._solved is not None
+        return await self._activate(base, self._solved)
+
+    @property
+    def _under_way(self) -> tuple[Sampling, LoadedCell]:
+        assert self._sampling is not None and self._base is not None  # the loop begins first
+        return self._sampling, self._base
+
+
+def _told(command: Command, step: Step) -> Registered:
+    return Registered(command, step.registration, step.obstacle, step.why)
+
+
+def _unwritable(rig: Path) -> str:
+    """Why the rig's file could not be exchanged; ""."""
+    if os.access(rig.parent, os.W_OK) and os.access(rig, os.W_OK):
+        return ""
+    return f"{rig} cannot be written by the daemon: let cell.rig be in its state directory"
+
+
+def check_unchanged(rig: Path, loaded: bytes) -> None:
+    """Raises `UserError` where another rig than the loaded one stands there: it would be lost."""
+    if rig.read_bytes() != loaded:
+        raise UserError(f"{rig} was changed since it was loaded: reload, and register again")

@@ -1,0 +1,55 @@
+"""A registration by the robot's own program: what a command of it came to, and how good it is so far."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+UNKNOWN_6 = (math.nan,) * 6
+
+
+class Method(enum.IntEnum):
+    """By what the rig is registered."""
+
+    NONE = 0
+    """By nothing yet."""
+    HAND_EYE = 1
+    """Poses of the flange with pictures of a board."""
+    TOUCH = 2
+    """Points that the tool's tip touched, with pictures of a part there."""
+
+
+class Obstacle(enum.Enum):
+    """Why a command of a registration was not carried out; a NACK_REASON has the same name."""
+
+    CAPTURE_FAULT = "the cameras gave no pair of images"
+    FAILED = "accepted, and then it could not be carried out"
+    NO_REGISTRATION = "no registration is under way: it begins with HAND_EYE_START or TOUCH_START"
+    NOT_SEEN = "the board or the part is not seen well enough in both pictures"
+    SAME_PLACE = "this pose or point is there already"
+    TOO_FEW = "too few poses or points"
+    TURN_MORE = "the poses do not turn about two axes, or the points lie on one line"
+    NOT_GOOD = "the poses or points do not agree within the limit"
+    OTHER_READING = "the poses agree when they are read in another way"
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """How far a registration is; lengths are NaN as long as nothing was solved.
+
+    samples : poses or points that were taken; used : of them, those that were not rejected as outliers.
+    worst : number of the sample, from 1, that agrees least with the others; 0: none.
+    rms_mm, held_out_mm : how far poses or points are from the fit of all, and of all others, at the board or
+    the point; limit_mm : of held_out_mm. sigma : of X, Y, Z (mm) in the middle of the samples, and of the
+    rotation about each axis (degrees), of the robot's frame.
+    """
+
+    method: Method = Method.NONE
+    samples: int = 0
+    used: int = 0
+    worst: int = 0
+    rms_mm: float = math.nan
+    held_out_mm: float = math.nan
+    limit_mm: float = math.nan
+    sigma: tuple[float, ...] = UNKNOWN_6

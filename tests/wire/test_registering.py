@@ -1,0 +1,226 @@
+"""A robot's program registers the rig, over a socket or Modbus: true to what was rendered, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymodbus.client import ModbusTcpClient
+from walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
+
+from edged.domain.events import CommandKind
+from edged.domain.registration import Method
+from edged.plc import registers as reg
+from edged.plc.handshake import Reason
+from edged.robot.orientations import ANGLES_DEG, Brand, Convention
+from edged.vision.geometry.rigid import apply, transform
+
+GOOD_MM = 0.03
+"""At 320x240 a board's place is uncertain by some micrometres, and the robot here is exact."""
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WalkedCell]:
+    """Cameras that stand still; registering it again and again."""
+    with WalkedCell(tmp_path_factory.mktemp("cell"), Arm()) as cell:
+        yield cell
+
+
+def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedCell) -> None:
+    """Until then nothing is measured; the answer says how good it is; the file of before is kept."""
+    before = cell.rig
+    with cell.robot() as robot:
+        assert 0 == robot.ask("HAND_EYE_START")[0]
+        assert Reason.SETUP == robot.ask("LOCATE,0")[0]
+        for number, pose in enumerate(cell.arm.walk(), 1):
+            assert 0 == robot.add(pose)
+            assert np.array_equal(before.robot_from_rig, cell.rig.robot_from_rig)
+            status = robot.ask("VERIFY,0")[0]
+            assert (Reason.SETUP, number) == (status, number)
+        status, samples, rms, held_out, limit, used, worst, _, *sigma = robot.ask("REGISTER_SOLVE")
+        assert (0, 10, 10, 0, 0.1) == (status, samples, used, worst, limit)
+        assert 0 < rms <= held_out < GOOD_MM
+        assert all(0 < one < GOOD_MM for one in sigma[:3])
+        assert cell.error_mm() < GOOD_MM
+        assert cell.config.with_name(f"rig.{before.calibration_id}.json").exists()
+        cell.arm.shows, cell.arm.part = "part", transform(np.eye(3), TAUGHT_MM)
+        answer = robot.ask("LOCATE,0")
+        assert 0 == answer[0]
+        assert np.linalg.norm(np.array(answer[2:5]) - apply(ROBOT_FROM_RIG, TAUGHT_MM)) < 2 * GOOD_MM
+    cell.arm.shows = "board"
+
+
+def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
+    """Out of order, too few, the same pose again, no board, no pose: each its own number."""
+    walk = cell.arm.walk()
+    with cell.robot() as robot:
+        for request in ("REGISTER_ADD,0", "REGISTER_SOLVE"):
+            pose = walk[0] if "ADD" in request else None
+            assert Reason.NO_REGISTRATION == robot.ask(request, pose)[0]
+        assert 0 == robot.ask("HAND_EYE_START")[0]
+        assert Reason.REFUSED == robot.ask("REGISTER_ADD,0")[0], "without a pose"
+        assert 0 == robot.add(walk[0])
+        assert [Reason.SAME_PLACE] * 9 == [robot.add(walk[0]) for _ in range(9)]
+        cell.arm.shows = "nothing"
+        assert Reason.NOT_SEEN == robot.add(walk[1])
+        cell.arm.shows = "board"
+        for pose in walk[1:4]:
+            robot.add(pose)
+        status, samples, *_ = robot.ask("REGISTER_SOLVE")
+        assert (Reason.TOO_FEW, 4) == (status, samples)
+        assert 0 == robot.ask("HAND_EYE_START")[0]
+        about_one_axis = [(0, 0, turn) for turn in (0, 8, 16, 24, -8, -16, -24)]
+        for pose in cell.arm.walk(about_one_axis):
+            assert 0 == robot.add(pose)
+        assert Reason.TURN_MORE == robot.ask("REGISTER_SOLVE")[0]
+
+
+def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
+    """One of ten is 5 mm off: it is rejected, and its number is in the answer; half of them: not good."""
+    saved = cell.rig.robot_from_rig
+    with cell.robot() as robot:
+        robot.ask("HAND_EYE_START")
+        for number, pose in enumerate(cell.arm.walk()):
+            cell.arm.flange = pose
+            said = pose.copy()
+            said[0, 3] += 5.0 if number % 2 else 0.0
+            assert 0 == robot.ask("REGISTER_ADD,0", said)[0]
+        status, _, _, held_out, limit, *_ = robot.ask("REGISTER_SOLVE")
+        assert Reason.NOT_GOOD == status
+        assert held_out > limit
+        assert np.array_equal(saved, cell.rig.robot_from_rig), "nothing is saved"
+        robot.ask("HAND_EYE_START")
+        for number, pose in enumerate(cell.arm.walk()):
+            cell.arm.flange = pose
+            said = pose.copy()
+            said[0, 3] += 5.0 if number == 3 else 0.0
+            robot.ask("REGISTER_ADD,0", said)
+        status, samples, _, _, _, used, worst, *_ = robot.ask("REGISTER_SOLVE")
+        assert (0, 10, 9, 4) == (status, samples, used, worst)
+    assert cell.error_mm() < GOOD_MM
+
+
+def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest.LogCaptureFixture) -> None:
+    """KUKA's angles sent to a cell that reads FANUC's: its own number, and the log says how they read."""
+    with caplog.at_level("WARNING"), cell.robot() as robot:
+        robot.ask("HAND_EYE_START")
+        for pose in cell.arm.walk():
+            assert 0 == robot.add(pose, Brand.KUKA)
+        assert Reason.OTHER_READING == robot.ask("REGISTER_SOLVE")[0]
+    assert "A B C about z, new y, new x (KUKA, ABB OrientZYX) in degrees, lengths in mm" in caplog.text
+
+
+def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -> None:
+    """The tip's place at each of five parts; one axis with the wrong sign is refused."""
+    places = TAUGHT_MM + np.array([[-10, -5, -5], [10, -5, 5], [8, 5, -6], [-8, 5, 6], [0.0, 0, 0]])
+    cell.arm.shows = "part"
+    for mirror, expected in ((-1.0, Reason.NOT_GOOD), (1.0, 0)):
+        with cell.robot() as robot:
+            assert 0 == robot.ask("TOUCH_START")[0]
+            for place in places:
+                cell.arm.part = transform(np.eye(3), place)
+                tip = transform(np.eye(3), apply(ROBOT_FROM_RIG, place) * [1.0, mirror, 1.0])
+                assert 0 == robot.ask("REGISTER_ADD,0", tip)[0]
+            tip[:3, 3] += 0.5
+            assert Reason.SAME_PLACE == robot.ask("REGISTER_ADD,0", tip)[0]
+            cell.arm.shows = "nothing"
+            tip[:3, 3] += 20.0
+            assert Reason.NOT_SEEN == robot.ask("REGISTER_ADD,0", tip)[0]
+            cell.arm.shows = "part"
+            assert expected == robot.ask("REGISTER_SOLVE")[0]
+    cell.arm.shows = "board"
+    assert cell.error_mm() < 0.2
+
+
+def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
+    """The block `registration` speaks of the command by its sequence; a reload in between ends it."""
+    client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=10)
+    assert client.connect()
+    sequence = 100
+
+    def read(block: reg.Block) -> dict[str, reg.Number]:
+        return reg.decode(block, client.read_holding_registers(block.address, count=block.words).registers)
+
+    def command(kind: CommandKind, pose: np.ndarray | None = None) -> tuple[int, dict[str, reg.Number]]:
+        nonlocal sequence
+        sequence += 1
+        values: dict[str, reg.Number] = {"COMMAND": kind, "CMD_SEQ": sequence, "OPTIONS": reg.Option.ONCE}
+        values |= {f"FLANGE_{axis}": 0 for axis in "XYZABC"}
+        if pose is not None:
+            cell.arm.flange = pose
+            numbers = (*pose[:3, 3], *ANGLES_DEG[Convention.FIXED_XYZ](pose[:3, :3]))
+            values |= {
+                f"FLANGE_{axis}": round(number * 1000) for axis, number in zip("XYZABC", numbers, strict=True)
+            }
+        data = reg.encode(reg.COMMAND, values)
+        words = [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
+        assert not client.write_registers(reg.COMMAND.address, words).isError()
+        while (status := read(reg.STATUS))["DONE_SEQ"] != sequence:
+            assert status["CMD_SEQ_ECHO"] == sequence
+        state = read(reg.REGISTRATION)
+        if state["H_SEQ"] == sequence:
+            assert state["H_START_EPOCH"] == status["START_EPOCH"]
+        return int(status["NACK_REASON"]), state
+
+    try:
+        assert 0 == command(CommandKind.HAND_EYE_START)[0]
+        assert 4 == read(reg.STATUS)["SETUP_SOURCE"]
+        assert 0 == command(CommandKind.REGISTER_ADD, cell.arm.walk()[0])[0]
+        assert cell.reload()
+        reason, state = command(CommandKind.REGISTER_ADD, cell.arm.walk()[1])
+        assert (Reason.NO_REGISTRATION, 0) == (reason, state["H_SAMPLES"])
+        assert 0 == command(CommandKind.HAND_EYE_START)[0]
+        for number, pose in enumerate(cell.arm.walk(), 1):
+            reason, state = command(CommandKind.REGISTER_ADD, pose)
+            assert (0, number, Method.HAND_EYE) == (reason, state["H_SAMPLES"], state["H_METHOD"])
+            assert reg.INT32_MIN == state["H_RMS"]
+        reason, state = command(CommandKind.REGISTER_SOLVE)
+        assert (0, sequence, 10, 100) == (reason, state["H_SEQ"], state["H_USED"], state["H_LIMIT"])
+        assert 0 < state["H_HELD_OUT"] < 1000 * GOOD_MM
+        assert all(0 < state[f"H_SIGMA_{axis}"] < 300 for axis in "XYZABC")
+    finally:
+        client.close()
+    assert cell.error_mm() < GOOD_MM
+
+
+def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell) -> None:
+    """Somebody has calibrated anew and not reloaded yet: the registration is of the old cameras."""
+    file = cell.config.with_name("rig.json")
+    text = file.read_text()
+    with cell.robot() as robot:
+        robot.ask("HAND_EYE_START")
+        for pose in cell.arm.walk():
+            robot.add(pose)
+        file.write_text(text + " ")
+        assert Reason.FAILED == robot.ask("REGISTER_SOLVE")[0]
+        assert text + " " == file.read_text()
+        file.write_text(text)
+        assert 0 == robot.ask("REGISTER_SOLVE")[0], "the poses are still there"
+
+
+def test_cameras_on_the_flange(tmp_path: Path) -> None:
+    """flange_from_rig from ten poses over a board that lies still; TOUCH_START is refused there."""
+    registration = 'board = "chessboard:9x6:4.0"\nmount = "flange"\nlimit_mm = 0.1'
+    with WalkedCell(tmp_path, Arm(carries_rig=True), "ur", registration) as cell, cell.robot() as robot:
+        assert Reason.REFUSED == robot.ask("TOUCH_START")[0]
+        assert 0 == robot.ask("HAND_EYE_START")[0]
+        for pose in cell.arm.walk():
+            assert 0 == robot.add(pose)
+        status, _, _, held_out, limit, *_ = robot.ask("REGISTER_SOLVE")
+        assert (0, 0.0001) == (status, limit), "a UR has metres"
+        assert 0 < held_out < GOOD_MM / 1000
+        assert cell.error_mm() < GOOD_MM
+        assert cell.rig.robot_from_rig is None
+
+
+def test_without_leave_no_program_registers_anything(tmp_path: Path) -> None:
+    """No [registration], or one without a board: refused, and the cell goes on measuring."""
+    with WalkedCell(tmp_path, Arm(), registration="") as cell, cell.robot() as robot:
+        for request in ("HAND_EYE_START", "TOUCH_START"):
+            assert Reason.REFUSED == robot.ask(request)[0]
+        assert 102 == robot.ask("LOCATE,0")[0]
+        cell.write(cell.config.read_text() + "\n[registration]\n")
+        assert cell.reload()
+        assert Reason.REFUSED == robot.ask("HAND_EYE_START")[0]
