@@ -125,7 +125,7 @@ def test_the_page_speaks_as_it_is_told() -> None:
         await page.until(f'document.querySelector("#state") && {STATE} === "BEREIT"')
         assert "de" == await page.value("document.documentElement.lang")
         read = "import('/static/setup/texts.js').then((m) => [m.number(1234.5, 1), ...%s.map(m.parseNumber)])"
-        assert ["1.234,5", 0.5, 0.5, -3.0] == await page.value(read % "['0,5', ' .5', '-3']")
+        assert ["1234,5", 0.5, 0.5, -3.0] == await page.value(read % "['0,5', ' .5', '-3']")
         wrong = (
             "import('/static/setup/texts.js').then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
         )

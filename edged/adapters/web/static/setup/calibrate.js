@@ -8,6 +8,7 @@ import { Dialog, NumberField, say, Shape } from "./pieces.js";
 import { has, number, t } from "./texts.js";
 
 const GOAL_UM = 5;
+const FEW = 3; // views give no calibration yet, whatever they are
 const worst = (sigma) => (sigma ? Math.max(...["x", "y", "z"].map((axis) => sigma[axis] ?? 0)) : null);
 const micrometres = (value) => number(value, value < 9.5 ? 1 : 0);
 const place = () => `calibrations/${draft.value.id}`;
@@ -62,14 +63,27 @@ function Board() {
 
 // --- view by view ---
 
-const why = (code) => (has(`why-${String(code).replaceAll("_", "-")}`) ? t(`why-${String(code).replaceAll("_", "-")}`) : String(code));
+const coded = (family, code) => {
+  const id = `${family}-${String(code).replaceAll("_", "-")}`;
+  return has(id) ? t(id) : String(code);
+};
+const why = (code) => coded("why", code);
+
+// "upper-left.near.lower-away": where in the picture, how far, and how it is tilted.
+function placed(code) {
+  const [at, far, tilt] = code.split(".");
+  return [coded("at", at), coded("far", far), coded("tilt", tilt)].join(", ");
+}
 
 // The suggested board dashed, the seen one solid; both have a letter, so that no colour is needed.
 function boards(side) {
   const seen = draft.value.shown?.[side];
   const ghost = draft.value.suggestion?.[side];
-  const label = (polygon, key) => html`<text x=${polygon[0][0]} y=${polygon[0][1] - 12}>${t(key)}</text>`;
-  return html`${ghost && html`<g class="ghost"><polygon points=${points(ghost)} style=${{ fillOpacity: 0.1 + 0.5 * (draft.value.in_ghost ?? 0) }} />${label(ghost, "ghost-here")}</g>`}
+  const label = (polygon, key) => {
+    const [x, y] = polygon.reduce((top, corner) => (corner[1] < top[1] ? corner : top));
+    return html`<text x=${x} y=${y - 12}>${t(key)}</text>`;
+  };
+  return html`${ghost?.length > 0 && html`<g class="ghost"><polygon points=${points(ghost)} style=${{ fillOpacity: 0.1 + 0.5 * (draft.value.in_ghost ?? 0) }} />${label(ghost, "ghost-here")}</g>`}
   ${seen?.polygon && html`<g class="seen ${seen.clipped ? "clipped" : ""}"><polygon points=${points(seen.polygon)} />${seen.polygon.map(([x, y]) => html`<circle cx=${x} cy=${y} r="7" />`)}</g>`}`;
 }
 
@@ -77,7 +91,7 @@ function Seen({ side }) {
   const seen = draft.value.shown?.[side];
   if (!seen) return null;
   const shape = seen.clipped ? "doubt" : seen.polygon ? "tick" : "gap";
-  return html`<p class="verdict small"><${Shape} is=${shape} /> ${seen.clipped ? t("seen-clipped") : seen.polygon ? t("seen-whole") : why(seen.missing)}</p>`;
+  return html`<p class="verdict small"><${Shape} is=${shape} /> ${seen.clipped ? t("seen-clipped") : seen.polygon ? t("seen-whole") : coded("missing", seen.missing)}</p>`;
 }
 
 let audio = null;
@@ -94,20 +108,22 @@ function beep() {
 
 const SOUND = "edged.sound";
 function Figure() {
-  const { sigma_um, suggestion, goal_um, more_views, views } = draft.value;
+  const { sigma_um, suggestion, goal_um, more_views, views, trouble } = draft.value;
   const used = views.filter((view) => view.used).length;
   const now = worst(sigma_um);
   const then = worst(suggestion?.sigma_um);
-  if (now === null) return html`<p class="big figure">${t("sigma-unknown", { used })}</p>`;
-  const isReached = now <= goal_um;
+  if (now === null)
+    return html`<p class="big figure">${t("sigma-unknown", { used })}</p>
+      ${trouble && used >= FEW && html`<p class="hint"><${Shape} is="doubt" /> <span translate=${false}>${trouble}</span></p>`}`;
+  const isReached = goal_um !== null && now <= goal_um;
   return html`<p class="big figure" role="status">
-    ${t("sigma-now", { now: micrometres(now) })}${then !== null && html`, ${t("sigma-then", { then: micrometres(then) })}`}, ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}:${" "}
+    ${t("sigma-now", { now: micrometres(now) })}${then !== null && html`, ${t("sigma-then", { then: micrometres(then) })}`}${goal_um !== null && html`, ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}`}:${" "}
     <strong>${isReached ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}</strong>
   </p>`;
 }
 
 function Capture() {
-  const { views, still, in_ghost, auto, suggestion } = draft.value;
+  const { views, still, in_ghost, auto, suggestion, waits } = draft.value;
   const [hasSound, setSound] = useState(localStorage.getItem(SOUND) === "on");
   const [isFlashing, setFlashing] = useState(false);
   const count = useRef(views.length);
@@ -131,8 +147,8 @@ function Capture() {
     ${isFlashing && html`<div class="flash" aria-hidden="true"></div>`}
     ${suggestion &&
     html`<label class="meter"><span>${t("ghost-share", { percent: number(share) })}</span><progress max="100" value=${share}></progress></label>
-      ${suggestion.text_code && html`<p class="hint">${why(suggestion.text_code)}</p>`}`}
-    <p class="verdict small"><${Shape} is=${still ? "tick" : "none"} /> ${t(still ? "board-still" : "board-moves")}</p>
+      ${suggestion.text_code && html`<p class="hint">${t("ghost-where")} ${placed(suggestion.text_code)}.</p>`}`}
+    <p class="verdict small"><${Shape} is=${waits || !still ? "none" : "tick"} /> ${auto && waits ? coded("waits", waits) : t(still ? "board-still" : "board-moves")}</p>
     <div class="actions">
       <button type="button" class=${auto ? "" : "primary"} aria-pressed=${Boolean(auto)} disabled=${!holds.value} onClick=${() => change("PUT", "/auto", { token: token.value, on: !auto })}>${t(auto ? "auto-stop" : "auto-start")}</button>
       <button type="button" disabled=${!holds.value} onClick=${() => change("POST", "/views", { token: token.value })}>${t("view-take")}</button>
@@ -184,14 +200,14 @@ function Solve() {
     ${running
       ? html`<${Progress} id=${running} onDone=${done} />`
       : html`<p>${t("solve-what", { used })}</p>
-          <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < 3} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
+          <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < FEW} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
     ${ended?.state === "failed" && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("solve-failed")} <span translate=${false}>${ended.problem?.detail ?? ended.problem ?? ""}</span></p>`}
     ${ended?.state === "cancelled" && html`<p>${t("solve-cancelled")}</p>`}
     ${solved && !running && html`<${Solved} ...${solved} />`}
   </section>`;
 }
 
-function Solved({ rms_px, heldout_px, sigma_um, moved_um }) {
+function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
   const [isAsked, setAsked] = useState(false);
   const [note, setNote] = useState("");
   const [release, setRelease] = useState(null);
@@ -201,7 +217,9 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um }) {
       setAsked(false);
       await look();
     });
-  return html`<dl class="facts">
+  return html`<p class="verdict"><${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} /> ${coded("verdict", verdict)}</p>
+    ${figures?.verdict?.map((sentence) => html`<p class="hint" translate=${false} lang="en">${sentence}</p>`)}
+    <dl class="facts">
       <dt>${t("solved-rms")}</dt><dd>${number(rms_px, 3)} px</dd>
       <dt>${t("solved-heldout")}</dt><dd>${number(heldout_px, 3)} px</dd>
       <dt>${t("solved-sigma")}</dt><dd>± ${micrometres(worst(sigma_um))} µm</dd>

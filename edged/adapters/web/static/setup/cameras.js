@@ -1,83 +1,29 @@
 // Which camera is which: what was found on the wire, live pictures, a wave of the hand, and a test pair.
-import { effect, html, useEffect, useRef, useState } from "../vendor/ui.js";
+import { html, useEffect, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { cameras, holds, lookAtCameras, pictures, SIDES, token } from "./live.js";
+import { cameras, holds, lookAtCameras, SIDES, token } from "./live.js";
 import { Pair } from "./picture.js";
 import { say, Shape } from "./pieces.js";
 import { has, number, t } from "./texts.js";
 
-const LOOKED_AT_PX = 64;
-const MOVED_GREY = 12; // per pixel, on the average of the picture: noise is below 3, a hand far above 20
-const CLEARLY = 3; // times as much as in the other picture
-const PICTURES = 4; // in a row: one flicker of a lamp is no hand
-
-const other = (side) => (side === "left" ? "right" : "left");
-
-// How much two pictures differ: the mean of the tenth that differs most, as a hand never fills a picture.
-function change(before, now) {
-  const differences = now.map((grey, i) => Math.abs(grey - before[i])).sort((a, b) => b - a);
-  const tenth = differences.slice(0, Math.ceil(differences.length / 10));
-  return tenth.reduce((sum, one) => sum + one, 0) / tenth.length;
-}
-
-function small(bitmap, canvas) {
-  const height = Math.max(1, Math.round((bitmap.height * LOOKED_AT_PX) / bitmap.width));
-  Object.assign(canvas, { width: LOOKED_AT_PX, height });
-  const context = canvas.getContext("2d", { willReadFrequently: true });
-  context.drawImage(bitmap, 0, 0, LOOKED_AT_PX, height);
-  const { data } = context.getImageData(0, 0, LOOKED_AT_PX, height);
-  return Array.from({ length: data.length / 4 }, (_, i) => data[4 * i]);
-}
-
-// Tells in which picture something moves, and nothing in the other.
-function useMotion(isWatched, onMoved) {
-  useEffect(() => {
-    if (!isWatched) return undefined;
-    const canvas = document.createElement("canvas");
-    let before = null;
-    let runs = { left: 0, right: 0 };
-    return effect(() => {
-      const [left, right] = SIDES.map((side) => pictures[side].value);
-      if (!left || !right) return;
-      const now = { left: small(left, canvas), right: small(right, canvas) };
-      if (before) {
-        const moved = { left: change(before.left, now.left), right: change(before.right, now.right) };
-        for (const side of SIDES) runs[side] = moved[side] > MOVED_GREY && moved[side] > CLEARLY * moved[other(side)] ? runs[side] + 1 : 0;
-        const found = SIDES.find((side) => runs[side] >= PICTURES);
-        if (found) onMoved(found);
-      }
-      before = now;
-    });
-  }, [isWatched]);
-}
-
-const swap = () =>
-  attempt(async () => {
-    const { left, right } = cameras.value.configured;
-    await ask("PUT", "cameras/left", { token: token.value, serial: right.serial });
-    await ask("PUT", "cameras/right", { token: token.value, serial: left.serial });
-    await lookAtCameras();
-    return true;
-  });
-
+// The cell looks itself: it compares whole pictures, and exchanges the cameras where they are swapped.
 function Wave() {
-  const [state, setState] = useState("idle"); // idle, watching, left, right, swapped
-  useMotion(state === "watching", (side) => {
-    setState(side);
-    say(t(`wave-${side}`));
-  });
-  const start = useRef(null);
+  const [state, setState] = useState("idle"); // idle, watching, nobody, right (as it is), swapped
+  const watch = async () => {
+    setState("watching");
+    const waved = await attempt(() => ask("POST", "cameras/wave", { token: token.value, side: "left" }));
+    const seen = !waved ? "idle" : !waved.moved ? "nobody" : waved.exchanged ? "swapped" : "right";
+    setState(seen);
+    if (seen !== "idle") say(t(`wave-${seen}`));
+    await lookAtCameras();
+  };
+  const SHAPE = { nobody: "doubt", right: "tick", swapped: "tick" };
   return html`<section aria-labelledby="wave">
     <h2 id="wave">${t("wave-title")}</h2>
     <p>${t("wave-what")}</p>
-    <p class="verdict" aria-live="polite">
-      ${state === "watching" && html`<span class="pulse"><${Shape} is="hand" /></span> ${t("wave-now")}`} ${state === "left" && html`<${Shape} is="tick" /> ${t("wave-left")}`} ${state === "right" && html`<${Shape} is="doubt" /> ${t("wave-right")}`}
-      ${state === "swapped" && html`<${Shape} is="tick" /> ${t("wave-swapped")}`}
-    </p>
-    <div class="actions">
-      ${state === "right" && html`<button type="button" class="primary" onClick=${async () => (await swap()) && setState("swapped")}>${t("wave-swap")}</button>`}
-      <button type="button" ref=${start} disabled=${!holds.value} onClick=${() => setState(state === "watching" ? "idle" : "watching")}>${t(state === "watching" ? "wave-stop" : state === "idle" ? "wave-start" : "wave-again")}</button>
-    </div>
+    ${state === "watching" && html`<p class="verdict"><span class="pulse"><${Shape} is="hand" /></span> ${t("wave-now")}</p>`}
+    ${state in SHAPE && html`<p class="verdict"><${Shape} is=${SHAPE[state]} /> ${t(`wave-${state}`)}</p>`}
+    <div class="actions"><button type="button" disabled=${!holds.value || state === "watching"} onClick=${watch}>${t(state === "idle" || state === "watching" ? "wave-start" : "wave-again")}</button></div>
   </section>`;
 }
 
@@ -104,7 +50,7 @@ function Test() {
 }
 
 const inWords = (trouble) => {
-  const id = `trouble-${String(trouble).replaceAll("_", "-")}`;
+  const id = `trouble-${String(trouble).replaceAll(/[ _]/g, "-")}`;
   return has(id) ? t(id) : trouble;
 };
 

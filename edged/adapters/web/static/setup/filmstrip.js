@@ -1,6 +1,6 @@
 // Every view that was taken, with what it says of itself; each can be left out, and that undone.
 import { html, useEffect, useRef } from "../vendor/ui.js";
-import { draft } from "./live.js";
+import { draft, SIDES } from "./live.js";
 import { say, Shape } from "./pieces.js";
 import { number, t } from "./texts.js";
 
@@ -8,28 +8,28 @@ import { number, t } from "./texts.js";
 export const short = (name) => name.replace(/^view_0*/, "");
 
 export function Filmstrip({ change, why }) {
-  const { views } = draft.value;
+  const { views, can_undo, can_redo } = draft.value;
   const strip = useRef(null);
   useEffect(() => {
     if (strip.current) strip.current.scrollLeft = strip.current.scrollWidth; // the newest
   }, [views.length]);
-  if (!views.length) return null;
+  if (!views.length && !can_redo) return null;
   const remove = async (name) => (await change("DELETE", `/views/${encodeURIComponent(name)}`)) && say(t("view-removed", { name: short(name) }));
-  const undo = async () => (await change("POST", "/undo")) && say(t("undone"));
+  const step = (way) => async () => (await change("POST", `/${way}`)) && say(t(way === "undo" ? "undone" : "redone"));
   return html`<section aria-labelledby="views">
     <h2 id="views">${t("views-title", { count: views.length })}</h2>
     <ul class="strip" ref=${strip} tabindex="0" aria-label=${t("views-title", { count: views.length })}>
       ${views.map(
         ({ name, used, why: code, rms_px, heldout_px, thumbnails }) =>
           html`<li key=${name} class=${used ? "" : "unused"}>
-            <span class="thumbs">${["left", "right"].map((side) => html`<img src=${thumbnails?.[side]} alt="" loading="lazy" />`)}</span>
+            <span class="thumbs">${SIDES.map((side) => html`<img src=${thumbnails?.[side]} alt="" loading="lazy" />`)}</span>
             <span class="name"><${Shape} is=${used ? "tick" : "gap"} /> ${t("view", { name: short(name) })}</span>
             <span class="muted">${used ? t("view-rms", { rms: number(rms_px, 3) }) : why(code)}</span>
             <span class="muted">${used && Number.isFinite(heldout_px) ? t("view-heldout", { heldout: number(heldout_px, 3) }) : ""}</span>
-            <button type="button" aria-label=${t("view-remove-name", { name: short(name) })} onClick=${() => remove(name)}>${t("view-remove")}</button>
+            ${used && html`<button type="button" aria-label=${t("view-remove-name", { name: short(name) })} onClick=${() => remove(name)}>${t("view-remove")}</button>`}
           </li>`,
       )}
     </ul>
-    <div class="actions"><button type="button" onClick=${undo}>${t("undo")}</button></div>
+    <div class="actions"><button type="button" disabled=${can_undo === false} onClick=${step("undo")}>${t("undo")}</button><button type="button" disabled=${can_redo === false} onClick=${step("redo")}>${t("redo")}</button></div>
   </section>`;
 }

@@ -1,7 +1,7 @@
 // Exposure, gain and focus of both lenses, while one looks at what they cost.
 import { html, signal, useEffect } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { cameras, holds, lookAtCameras, quality, SIDES, token } from "./live.js";
+import { cameras, holds, lookAtCameras, quality, rawSize, SIDES, token } from "./live.js";
 import { Pair } from "./picture.js";
 import { NumberField, Shape, Slider } from "./pieces.js";
 import { number, t } from "./texts.js";
@@ -10,9 +10,8 @@ const SETTINGS = [
   { name: "exposure_us", unit: "µs", digits: 0, isLogarithmic: true },
   { name: "gain_db", unit: "dB", digits: 1, isLogarithmic: false },
 ];
-const PLACES = ["near", "middle", "far"];
-const SOFT_PX = 1.2;
-const WIDEST_PX = 4;
+const SOFT = 1.25; // times the sigma of a sharp picture
+const WIDEST_PX = 3;
 const best = signal({});
 
 // One request of a side at a time, the newest values next: a slider makes more than a camera can take.
@@ -52,48 +51,62 @@ function Settings({ side }) {
 
 function hold() {
   const held = { ...best.value };
-  for (const side of SIDES)
-    for (const [place, spread] of Object.entries(quality.value?.[side]?.edge_spread_px ?? {}))
-      if (Number.isFinite(spread)) held[`${side}-${place}`] = Math.min(spread, held[`${side}-${place}`] ?? Infinity);
-  if (JSON.stringify(held) !== JSON.stringify(best.value)) best.value = held;
-}
-
-function Spread({ side, place, spread }) {
-  const held = best.value[`${side}-${place}`];
-  const width = (px) => `${Math.min(100, (100 * px) / WIDEST_PX)}%`;
-  return html`<li>
-    <span>${t(`place-${place}`)}</span>
-    <span class="bar" aria-hidden="true"
-      >${Number.isFinite(spread) && html`<span class="now ${spread > SOFT_PX ? "soft" : ""}" style=${{ width: width(spread) }}></span>`}${Number.isFinite(held) && html`<span class="held" style=${{ left: width(held) }}></span>`}</span
-    >
-    <span class="figure">${Number.isFinite(spread) ? t("spread-now", { now: number(spread, 2) }) : t("spread-none")}</span>
-    <span class="figure muted">${Number.isFinite(held) ? t("spread-best", { best: number(held, 2) }) : ""}</span>
-  </li>`;
+  for (const side of SIDES) {
+    const spread = quality.value?.[side]?.edge_spread_px.median;
+    if (Number.isFinite(spread)) held[side] = Math.min(spread, held[side] ?? Infinity);
+  }
+  if (SIDES.some((side) => held[side] !== best.value[side])) best.value = held;
 }
 
 const percent = (share) => number(100 * share, share > 0 && share < 0.1 ? 1 : 0);
+const isSoft = (figures) => (figures.sigma_z_factor ?? 1) > SOFT;
+
+function Focus({ side, figures }) {
+  const spread = figures.edge_spread_px.median;
+  const held = best.value[side];
+  const width = (px) => `${Math.min(100, (100 * px) / WIDEST_PX)}%`;
+  if (!Number.isFinite(spread)) return html`<p><${Shape} is="none" /> ${t("focus-none")}</p>`;
+  const worse = Math.round(100 * (figures.sigma_z_factor - 1));
+  return html`<p class="big">${t("focus-now", { now: number(spread, 2) })} <span class="muted">${t("focus-best", { best: number(held, 2) })}</span></p>
+    <span class="bar" aria-hidden="true"><span class="now ${isSoft(figures) ? "soft" : ""}" style=${{ width: width(spread) }}></span><span class="held" style=${{ left: width(held) }}></span></span>
+    <p class="cost"><${Shape} is=${isSoft(figures) ? "doubt" : "tick"} /> ${t("focus-cost", { percent: number(worse), isFree: worse > 0 ? 1 : 0 })}</p>`;
+}
+
+function Advice({ side, advice }) {
+  const { exposure_us } = cameras.value?.settings?.[side] ?? {};
+  const limits = cameras.value?.limits?.[side]?.exposure_us;
+  const better = limits && exposure_us ? Math.min(limits[1], Math.max(limits[0], exposure_us * advice.exposure_factor)) : null;
+  const isOffered = holds.value && better !== null && Math.abs(advice.exposure_factor - 1) > 0.05;
+  return html`<p><${Shape} is=${advice.code === "good" ? "tick" : "doubt"} /> ${t(`advice-${advice.code.replaceAll("_", "-")}`)}</p>
+    ${isOffered && html`<div class="actions"><button type="button" onClick=${() => set(side, { exposure_us: better })}>${t("advice-take", { exposure: number(better) })}</button></div>`}`;
+}
 
 function Quality({ side }) {
-  const now = quality.value?.[side];
-  if (!now) return html`<p class="muted">${t("light-no-figures")}</p>`;
-  const worse = Math.round(100 * ((now.sigma_z_factor ?? 1) - 1));
-  const isClipped = now.clipped_share > 0.01;
+  const figures = quality.value?.[side];
+  if (!figures) return html`<p class="muted">${t("light-no-figures")}</p>`;
   return html`<div class="quality">
-    <p><${Shape} is=${isClipped ? "doubt" : "tick"} /> ${t("light-clipped", { share: percent(now.clipped_share) })} ${isClipped ? t("light-clipped-remedy") : ""}</p>
-    <p><${Shape} is="none" /> ${t("light-dark", { share: percent(now.dark_share) })}</p>
-    <p><${Shape} is="none" /> ${t("light-noise", { grey: number(now.noise_grey, 1) })}</p>
+    <h3>${t("light-head")}</h3>
+    <${Advice} side=${side} advice=${figures.advice} />
+    <p class="muted">${t("light-figures", { clipped: percent(figures.clipped_share), dark: percent(figures.dark_share), noise: number(figures.noise_grey, 1), contrast: number(figures.contrast_grey) })}</p>
     <h3>${t("focus-title")}</h3>
-    <ul class="spreads">
-      ${PLACES.map((place) => html`<${Spread} key=${place} side=${side} place=${place} spread=${now.edge_spread_px?.[place]} />`)}
-    </ul>
-    <p class="cost"><${Shape} is=${worse > 25 ? "doubt" : "tick"} /> ${t("focus-cost", { percent: number(worse) })}</p>
+    <${Focus} side=${side} figures=${figures} />
   </div>`;
+}
+
+// The width of edges where it was measured: a tilted sensor or part is sharp on one side only.
+function fields(side) {
+  const map = quality.value?.[side]?.edge_spread_px.map ?? [];
+  const { width, height } = rawSize(side);
+  const at = (i, count, size) => ((i + 0.5) * size) / count;
+  return html`<g class="fields" style=${{ fontSize: `${width / 26}px` }}>
+    ${map.flatMap((row, y) => row.map((px, x) => Number.isFinite(px) && html`<text x=${at(x, row.length, width)} y=${at(y, map.length, height)}>${number(px, 2)}</text>`))}
+  </g>`;
 }
 
 export function Light() {
   useEffect(() => {
-    lookAtCameras();
-  }, []);
+    lookAtCameras(); // what they are set to is told to who has the cell
+  }, [holds.value]);
   useEffect(hold, [quality.value]);
   const copy = () => {
     const { exposure_us, gain_db } = cameras.value.settings.left;
@@ -104,6 +117,7 @@ export function Light() {
     <p class="legend"><span class="stripes-clipped"></span> ${t("legend-clipped")} <span class="stripes-dark"></span> ${t("legend-dark")}</p>
     <${Pair}
       isStriped=${true}
+      over=${fields}
       below=${(side) => html`<${Settings} side=${side} /> <${Quality} side=${side} />`}
     />
     <div class="actions">

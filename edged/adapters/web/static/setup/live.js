@@ -78,9 +78,11 @@ export async function look() {
   cell.value = await ask("GET", "cell");
 }
 
+// Only who has the cell also learns what the cameras are set to.
+const camerasPlace = () => (holds.value ? `cameras?token=${encodeURIComponent(token.value)}` : "cameras");
 export const lookAtCameras = () =>
   attempt(async () => {
-    cameras.value = await ask("GET", "cameras");
+    cameras.value = await ask("GET", camerasPlace());
   });
 
 // --- the socket ---
@@ -157,7 +159,7 @@ export async function start() {
   await look();
   if (token.value) await renew();
   open();
-  if (offers("cameras")) ask("GET", "cameras").then((found) => (cameras.value = found), () => {}); // its page says what went wrong
+  if (offers("cameras")) ask("GET", camerasPlace()).then((found) => (cameras.value = found), () => {}); // its page says what went wrong
   setInterval(renew, LEASE_MS);
   addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());
   effect(() => {

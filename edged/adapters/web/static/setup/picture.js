@@ -6,7 +6,7 @@ import { t } from "./texts.js";
 
 const READ_PX = 480;
 const CLIPPED = 252; // JPEG: what was 255 comes back as 252 and more
-const DARK = 8;
+const DARK = 12; // as the cell counts it
 const STRIPE_PX = 5;
 
 // Stripes where nothing can be measured: clipped leaning right, too dark leaning left, so that no colour is needed.

@@ -3,6 +3,7 @@ import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
 import { sentence, trouble } from "./api.js";
 import { cell, end, holds, isConnected, leave, mayTake, me, take } from "./live.js";
 import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
+import { Stage } from "./stage.js";
 import { isBuilt, State, STEPS } from "./steps.js";
 import { choose, language, LANGUAGES, t } from "./texts.js";
 
@@ -118,6 +119,7 @@ export function Shell() {
         <${Lease} />
         <${Trouble} />
         <main id="main" ref=${main} tabindex="-1"><${step.page} key=${step.id} /></main>
+        ${cell.value.stage && html`<${Stage} />`}
       </div>
     </div>
     <${Spoken} />`;

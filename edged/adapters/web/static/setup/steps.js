@@ -8,24 +8,25 @@ import { Shape } from "./pieces.js";
 import { t } from "./texts.js";
 import { Welcome } from "./welcome.js";
 
-const MOST_CLIPPED = 0.01;
 const MOST_FACTOR = 1.25;
 
 function ofCameras() {
   if (!cameras.value) return "none";
   const { configured, found } = cameras.value;
   if (!SIDES.every((side) => configured?.[side])) return "gap";
-  return found.some(({ trouble, side }) => side && trouble) ? "doubt" : "tick";
+  const ours = found.filter(({ side }) => side);
+  return ours.length < SIDES.length || ours.some(({ trouble }) => trouble) ? "doubt" : "tick";
 }
 
 function ofLight() {
   if (!quality.value) return "none";
-  return SIDES.every((side) => quality.value[side].clipped_share <= MOST_CLIPPED && (quality.value[side].sigma_z_factor ?? 1) <= MOST_FACTOR) ? "tick" : "doubt";
+  const isGood = ({ advice, sigma_z_factor }) => advice.code === "good" && (sigma_z_factor ?? 1) <= MOST_FACTOR;
+  return SIDES.every((side) => isGood(quality.value[side])) ? "tick" : "doubt";
 }
 
 function ofRig() {
   if (cell.value.missing.includes("rig")) return "gap";
-  return draft.value && !draft.value.release ? "doubt" : "tick";
+  return draft.value && !draft.value.active ? "doubt" : "tick";
 }
 
 const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };

@@ -1,0 +1,39 @@
+// In `edged demo --stage` alone: what hands do in a real cell, with the virtual one's board, part and lenses.
+import { html, signal, useEffect } from "../vendor/ui.js";
+import { ask, attempt } from "./api.js";
+import { draft, SIDES } from "./live.js";
+import { Slider } from "./pieces.js";
+import { number, t } from "./texts.js";
+
+const stage = signal(null);
+const tell = (method, path, body) =>
+  attempt(async () => {
+    stage.value = await ask(method, path, body);
+  });
+const WAVE_MS = 4000;
+async function wave(side) {
+  await tell("PUT", "stage", { waving: side });
+  setTimeout(() => tell("PUT", "stage", { waving: "none" }), WAVE_MS);
+}
+
+export function Stage() {
+  useEffect(() => {
+    tell("GET", "stage");
+  }, []);
+  if (!stage.value) return null;
+  const { showing, waving, rings } = stage.value;
+  const ghost = draft.value?.suggestion;
+  return html`<details class="stage">
+    <summary>${t("stage-title")}</summary>
+    <p>${t("stage-what")}</p>
+    <div class="actions">
+      ${["board", "part", "nothing"].map((what) => html`<button type="button" aria-pressed=${showing === what} onClick=${() => tell("PUT", "stage", { showing: what })}>${t(`stage-show-${what}`)}</button>`)}
+      <button type="button" disabled=${!ghost} onClick=${() => tell("PUT", "stage/hand", { left: ghost.left, right: ghost.right })}>${t("stage-hand")}</button>
+      ${SIDES.map((side) => html`<button type="button" aria-pressed=${waving === side} onClick=${() => wave(side)}>${t(`stage-wave-${side}`)}</button>`)}
+    </div>
+    ${SIDES.map(
+      (side) => html`<p>${t(`stage-ring-${side}`)}</p>
+        <${Slider} label=${t(`stage-ring-${side}`)} value=${rings[side]} low=${-1} high=${1} describe=${(turn) => t("stage-ring", { turn: number(turn, 2) })} onValue=${(turn) => tell("PUT", "stage", { rings: { [side]: turn } })} />`,
+    )}
+  </details>`;
+}
