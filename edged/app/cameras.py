@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,9 +20,10 @@ from edged.adapters.aravis import (
 from edged.adapters.replay import replay_cameras
 from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
-from edged.domain.arrays import SIDES
+from edged.domain.arrays import SIDES, Side
 from edged.errors import ConfigError
 from edged.ports import Camera
+from edged.session.cameras import CameraChanges
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
@@ -64,7 +65,7 @@ def head_of(
         sections = [cameras.left, cameras.right]
         if world is not None and world.addresses is not None and cameras.source != "aravis":
             sections = [
-                section.model_copy(update={"device": address})
+                section.model_copy(update={"device": section.device or address})
                 for section, address in zip(sections, world.addresses, strict=True)
             ]
         devices = [section.device for section in sections]
@@ -88,6 +89,14 @@ def head_of(
         by_others=all(isinstance(trigger, Line) for trigger in triggering.triggers),
         detect_frozen=cameras.source != "replay",
     )
+
+
+def with_changes(cameras: CamerasSection, changes: Mapping[Side, CameraChanges]) -> CamerasSection:
+    """The configuration with what is tried."""
+    sides: dict[str, CameraSection] = {
+        side: getattr(cameras, side).model_copy(update=change.stated()) for side, change in changes.items()
+    }
+    return cameras.model_copy(update=sides)
 
 
 def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import head_of
+from edged.app.camerasroom import CamerasRoom
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
 from edged.app.registrar import CellRegistrar, check_unchanged
-from edged.app.servers import Servers
+from edged.app.servers import Room, Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import exposed_secrets
@@ -71,6 +72,7 @@ class Daemon:
 
     observers : more publishers, for example the demo's view; they outlive a reload.
     world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
+    rooms : more routes of the page, for example the stage's.
     """
 
     def __init__(
@@ -80,8 +82,10 @@ class Daemon:
         *,
         observers: Sequence[Publisher] = (),
         world: VirtualWorld | None = None,
+        rooms: Sequence[Room] = (),
     ) -> None:
         self._path = path
+        self._more_rooms = tuple(rooms)
         self._loaded = loaded
         self._world = world
         self._head = head_for(loaded, world)
@@ -96,6 +100,7 @@ class Daemon:
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
         self._notices = Notices()
         self._live = LivePictures(self._cycle, self._notices)
+        self._cameras_room = CamerasRoom(self._cycle, lambda: self._loaded, world, self._notices, self._live)
         self._servers = Servers(
             self._cycle,
             lambda: self._running,
@@ -104,6 +109,7 @@ class Daemon:
             commissioner=self._cycle,
             notices=self._notices,
             live=self._live,
+            rooms=self._rooms,
         )
         self._reloading = asyncio.Lock()
 
@@ -122,6 +128,7 @@ class Daemon:
         finally:
             await self._servers.close()
             await self._live.close()
+            await self._cameras_room.close()
             for observer in started:
                 await observer.close()
 
@@ -197,9 +204,16 @@ class Daemon:
             with contextlib.suppress(asyncio.CancelledError):
                 await task
 
+    def _rooms(self) -> Sequence[Room]:
+        """What is set up on the page; a cell without the page loads none of it."""
+        from edged.adapters.web.cameras import CameraRoutes
+
+        return (CameraRoutes(self._cameras_room).add_to, *self._more_rooms)
+
     @property
     def _running(self) -> Running:
-        return Running(self._loaded, self._cycle, self._head, self._servers.started)
+        staged = self._world is not None and self._world.stage is not None
+        return Running(self._loaded, self._cycle, self._head, self._servers.started, staged)
 
     def _tell_cycle(self) -> None:
         self._cycle.set_publishers((*self._servers.started.values(), *self._observers))

@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import importlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -38,6 +38,7 @@ from edged.session.notices import Notices
 from edged.vision.geometry.rectification import Rectification
 
 if TYPE_CHECKING:
+    from edged.adapters.web.routes import RouteTable
     from edged.adapters.zenoh import ZenohSettings
 
 log = logging.getLogger(__name__)
@@ -115,6 +116,8 @@ def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path
     )
 
 
+Room = Callable[["RouteTable"], None]
+"""Adds its routes of /api/v1."""
 Build = Callable[[], Publisher]
 """Makes a server anew of what was read before: it needs no file any more."""
 
@@ -125,6 +128,7 @@ class Servers:
     commander : carries their clients' commands out. running : the cell, for what they tell of it.
     metrics : Prometheus' text. changed : called whenever others run than before an exchange.
     commissioner : where people take the cell for SETUP. notices, live : what their pages are told and shown.
+    rooms : adds further routes of /api/v1; asked when a page is made.
     """
 
     def __init__(
@@ -136,7 +140,9 @@ class Servers:
         commissioner: Commissioner | None = None,
         notices: Notices | None = None,
         live: LivePictures | None = None,
+        rooms: Callable[[], Sequence[Room]] = tuple,
     ) -> None:
+        self._rooms = rooms
         self._notices = notices
         self._live = live
         self._commander = commander
@@ -269,6 +275,7 @@ class Servers:
                     commissioner=self._commissioner,
                     notices=self._notices,
                     live=self._live,
+                    rooms=self._rooms(),
                 )
 
     def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:

@@ -24,12 +24,13 @@ if TYPE_CHECKING:  # a cell without the page does not load it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Running:
-    """The parts of a running cell; servers by the name of their section."""
+    """The parts of a running cell; servers by the name of their section. staged : its world is a stage."""
 
     loaded: LoadedCell
     cycle: Cycle
     head: StereoHead
     servers: Mapping[str, Publisher]
+    staged: bool = False
 
 
 def register_rows(modbus: Publisher | None) -> list[tuple[Register, Number]]:
@@ -139,6 +140,7 @@ def overview(running: Running) -> Overview:
         rig=rig,
         plc_owner=modbus.owner if isinstance(modbus, ModbusPublisher) else "",
         auto_lock=running.cycle.setup_locked,
+        stage=running.staged,
     )
 
 

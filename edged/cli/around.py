@@ -30,6 +30,9 @@ def demo(
         Path | None, typer.Option(help="where rig, job and config go; default: a temporary folder")
     ] = None,
     as_json: JsonOption = False,
+    stage: Annotated[
+        bool, typer.Option("--stage", help="without rig and job: set the cell up on its page, step by step")
+    ] = False,
 ) -> None:
     """Run a virtual cell and the daemon on this machine; shows measured against true position."""
     from edged.commands.demo import DemoOptions
@@ -38,7 +41,15 @@ def demo(
     raise typer.Exit(
         command(
             DemoOptions(
-                cycles, period_s, in_process, modbus_port, zenoh_port, web_port or None, folder, as_json
+                cycles,
+                period_s,
+                in_process,
+                modbus_port,
+                zenoh_port,
+                web_port or None,
+                folder,
+                as_json,
+                stage,
             )
         )
     )

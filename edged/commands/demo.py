@@ -18,6 +18,7 @@ from edged.app.daemon import Daemon
 from edged.app.demoview import demo_view
 from edged.app.discovery import aravis_missing
 from edged.app.process import serve, set_up_process
+from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
@@ -43,6 +44,7 @@ class DemoOptions:
     web_port: int | None = None
     folder: Path | None = None
     as_json: bool = False
+    stage: bool = False
 
 
 def demo(options: DemoOptions) -> int:
@@ -50,6 +52,8 @@ def demo(options: DemoOptions) -> int:
     set_up_process(logging.WARNING)
     console = Console(stderr=options.as_json)
     gige = not options.in_process and _aravis_is_here(console)
+    if options.stage:
+        return _stage(options, console, gige=gige)
     with _folder(options.folder) as folder, VirtualWorld(gige=gige) as world:
         path = prepare_cell(folder, world.cell, options, gige=gige)
         loaded = load_cell(path)
@@ -78,6 +82,17 @@ def demo(options: DemoOptions) -> int:
     if options.as_json:
         print(json.dumps(summary.to_json()))
     return 0 if summary.cycles and summary.located == summary.cycles else 1
+
+
+def _stage(options: DemoOptions, console: Console, *, gige: bool) -> int:
+    """The cell is set up on its page: nothing is prepared."""
+    from edged.commands.stage import WEB_PORT, run_stage  # with the page's packages
+
+    if options.cycles or options.as_json:
+        raise UserError("--stage runs until ctrl-C, and its results are on its page: no --cycles, no --json")
+    ports = (options.web_port or WEB_PORT, options.modbus_port, options.zenoh_port)
+    with _folder(options.folder) as folder, VirtualWorld(gige=gige, staged=True) as world:
+        return run_stage(folder, world, console, ports=ports, period_s=options.period_s)
 
 
 def region_of_part(rig: StereoRig, truth: Truth) -> Region:

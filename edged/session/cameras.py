@@ -11,7 +11,7 @@ from edged.capture.tasks import cancel_and_await
 from edged.domain.arrays import Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
-from edged.errors import CameraSetupError, FrameTimeout
+from edged.errors import CameraSetupError, CaptureError, FrameTimeout
 from edged.ports import AdjustableHead, Head
 
 LOOK_S = 1.0
@@ -52,6 +52,7 @@ class SetupCameras:
         self._is_wanted = is_wanted
         self._draft: Head | None = None
         self._changes: dict[Side, CameraChanges] = {}
+        self._by_head: dict[Side, CameraChanges] = {}  # those that the other head is
         self._may_be_open = True
         self._are_well = False
 
@@ -105,24 +106,31 @@ class SetupCameras:
     ) -> None:
         """Use others from now on. changes : what they are, if they are to become the configured ones.
 
-        Raises `CaptureError` when they cannot be opened.
+        Raises `CaptureError` when they cannot be opened; those from before are used then.
         """
-        before, self._draft = self._draft or configured, draft
-        self._changes = dict(changes or {})
+        before = self._draft or configured
         self._may_be_open, self._are_well = True, False
         await _restore(before)
         await before.close()
-        await draft.open()
+        try:
+            await draft.open()
+        except CaptureError:
+            await draft.close()
+            self._changes = dict(self._by_head)
+            raise
+        self._draft, self._by_head = draft, dict(changes or {})
+        self._changes = dict(self._by_head)
 
     async def put_down(self, configured: Head) -> None:
         """Close whatever may be open; the configured ones count from then on."""
+        draft, self._draft = self._draft, None
+        self._changes, self._by_head = {}, {}
         if self._may_be_open:
-            for head in (self._draft, configured):
+            for head in (draft, configured):
                 if head is not None:
                     await _restore(head)
                     await head.close()
-        self._draft, self._may_be_open, self._are_well = None, False, False
-        self._changes = {}
+        self._may_be_open, self._are_well = False, False
 
     def hand_back(self) -> None:
         """The loop uses the configured ones again: they may be open when SETUP begins next."""

@@ -98,8 +98,8 @@ class Stage:
     def follow(self, outlines: Mapping[Side, FloatArray]) -> None:
         """Move the board to where a screen draws it, more or less.
 
-        outlines : (4, 2) px of each picture: its outermost marks (x_min, y_min), (x_max, y_min),
-        (x_max, y_max), (x_min, y_max). Raises ValueError for what no board looks like.
+        outlines : (4, 2) px of both pictures, or of the left one: the outermost marks (x_min, y_min),
+        (x_max, y_min), (x_max, y_max), (x_min, y_max). Raises ValueError for what no board looks like.
         """
         self.hold(self.pose_of(outlines))
 
@@ -117,10 +117,11 @@ class Stage:
         A person lays the board onto both drawings by eye; drawings of a rig that is not known well yet do not
         fit each other, and the board lies between.
         """
-        views = {side: self.cell.view(side) for side in SIDES}
+        sides = [side for side in SIDES if side in outlines]
+        views = {side: self.cell.view(side) for side in sides}
         marks = self._outline_mm()
-        goal = np.concatenate([np.asarray(outlines[side], np.float64) for side in SIDES])
-        if goal.shape != (8, 2) or not np.isfinite(goal).all():
+        goal = np.concatenate([np.asarray(outlines[side], np.float64) for side in sides])
+        if "left" not in outlines or goal.shape != (4 * len(sides), 2) or not np.isfinite(goal).all():
             raise ValueError("expected four points in each picture")
         rays = rays_of_pixels(views["left"].camera, goal[:4])
         found, turn, shift = cv2.solvePnP(marks, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
@@ -130,7 +131,7 @@ class Stage:
 
         def seen(at: FloatArray) -> FloatArray:
             points = marks @ at[:3, :3].T + at[:3, 3]
-            return np.concatenate([views[side].project(points) for side in SIDES]).ravel()
+            return np.concatenate([views[side].project(points) for side in sides]).ravel()
 
         for _ in range(STEPS):
             here = seen(pose)

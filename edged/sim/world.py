@@ -8,6 +8,7 @@ from edged.domain.arrays import SIDES
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
+from edged.sim.stage import Stage, stage_board
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
@@ -23,10 +24,13 @@ class VirtualWorld:
     """Two virtual cameras on one virtual cell; a context manager.
 
     addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
+    stage : where somebody shows board and part; None: the part lies elsewhere at every exposure.
     """
 
-    def __init__(self, *, gige: bool, seed: int = 0) -> None:
-        self.cell = VirtualCell(demo_rig(), demo_part(), seed=seed)
+    def __init__(self, *, gige: bool, seed: int = 0, staged: bool = False) -> None:
+        board = stage_board() if staged else None
+        self.cell = VirtualCell(demo_rig(), demo_part(), seed=seed, board=board)
+        self.stage = Stage(self.cell, seed=seed) if staged else None
         self.addresses = ADDRESSES if gige else None
         self._devices: list[GigeCamera] = []
 

@@ -1,0 +1,264 @@
+"""/api/v1/cameras: which there are, which is left, exposure and gain, light and focus of live pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Protocol
+
+from pydantic import Field, model_validator
+
+from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, RouteTable, Token
+from edged.domain.arrays import SIDES, Side
+from edged.domain.exposure import CameraLimits, CameraValues
+
+SIDE = "{side:left|right}"
+
+
+class Cameras(Protocol):
+    """Who is asked. Every method raises `UserError`, `SetupRefused`, `CaptureError`."""
+
+    def configured(self) -> Mapping[Side, Mapping[str, Any]]:
+        """By side, with what is tried."""
+        ...
+
+    async def found(self) -> Sequence[Mapping[str, Any]]:
+        """Every camera that answers."""
+        ...
+
+    async def limits(self, token: str, side: Side) -> CameraLimits:
+        """What a camera can be set to."""
+        ...
+
+    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
+        """Set what is stated, until SETUP ends; returns all that is in force."""
+        ...
+
+    async def assign(self, token: str, side: Side, serial: str) -> None:
+        """Make a camera the left or right one, until SETUP ends."""
+        ...
+
+    async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
+        """Wait for a hand before one camera, and make it this side's; which it was, whether exchanged."""
+        ...
+
+    def quality(self) -> Mapping[str, Any] | None:
+        """Light and focus of the last live pair that was judged."""
+        ...
+
+
+class Asking(Body):
+    """Who has the cell also sees what the cameras are set to."""
+
+    token: Token | None = None
+
+
+class ConfiguredCamera(Answer):
+    """As the cell's configuration has it. tried : what is other until SETUP ends."""
+
+    device: str
+    serial: str
+    exposure_us: float | None
+    gain_db: float | None
+    tried: dict[str, str | float]
+
+
+class FoundCamera(Answer):
+    """A camera that answers. trouble : why it cannot be used. side : which one it is."""
+
+    vendor: str
+    model: str
+    serial: str
+    address: str
+    trouble: str | None
+    side: Literal["left", "right"] | None
+
+
+class Settings(Answer):
+    """In force, as read back; null: the camera has no such setting."""
+
+    exposure_us: float | None
+    gain_db: float | None
+
+
+class Limits(Answer):
+    """The least and the most."""
+
+    exposure_us: tuple[float, float] | None
+    gain_db: tuple[float, float] | None
+
+
+class Both(Answer):
+    """Of both cameras."""
+
+    left: Settings
+    right: Settings
+
+
+class BothLimits(Answer):
+    """Of both cameras."""
+
+    left: Limits
+    right: Limits
+
+
+class CamerasNow(Answer):
+    """settings, limits : null without the token of who has the cell."""
+
+    configured: dict[str, ConfiguredCamera]
+    found: list[FoundCamera]
+    settings: Both | None
+    limits: BothLimits | None
+
+
+class Adjusting(Leased):
+    """What is to be other, until SETUP ends."""
+
+    exposure_us: float | None = Field(None, gt=0, le=10_000_000)
+    gain_db: float | None = Field(None, ge=-10, le=60)
+    serial: str | None = Field(None, min_length=1, max_length=64, description="of the camera for this side")
+
+    @model_validator(mode="after")
+    def _something(self) -> Adjusting:
+        if self.exposure_us is None and self.gain_db is None and self.serial is None:
+            raise ValueError("expected exposure_us, gain_db or serial")
+        return self
+
+
+class Waving(Leased):
+    """Before which camera somebody waves."""
+
+    side: Literal["left", "right"] = "left"
+
+
+class Waved(Answer):
+    """moved : the camera with the hand, by the sides as they were. exchanged : they are not so any more."""
+
+    moved: Literal["left", "right"] | None
+    exchanged: bool
+
+
+class Spread(Answer):
+    """Sigma of edges, px: of the picture, and in its fields from the top left; null: too few edges."""
+
+    median: float | None
+    map: list[list[float | None]]
+
+
+class AdviceNow(Answer):
+    """code : good, less_light, more_light, light_for_gain. exposure_factor : for the exposure time."""
+
+    code: str
+    exposure_factor: float
+
+
+class PictureFigures(Answer):
+    """Of one picture. sigma_z_factor : what its blur costs against a sharp one."""
+
+    clipped_share: float
+    dark_share: float
+    noise_grey: float
+    contrast_grey: float
+    bright_grey: float
+    edge_spread_px: Spread
+    sigma_z_factor: float | None
+    advice: AdviceNow
+
+
+class Quality(Answer):
+    """Of the live pair with this number."""
+
+    number: int
+    left: PictureFigures
+    right: PictureFigures
+
+
+class CameraRoutes:
+    """The routes of the cameras."""
+
+    def __init__(self, cameras: Cameras) -> None:
+        self._cameras = cameras
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the routes."""
+        table.route(
+            "GET",
+            "/cameras",
+            self._now,
+            "Which cameras there are; with the token of who has the cell also what they are set to",
+            body=Asking,
+            answer=CamerasNow,
+        )
+        table.route(
+            "PUT",
+            f"/cameras/{SIDE}",
+            self._adjust,
+            "Set exposure and gain, or make another camera this one, until SETUP ends",
+            body=Adjusting,
+            answer=Settings,
+            audit=True,
+            needs_lease=True,
+        )
+        table.route(
+            "POST",
+            "/cameras/wave",
+            self._wave,
+            "Wait for a hand before one camera, and make it this side's",
+            body=Waving,
+            answer=Waved,
+            audit=True,
+            needs_lease=True,
+        )
+        table.route(
+            "GET",
+            "/cameras/quality",
+            self._quality,
+            "Light and focus of the last live pictures",
+            body=Asking,
+            answer=Quality,
+        )
+
+    async def _now(self, call: Call[Asking]) -> CamerasNow:
+        token, settings, limits = call.body.token, None, None
+        if token is not None:
+            values = {side: await self._cameras.adjust(token, side, CameraValues()) for side in SIDES}
+            settings = Both(**{side: _settings(values[side]) for side in SIDES})
+            bounds = {side: await self._cameras.limits(token, side) for side in SIDES}
+            limits = BothLimits(
+                **{
+                    side: Limits(exposure_us=bounds[side].exposure_us, gain_db=bounds[side].gain_db)
+                    for side in SIDES
+                }
+            )
+        return CamerasNow(
+            configured={
+                side: ConfiguredCamera(**camera) for side, camera in self._cameras.configured().items()
+            },
+            found=[FoundCamera(**camera) for camera in await self._cameras.found()],
+            settings=settings,
+            limits=limits,
+        )
+
+    async def _adjust(self, call: Call[Adjusting]) -> Settings:
+        side, body = _side(call), call.body
+        if body.serial is not None:
+            await self._cameras.assign(body.token, side, body.serial)
+        values = CameraValues(body.exposure_us, body.gain_db)
+        return _settings(await self._cameras.adjust(body.token, side, values))
+
+    async def _wave(self, call: Call[Waving]) -> Waved:
+        moved, exchanged = await self._cameras.wave(call.body.token, call.body.side)
+        return Waved(moved=moved, exchanged=exchanged)
+
+    async def _quality(self, _call: Call[Asking]) -> Quality:
+        document = self._cameras.quality()
+        if document is None:
+            raise Problem(404, "no_picture", "no live picture has been judged yet")
+        return Quality.model_validate(document)
+
+
+def _settings(values: CameraValues) -> Settings:
+    return Settings(exposure_us=values.exposure_us, gain_db=values.gain_db)
+
+
+def _side(call: Call[Any]) -> Side:
+    return "left" if call.part("side") == "left" else "right"

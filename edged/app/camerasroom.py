@@ -1,0 +1,222 @@
+"""The cameras as a person sets them up: which there are, which is left, their exposure, light and focus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from edged.app.cameras import Size, head_of, with_changes
+from edged.app.cell import LoadedCell
+from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.cycle import Cycle
+from edged.domain.arrays import SIDES, Side
+from edged.domain.exposure import CameraLimits, CameraValues
+from edged.errors import UserError
+from edged.pictures.change import changed_most, changed_share
+from edged.session.cameras import CameraChanges
+from edged.session.judging import PictureJudge
+from edged.session.live import LivePictures
+from edged.session.notices import Notices
+
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
+    from edged.sim.world import VirtualWorld
+
+WAVE_S = 8.0
+"""Somebody walks to the camera, waves, and comes back."""
+SURE = 2
+"""Pairs one after the other that show the same camera's hand."""
+OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
+
+
+class CamerasRoom:
+    """What the routes of the cameras ask.
+
+    loaded : the configuration that runs. world : where virtual cameras are.
+    """
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        loaded: Callable[[], LoadedCell],
+        world: VirtualWorld | None,
+        notices: Notices,
+        live: LivePictures,
+    ) -> None:
+        self._cycle = cycle
+        self._loaded = loaded
+        self._world = world
+        self._values: dict[Side, CameraValues] = {}
+        self.judge = PictureJudge(notices, self._gains)
+        live.listen(self.judge.look)
+
+    async def close(self) -> None:
+        """End what is under way."""
+        await self.judge.close()
+
+    def configured(self) -> dict[Side, dict[str, Any]]:
+        """Of each side, as it is configured, and as it is tried."""
+        cameras, changes = self._loaded().cell.config.cameras, self._cycle.camera_changes
+        return {
+            side: {
+                "device": getattr(cameras, side).device or self._address(side),
+                "serial": getattr(cameras, side).serial,
+                "exposure_us": getattr(cameras, side).exposure_us,
+                "gain_db": getattr(cameras, side).gain_db,
+                "tried": changes[side].stated() if side in changes else {},
+            }
+            for side in SIDES
+        }
+
+    def quality(self) -> Mapping[str, Any] | None:
+        """Light and focus of the last live pair that was judged."""
+        return self.judge.latest
+
+    async def found(self) -> list[dict[str, Any]]:
+        """Every camera that answers, with the side that it is."""
+        cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
+        devices = self._devices()
+        return [_described(info, _side_of(info, devices)) for info in cameras]
+
+    async def limits(self, token: str, side: Side) -> CameraLimits:
+        """What it can be set to. Raises `SetupRefused`, `CaptureError`."""
+        return await self._cycle.limits(token, side)
+
+    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
+        """Set what is stated until SETUP ends; returns what is in force, as read back.
+
+        Raises `UserError` for what is outside its limits, `SetupRefused`, `CaptureError`.
+        """
+        if values != CameraValues() and (problem := (await self.limits(token, side)).problem(values)):
+            raise UserError(problem)
+        self._values[side] = await self._cycle.adjust(token, side, values)
+        return self._values[side]
+
+    async def assign(self, token: str, side: Side, serial: str) -> None:
+        """Make the camera with this serial number the left or right one, until SETUP ends.
+
+        If it was the other one, both change their places.
+
+        Raises `UserError` when it does not answer, `SetupRefused`, `CaptureError`.
+        """
+        self._check_exchangeable()
+        cameras = await asyncio.to_thread(list_cameras)
+        wanted = next((info for info in cameras if info.serial == serial), None)
+        if wanted is None:
+            raise UserError(f"no camera with serial number {serial!r} answers")
+        await self._assign(token, side, wanted, cameras)
+
+    async def _assign(self, token: str, side: Side, wanted: CameraInfo, cameras: list[CameraInfo]) -> None:
+        devices, other = self._devices(), OTHER[side]
+        before = self._camera_at(cameras, devices[side])
+        if wanted is before:
+            return
+        changes: dict[Side, CameraChanges] = {side: _with_camera(wanted)}
+        if wanted is self._camera_at(cameras, devices[other]):
+            if before is None:
+                raise UserError(
+                    f"{wanted.serial} is the {other} one, and the camera to take its place is silent"
+                )
+            changes[other] = _with_camera(before)
+        elif (kept := self._cycle.camera_changes.get(other)) is not None and kept.device is not None:
+            changes[other] = CameraChanges(kept.device, kept.serial)
+        await self._try(token, changes)
+
+    async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
+        """Wait until a hand moves before one camera, and make it this side's.
+
+        Returns which it was, None when nobody waved or it was not clear, and whether both were exchanged.
+
+        Raises `UserError`, `SetupRefused`, `CaptureError`.
+        """
+        moved = await self._waved_at(token)
+        if moved is None or moved == side:
+            return moved, False
+        self._check_exchangeable()
+        cameras, devices = await asyncio.to_thread(list_cameras), self._devices()
+        other = self._camera_at(cameras, devices[moved])
+        if other is None:
+            raise UserError(f"the {moved} camera does not answer")
+        await self._assign(token, side, other, cameras)
+        return moved, True
+
+    def _check_exchangeable(self) -> None:
+        if self._loaded().cell.config.cameras.source not in ("aravis", "virtual") or aravis_missing():
+            raise UserError("these cameras cannot be exchanged: they are not on a network")
+
+    async def _waved_at(self, token: str) -> Side | None:
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + WAVE_S
+        first = await self._cycle.capture(token)
+        seen: list[Side | None] = []
+        while loop.time() < deadline_s:
+            pair = await self._cycle.capture(token)
+            shares: dict[Side, float] = {
+                "left": changed_share(first.left.image, pair.left.image),
+                "right": changed_share(first.right.image, pair.right.image),
+            }
+            seen.append(changed_most(shares))
+            last = seen[-SURE:]
+            if len(last) == SURE and last[0] is not None and len(set(last)) == 1:
+                return last[0]
+        return None
+
+    def _gains(self) -> Mapping[Side, float]:
+        return {side: values.gain_db for side, values in self._values.items() if values.gain_db is not None}
+
+    def _address(self, side: Side) -> str:
+        addresses = None if self._world is None else self._world.addresses
+        return addresses[SIDES.index(side)] if addresses is not None else ""
+
+    def _devices(self) -> dict[Side, str]:
+        """Serial number or address of each side's camera, as it is tried."""
+        return {
+            side: str(entry["tried"].get("device", entry["device"]))
+            for side, entry in self.configured().items()
+        }
+
+    def _camera_at(self, cameras: list[CameraInfo], device: str) -> CameraInfo | None:
+        return next((info for info in cameras if _is_at(info, device)), None)
+
+    async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
+        """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
+        loaded, tried = self._loaded(), self._cycle.camera_changes
+        section = with_changes(loaded.cell.config.cameras, cameras)
+        sizes: tuple[Size, Size] | None = None
+        if loaded.rig is not None:
+            left, right = loaded.rig.rig.left, loaded.rig.rig.right
+            sizes = (left.width, left.height), (right.width, right.height)
+        head = head_of(section, self._world, external=loaded.setup.listens, calibrated=sizes)
+        await self._cycle.try_head(token, head, cameras)
+        for side, change in tried.items():
+            values = CameraValues(change.exposure_us, change.gain_db)
+            if values != CameraValues():
+                await self.adjust(token, side, values)
+
+
+def _is_at(info: CameraInfo, device: str) -> bool:
+    return device in (info.serial, info.address, info.device_id)
+
+
+def _side_of(info: CameraInfo, devices: Mapping[Side, str]) -> Side | None:
+    return next((side for side in SIDES if _is_at(info, devices[side])), None)
+
+
+def _with_camera(info: CameraInfo) -> CameraChanges:
+    """By its address, and not without its serial number: who swaps addresses must not swap cameras."""
+    network = info.protocol == "GigEVision"
+    return CameraChanges(info.address if network else info.serial, info.serial)
+
+
+def _described(info: CameraInfo, side: Side | None) -> dict[str, Any]:
+    trouble = None if info.control in ("", "free") else info.control
+    if trouble == "controlled":
+        trouble = None if side is not None else "controlled by another program or host"
+    return {
+        "vendor": info.vendor,
+        "model": info.model,
+        "serial": info.serial,
+        "address": info.address,
+        "trouble": trouble,
+        "side": side,
+    }

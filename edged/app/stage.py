@@ -1,0 +1,229 @@
+"""The stage over HTTP, in `edged demo --stage` alone: move the virtual hand, and see the exact truth."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from edged.adapters.terminal import Comparison
+from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
+from edged.adapters.web.visitors import Role
+from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.domain.events import Event, Snapshot
+from edged.sim.showing import Thing
+from edged.sim.stage import BOARD, Stage
+
+Turn = Annotated[float, Field(ge=-1, le=1)]
+Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
+Outline = Annotated[list[Corner], Field(min_length=4, max_length=4)]
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+Pose = Annotated[list[Row], Field(min_length=4, max_length=4)]
+Name = Literal["left", "right"]
+
+
+class Rings(Body):
+    """Quarter turns of both lenses' rings from sharp."""
+
+    left: Turn | None = None
+    right: Turn | None = None
+
+
+class Showing(Body):
+    """What is to be seen. What is left out stays. waving : "none" ends it."""
+
+    showing: Literal["part", "board", "nothing"] | None = None
+    covered: bool | None = None
+    still: bool | None = None
+    waving: Literal["left", "right", "none"] | None = None
+    rings: Rings | None = None
+
+
+class Holding(Body):
+    """Where the board is to be: on its outline in both pictures or the left one, at a pose, in the middle."""
+
+    left: Outline | None = None
+    right: Outline | list[Corner] | None = Field(None, description="empty: not drawn")
+    rig_from_board: Pose | None = None
+
+
+class Laying(Body):
+    """Lay the part somewhere else."""
+
+
+class StageNow(Answer):
+    """What is before the cameras. board : as a calibration names it."""
+
+    showing: Literal["part", "board", "nothing"]
+    board: str
+    moving: bool
+    still: bool
+    covered: bool
+    waving: Name | None
+    rings: dict[str, float]
+
+
+class TruthNow(Answer):
+    """The last result beside the truth. error_mm : measured - true, rig frame; null: nothing to compare."""
+
+    at_ns: int | None
+    showing: Literal["part", "board", "nothing"] | None
+    rig_from_thing: list[list[float]] | None
+    status: str | None
+    error_mm: list[float] | None
+    sigma_mm: list[float] | None
+    angle_deg: float | None
+
+
+class StageRoutes:
+    """Routes, and a publisher that remembers the last result."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._last: Snapshot | None = None
+
+    # --- publisher -----------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Nothing to open."""
+
+    def announce(self, event: Event) -> None:
+        """Remember the last result."""
+        if isinstance(event, Snapshot):
+            self._last = event
+
+    async def close(self) -> None:
+        """Nothing to close."""
+
+    # --- routes --------------------------------------------------------------------------------
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the routes."""
+        table.route(
+            "GET",
+            "/stage",
+            self._now,
+            "What is before the virtual cameras",
+            role=Role.VIEWER,
+            answer=StageNow,
+        )
+        table.route(
+            "PUT",
+            "/stage",
+            self._show,
+            "Show board, part or nothing; wave a hand; turn a lens's ring",
+            role=Role.OPERATOR,
+            body=Showing,
+            answer=StageNow,
+        )
+        table.route(
+            "PUT",
+            "/stage/hand",
+            self._hold,
+            "Move the board, by a hand that trembles and misses",
+            role=Role.OPERATOR,
+            body=Holding,
+            answer=StageNow,
+        )
+        table.route(
+            "POST",
+            "/stage/lay",
+            self._lay,
+            "Lay the part somewhere else",
+            role=Role.OPERATOR,
+            body=Laying,
+            answer=StageNow,
+        )
+        table.route(
+            "GET",
+            "/stage/truth",
+            self._truth,
+            "The last result beside what is true",
+            role=Role.VIEWER,
+            answer=TruthNow,
+        )
+
+    async def _now(self, _call: Call[Any]) -> StageNow:
+        stage, showing = self._stage, self._stage.cell.showing
+        columns, rows, square_mm = BOARD
+        return StageNow(
+            showing=showing.thing.value,
+            board=f"chessboard:{columns}x{rows}:{square_mm:g}",
+            moving=stage.moving(),
+            still=stage.hand.still,
+            covered=showing.covered,
+            waving=showing.waving,
+            rings=dict(stage.rings.items()),
+        )
+
+    async def _show(self, call: Call[Showing]) -> StageNow:
+        body, stage = call.body, self._stage
+        before = stage.cell.showing
+        thing = before.thing if body.showing is None else Thing(body.showing)
+        covered = before.covered if body.covered is None else body.covered
+        if (thing, covered) != (before.thing, before.covered):
+            stage.show(thing, covered=covered)
+        if body.still is not None:
+            stage.rest(body.still)
+        if body.waving is not None:
+            stage.cell.wave(None if body.waving == "none" else body.waving)
+        if body.rings is not None:
+            for side in SIDES:
+                turn = getattr(body.rings, side)
+                if turn is not None:
+                    await asyncio.to_thread(stage.turn_ring, side, turn)
+        return await self._now(call)
+
+    async def _hold(self, call: Call[Holding]) -> StageNow:
+        body, stage = call.body, self._stage
+        if body.left is not None:
+            outlines: dict[Side, FloatArray] = {"left": np.array(body.left)}
+            if body.right:
+                outlines["right"] = np.array(body.right)
+            _tried(lambda: stage.follow(outlines))
+        else:
+            stage.hold(None if body.rig_from_board is None else _rigid(body.rig_from_board))
+        if stage.cell.showing.thing is not Thing.BOARD:
+            stage.show(Thing.BOARD)
+        return await self._now(call)
+
+    async def _lay(self, call: Call[Laying]) -> StageNow:
+        self._stage.lay()
+        return await self._now(call)
+
+    async def _truth(self, _call: Call[None]) -> TruthNow:
+        last = self._last
+        true = None if last is None else self._stage.cell.truth(last.exposed_ns)
+        if last is None or true is None:
+            nothing = dict.fromkeys(TruthNow.model_fields)
+            return TruthNow(**nothing)
+        seen = Comparison.of(last, true.rig_from_part) if true.thing is Thing.PART else None
+        return TruthNow(
+            at_ns=last.exposed_ns,
+            showing=true.thing.value,
+            rig_from_thing=true.rig_from_part.tolist(),
+            status=str(last.status),
+            error_mm=None if seen is None else seen.error_mm.tolist(),
+            sigma_mm=None if seen is None else seen.sigma_mm.tolist(),
+            angle_deg=None if seen is None else float(np.degrees(seen.angle_rad)),
+        )
+
+
+def _tried(action: Callable[[], Any]) -> None:
+    try:
+        action()
+    except ValueError as error:
+        raise Problem(422, "no_board", str(error)) from error
+
+
+def _rigid(rows: list[list[float]]) -> FloatArray:
+    """Raises `Problem` for what is no pose."""
+    pose = np.array(rows)
+    turn = pose[:3, :3]
+    is_rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+    if not is_rigid or pose[3].tolist() != [0, 0, 0, 1] or np.abs(pose[:3, 3]).max() > 1000:
+        raise Problem(422, "no_pose", "expected a rotation and a place within a metre")
+    return pose

@@ -1,0 +1,85 @@
+"""`edged demo --stage`: a virtual cell without rig and job, to be set up on its page, with a hand to help."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from pathlib import Path
+
+from rich.console import Console
+
+from edged.app.cell import load_any_cell, warm_up
+from edged.app.daemon import Daemon
+from edged.app.process import serve
+from edged.app.stage import StageRoutes
+from edged.files.private import write_private
+from edged.passwords import hash_password
+from edged.sim.world import VirtualWorld
+
+CELL = "stage"
+JOB = "flange"
+WEB_PORT = 8080
+
+TODO = """\
+A virtual cell without a calibration and without a job: whatever it is to do, you teach it on its page.
+  1  open    http://127.0.0.1:{port}/setup
+  2  log in  password {password}   (made for this run)
+  3  take the cell; the stage on the page moves a hand that shows the board and follows the drawn outline
+Rig, jobs and drafts go to {folder}; ctrl-C ends it."""
+
+
+def run_stage(
+    folder: Path, world: VirtualWorld, console: Console, *, ports: tuple[int, int, int], period_s: float
+) -> int:
+    """Run the daemon until ctrl-C. ports : web, Modbus, Zenoh."""
+    if world.stage is None:
+        raise ValueError("the world has no stage")
+    password = secrets.token_urlsafe(9)
+    path = write_cell(folder, password, ports=ports, period_s=period_s, gige=world.addresses is not None)
+    loaded = load_any_cell(path)
+    warm_up(loaded)
+    routes = StageRoutes(world.stage)
+    console.print(
+        TODO.format(port=ports[0], password=password, folder=folder), highlight=False, soft_wrap=True
+    )
+    asyncio.run(serve(lambda: Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])))
+    return 0
+
+
+def write_cell(
+    folder: Path, password: str, *, ports: tuple[int, int, int], period_s: float, gige: bool
+) -> Path:
+    """Write the configuration, and nothing else; returns it. What was taught there before stays."""
+    folder.mkdir(parents=True, exist_ok=True)
+    web, modbus, zenoh = ports
+    source = "virtual" if gige else "virtual-inprocess"
+    text = f"""# Written by `edged demo --stage`, anew at each start. Its cameras are virtual.
+[cell]
+name = "{CELL}"
+rig = "rig.json"
+jobs = "jobs"
+job = "{JOB}"
+
+[cycle]
+mode = "free"
+period_s = {period_s!r}
+
+[cameras]
+source = "{source}"
+timeout_s = 2.0
+max_skew_ms = 25.0   # software triggers of a busy PC
+
+[modbus]
+port = {modbus}
+
+[zenoh]
+listen = ["tcp/127.0.0.1:{zenoh}"]
+
+[web]
+port = {web}
+commissioning = true
+password_hash = "{hash_password(password)}"
+"""
+    path = folder / "cell.toml"
+    write_private(path, text.encode())
+    return path

@@ -1,0 +1,239 @@
+"""The stage and the cameras' routes: a newcomer's cell, with real GigE Vision cameras over loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from scriptedhead import until
+
+from edged.adapters.aravis import aravis_missing
+from edged.app.cell import load_any_cell
+from edged.app.daemon import Daemon
+from edged.app.stage import StageRoutes
+from edged.commands.stage import write_cell
+from edged.domain.arrays import SIDES, Image
+from edged.sim.gige import genicam as g
+from edged.sim.stage import stage_board
+from edged.sim.world import SERIALS, VirtualWorld
+from edged.vision.boards.board import Chessboard, Detection
+from edged.vision.boards.detection import detect_board
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+PASSWORD = "correct horse"
+BOARD = Chessboard(11, 8, 4.0)
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Newcomer:
+    """A browser's session with a stage."""
+
+    def __init__(self, world: VirtualWorld, session: aiohttp.ClientSession, port: int) -> None:
+        self.world, self.session = world, session
+        self.origin = f"http://127.0.0.1:{port}"
+        self.token: dict[str, str] = {}
+
+    async def ask(self, method: str, path: str, document: Any = None, expected: int = 200) -> Any:
+        """The answer, as the page gets it."""
+        headers = {"Origin": self.origin}
+        async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
+            body = await answer.json() if answer.content_type.endswith("json") else None
+            assert expected == answer.status, body
+            return body
+
+    async def take(self) -> None:
+        """Log in and take the cell."""
+        async with self.session.post("/login", data={"password": PASSWORD}, allow_redirects=False) as answer:
+            assert "Location" in answer.headers
+        self.token = await self.ask("POST", "setup", {"name": "Anna"}, 201)
+
+    async def picture(self) -> dict[str, Image]:
+        """A fresh pair."""
+        taken = await self.ask("POST", "captures", self.token, 201)
+        images = {}
+        for side in SIDES:
+            async with self.session.get(taken[side]) as answer:
+                images[side] = cv2.imdecode(
+                    np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED
+                )
+        return images
+
+
+def run(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
+    """A test beside a running stage, bounded."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(60):
+            await staged()
+
+    async def staged() -> None:
+        ports = free_port(), free_port(), free_port()
+        with VirtualWorld(gige=True, staged=True) as world:
+            assert world.stage is not None
+            path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=True)
+            routes = StageRoutes(world.stage)
+            loaded = load_any_cell(path)
+            daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
+            running = asyncio.create_task(daemon.run())
+            try:
+                jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
+                base = f"http://127.0.0.1:{ports[0]}"
+                async with aiohttp.ClientSession(base, cookie_jar=jar) as session:
+                    newcomer = Newcomer(world, session, ports[0])
+                    while True:
+                        try:
+                            await newcomer.take()
+                            break
+                        except aiohttp.ClientConnectorError:
+                            assert not running.done()
+                            await asyncio.sleep(0.02)
+                    await test(newcomer)
+            finally:
+                daemon.stop()
+                await running
+
+    asyncio.run(bounded())
+
+
+def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
+    """An empty folder is a cell in SETUP that says it is a stage; its hand brings the board to an outline."""
+
+    async def test(newcomer: Newcomer) -> None:
+        cell = await newcomer.ask("GET", "cell")
+        assert (True, "SETUP", ["rig", "jobs"]) == (cell["stage"], cell["state"], cell["missing"])
+        assert "nothing" == (await newcomer.ask("GET", "stage"))["showing"]
+        shown = await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        assert ("board", "chessboard:11x8:4", True) == (shown["showing"], shown["board"], shown["still"])
+        pictures = await newcomer.picture()
+        for image in pictures.values():
+            assert isinstance(detect_board(image, BOARD), Detection)
+        goal = np.eye(4)
+        goal[:3, 3] = -14, -16, 211
+        marks = stage_board().points_mm[[0, 10, 87, 77]] + goal[:3, 3]
+        outlines = {side: newcomer.world.cell.view(side).project(marks).tolist() for side in SIDES}
+        assert (await newcomer.ask("PUT", "stage/hand", outlines))["moving"]
+        while (await newcomer.ask("GET", "stage"))["moving"]:
+            await newcomer.picture()
+        found = detect_board((await newcomer.picture())["left"], BOARD)
+        assert isinstance(found, Detection)
+        # where it is drawn, but for a hand's miss of 10 mm: 155 px
+        first = found.pixels[found.ids == 0][0]
+        assert 3 < np.linalg.norm(first - outlines["left"][0]) < 160
+        truth = await newcomer.ask("GET", "stage/truth")
+        assert (None, None) == (truth["status"], truth["error_mm"])
+        refused = await newcomer.ask("PUT", "stage/hand", {"left": [[1, 1]] * 4}, 422)
+        assert "no_board" == refused["code"]
+
+    run(tmp_path, test)
+
+
+def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
+    """By the packets of two cameras: who is which, what they take, a hand that is waved, and all undone."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.picture()
+        now = await newcomer.ask("GET", f"cameras?token={newcomer.token['token']}")
+        found = {camera["serial"]: (camera["side"], camera["trouble"]) for camera in now["found"]}
+        assert dict(zip(SERIALS, (("left", None), ("right", None)), strict=True)) == found
+        assert {"exposure_us": 2000.0, "gain_db": 0.0} == now["settings"]["left"]
+        assert [10.0, 1e6] == now["limits"]["right"]["exposure_us"]
+
+        made = await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "exposure_us": 800.0})
+        assert {"exposure_us": 800.0, "gain_db": 0.0} == made
+        refused = await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "exposure_us": 3.0}, 422)
+        assert "outside 10 to" in refused["detail"]
+
+        # a hand before the right camera, where the left one is asked for: both are exchanged
+        await newcomer.ask("PUT", "stage", {"waving": "right"})
+        waved = await newcomer.ask("POST", "cameras/wave", {**newcomer.token, "side": "left"})
+        assert {"moved": "right", "exchanged": True} == waved
+        await newcomer.ask("PUT", "stage", {"waving": "none"})
+        now = await newcomer.ask("GET", "cameras")
+        sides = {camera["serial"]: camera["side"] for camera in now["found"]}
+        assert dict(zip(SERIALS, ("right", "left"), strict=True)) == sides
+        tried = now["configured"]["left"]["tried"]
+        assert (SERIALS[1], 800.0, None) == (tried["serial"], tried["exposure_us"], now["settings"])
+        devices = newcomer.world._devices  # noqa: SLF001  (what the cameras themselves hold)
+        exposures = [device.registers.number(g.EXPOSURE_TIME) for device in devices]
+        assert [2000.0, 800.0] == exposures
+
+        unknown = await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "serial": "X"}, 422)
+        assert "'X' answers" in unknown["detail"]
+        await newcomer.ask("DELETE", "setup", newcomer.token, 204)
+        await until(lambda: not any(device.controlled for device in devices))
+        assert [2000.0, 2000.0] == [device.registers.number(g.EXPOSURE_TIME) for device in devices]
+        newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
+        await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "serial": SERIALS[0]})
+
+    run(tmp_path, test)
+
+
+def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
+    """A lens out of focus and too much light, each by its own camera's figures."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.ask("GET", "cameras/quality", expected=404)
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True, "rings": {"right": 0.4}})
+        await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "exposure_us": 6000.0})
+        headers = {"Origin": newcomer.origin}
+        async with newcomer.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+            await socket.send_str(json.dumps({"live": True, **newcomer.token}))
+            while True:
+                message = await socket.receive()
+                told = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
+                if told.get("type") == "quality":
+                    break
+                if told.get("number"):
+                    await socket.send_str(json.dumps({"seen": told["number"]}))
+        asked = await newcomer.ask("GET", "cameras/quality")
+        assert asked["number"] >= told["number"]
+        left, right = told["left"], told["right"]
+        assert left["clipped_share"] > 0.05
+        assert "less_light" == left["advice"]["code"]
+        assert "good" == right["advice"]["code"]
+        spread = right["edge_spread_px"]
+        assert spread["median"] == pytest.approx(np.hypot(0.6, np.hypot(1.2, 12**-0.5)), rel=0.05)
+        assert (6, 8) == (len(spread["map"]), len(spread["map"][0]))
+        assert 1.6 < right["sigma_z_factor"] < 2.2
+
+    run(tmp_path, test)
+
+
+@pytest.mark.slow
+def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> None:
+    """Without a display: the page's address and a password that is not that of another run; exit code 0."""
+    ports = [str(free_port()) for _ in range(3)]
+    options = (f"--{name}-port={port}" for name, port in zip(("web", "modbus", "zenoh"), ports, strict=True))
+    command = [sys.executable, "-m", "edged", "demo", "--stage", "--in-process", *options, "--folder"]
+    with subprocess.Popen(
+        [*command, str(tmp_path / "cell")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        assert process.stdout is not None
+        said = ""
+        while "calibration yet" not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+        process.send_signal(signal.SIGINT)
+        rest = process.communicate(timeout=20)[0]
+    assert (0, "") == (process.returncode, rest)
+    assert f"http://127.0.0.1:{ports[0]}/setup" in said
+    assert ["cell.toml"] == [path.name for path in (tmp_path / "cell").iterdir()]
+    assert 0 == (tmp_path / "cell" / "cell.toml").stat().st_mode & 0o007
