@@ -123,3 +123,32 @@ def link(thin: npt.NDArray[np.uint8]) -> list[tuple[list[list[int]], bool]]:
                         chain = chain[::-1] + walk(other)
                 chains.append((chain, closed))
     return chains
+
+
+def all_edges(
+    profiles: FloatArray, together: int, reach: int, step_px: float
+) -> list[list[tuple[float, float]]]:
+    """Of each sample of a closed curve, whose profiles (N, S) are given: offset and slope of every extremum
+    within so many steps, strongest first, five at most; those weaker than 0.35 of the strongest left out."""
+    count, length = profiles.shape
+    radius = round(3 / step_px)
+    taps = [i * step_px * math.exp(-0.5 * (i * step_px) ** 2) for i in range(-radius, radius + 1)]
+    gain = sum(i * step_px * tap for i, tap in zip(range(-radius, radius + 1), taps, strict=True))
+    found = []
+    for n in range(count):
+        around = [(n - together // 2 + j) % count for j in range(together)]
+        mean = np.mean([profiles[j] for j in around], axis=0)
+        slopes = {
+            s: sum(tap * mean[length // 2 + s + i - radius] for i, tap in enumerate(taps)) / gain
+            for s in range(-reach - 1, reach + 2)
+        }
+        edges = []
+        for s in range(-reach, reach + 1):
+            before, here, after = (abs(slopes[s + k]) for k in (-1, 0, 1))
+            if math.isfinite(here) and here >= before and here > after:
+                bent = before - 2 * here + after
+                edges.append((step_px * (s + 0.5 * (before - after) / bent), slopes[s]))
+        edges.sort(key=lambda edge: -abs(edge[1]))
+        least = max(0.35 * abs(edges[0][1]), 2.0) if edges else 0.0
+        found.append([edge for edge in edges[:5] if abs(edge[1]) >= least])
+    return found

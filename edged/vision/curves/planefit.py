@@ -17,24 +17,35 @@ are not five independent witnesses (see `systematic`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.outlineprojection import circle_axes
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planestate import (
     DEFAULT_PARAMS,
     GROWTH_SIGMA,
     RIGID_PARAMETERS,
+    ROW_SIGMA_PX,
     FitParams,
+    Problem,
     State,
     Step,
 )
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.projection import shifts_by_calibration
 
+CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
+"""By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
+of it both cameras do not have in common."""
+SOFT_SHIFT_PX = 0.15
+"""By how much a soft edge is moved: by a tenth of the blur, as of something with a tenth of the contrast."""
 COARSE_SPACING_PX = 3.0  # while the curves still move
 STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
 
@@ -215,6 +226,7 @@ def _result(state: State, step: Step) -> PlaneFit | None:
     if not kept:
         return None
     fits, support = [], step.support()
+    whole = _known(step.problem, state.rig, state.unknowns)
     first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
     for k in kept:
         rows = slice(*step.starts[k : k + 2])
@@ -244,15 +256,75 @@ def _result(state: State, step: Step) -> PlaneFit | None:
         units = np.append(np.ones(state.shared - 1), GROWTH_SIGMA)
         common = slice(state.shared)
         rigid = RigidMotion(
-            step.covariance[common, common] * np.outer(units, units),
-            step.edge_covariance[common, common] * np.outer(units, units),
+            whole.covariance[common, common] * np.outer(units, units),
+            whole.edge_covariance[common, common] * np.outer(units, units),
             GROWTH_SIGMA * float(step.delta[state.shared - 1]),
         )
-    whole, by_edges = (
+    covariance, by_edges = (
         np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
-        for inner in (step.covariance, step.edge_covariance)
+        for inner in (whole.covariance, whole.edge_covariance)
     )
-    return PlaneFit(state.face, tuple(fits), whole, by_edges, step.row_shift_px, step.row_sigma_px, rigid)
+    return PlaneFit(
+        state.face, tuple(fits), covariance, by_edges, step.row_shift_px, whole.row_sigma_px, rigid
+    )
+
+
+class _Known(NamedTuple):
+    """covariance, edge_covariance (U, U) : of all unknowns, 0 for what is held or not seen.  row_sigma_px :
+    of the shift of the rows, raw px; NaN where the curves were only laid.
+    """
+
+    covariance: FloatArray
+    edge_covariance: FloatArray
+    row_sigma_px: float
+
+
+def _known(problem: Problem, rig: StereoRig, unknowns: int) -> _Known:
+    """How well a step is known; unknowns : of the whole fit."""
+    samples, solution, pairs, sides = problem.samples, problem.solution, problem.pairs, problem.sides
+    used, edges = problem.used, problem.edges
+    by_edges = whole = solution.covariance[: len(used), : len(used)]
+    row, row_variance = len(solution.delta) - 1, math.nan
+    if problem.final:
+        row_variance = float(solution.covariance[row, row])
+    if problem.final and (edges.clipped.any() or edges.soft.any()):
+        causes = pairs.rows_of(*_poor_light(problem))
+        by_cause = propagate(samples, solution, causes)
+        by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
+        row_variance += float(by_cause[row] @ by_cause[row])
+        whole = by_edges
+    if problem.final and rig.covariance is not None:
+        space = problem.face.to_rig(problem.outline.points)
+        causes = pairs.rows_of(*shifts_by_calibration(rig, space, *(side.normals for side in sides)))
+        by_cause = propagate(samples, solution, causes)
+        row_variance += float(by_cause[row] @ rig.covariance @ by_cause[row])
+        by_cause = by_cause[: len(used)]
+        whole = whole + by_cause @ rig.covariance @ by_cause.T
+    covariances = np.zeros((2, unknowns, unknowns))
+    for all_of_it, part in zip(covariances, (whole, by_edges), strict=True):
+        all_of_it[np.ix_(used, used)] = part
+    return _Known(covariances[0], covariances[1], ROW_SIGMA_PX * math.sqrt(row_variance))
+
+
+def _poor_light(problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
+
+    A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
+    A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
+    in each camera by itself. Along the rows that is a depth.
+    """
+    edges = problem.edges
+    towards = -np.repeat([float(curve.polarity) for curve in problem.curves], np.diff(problem.starts))
+    left, right = CLIPPED_PX * towards * edges.clipped
+    none = np.zeros(len(towards))
+    soft_left, soft_right = (
+        SOFT_SHIFT_PX * seen.normals[:, 0] * soft
+        for seen, soft in zip(problem.sides, edges.soft, strict=True)
+    )
+    return (
+        np.column_stack([left, CLIPPED_APART * left, soft_left, none]),
+        np.column_stack([right, -CLIPPED_APART * right, none, soft_right]),
+    )
 
 
 def _rigid_lift(state: State, kept: Sequence[int]) -> FloatArray:
@@ -286,15 +358,25 @@ def _block_diagonal(blocks: list[FloatArray]) -> FloatArray:
     return result
 
 
-def derived(fit: PlaneFit, function: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Values (M,) of a function of `fit.parameters` and their covariance (M, M), to first order."""
+def derived(
+    fit: PlaneFit, function: Callable[[FloatArray], FloatArray], of: Sequence[str] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Values (M,) of a function of `fit.parameters` and their covariance (M, M), to first order.
+
+    of : the curves, beside the plane, that the function asks for; None: any.
+    """
     parameters = fit.parameters
     step = 1e-5  # mm and rad; curves are smooth over far more
-    jacobian = np.stack(
-        [
-            (function(parameters + step * unit) - function(parameters - step * unit)) / (2 * step)
-            for unit in np.eye(len(parameters))
-        ],
-        axis=-1,
-    )
-    return function(parameters), np.asarray(jacobian @ fit.covariance @ jacobian.T)
+    asked = np.ones(len(parameters), bool)
+    if of is not None:
+        asked[PLANE_PARAMETERS:] = False
+        for where in (fit.place(name) for name in of):
+            if where is not None:
+                asked[where] = True
+    values = function(parameters)
+    jacobian = np.zeros((*values.shape, len(parameters)))
+    for k in np.flatnonzero(asked):
+        unit = np.zeros(len(parameters))
+        unit[k] = step
+        jacobian[..., k] = (function(parameters + unit) - function(parameters - unit)) / (2 * step)
+    return values, np.asarray(jacobian @ fit.covariance @ jacobian.T)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.adjustment import ROUGHLY, SETTLED, propagate, solve
-from edged.vision.curves.commonmode import pair, samples_of
+from edged.vision.curves.adjustment import ROUGHLY, SETTLED, Samples, Solution, solve
+from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlineprojection import (
     ProjectedOutline,
@@ -22,7 +23,6 @@ from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rigid import about_z, apply
 from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
@@ -45,20 +45,13 @@ GROWTH_SIGMA = 0.01
 PROBE_MM = 0.01
 PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
-CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
-"""By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
-of it both cameras do not have in common."""
-SOFT_PX, SOFT_SHIFT_PX = 1.1, 0.15
-"""Blur from which an edge is one with what lies beside it (`operatorwidth` tells it up to 1.2), and by how
-much that moves it: by a tenth of the blur, as of something with a tenth of the contrast."""
+SOFT_PX = 1.1
+"""Blur from which an edge is one with what lies beside it (`operatorwidth` tells it up to 1.2)."""
 ROW_SIGMA_PX = 0.3
 """How far the rows of both images may lie apart, before anything was measured."""
 RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
-
-
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +75,43 @@ DEFAULT_PARAMS = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """What the curves show in both images.
+
+    offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
+    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
+    saturated surface.  soft (2, N) bool : of a curve that is blurred.
+    """
+
+    offset_px: FloatArray
+    base: FloatArray
+    bias_px: FloatArray
+    clipped: npt.NDArray[np.bool_]
+    soft: npt.NDArray[np.bool_]
+
+
+class Problem(NamedTuple):
+    """A step's problem and its solution.
+
+    face, curves : as they lay; outline, sides : the samples in the face and in both images; starts (K + 1,) :
+    where each curve's begin.  used (V,) : the unknowns of the fit that were solved for.  final : with
+    systematic shifts, and with the shift of the rows as the last unknown.
+    """
+
+    samples: Samples
+    solution: Solution
+    pairs: Pairs
+    face: Face
+    curves: tuple[Curve, ...]
+    outline: Outline
+    sides: tuple[ProjectedOutline, ProjectedOutline]
+    edges: Edges
+    starts: npt.NDArray[np.int64]
+    used: npt.NDArray[np.int64]
+    final: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One step of the joint problem.
 
@@ -91,11 +121,9 @@ class Step:
     """
 
     delta: FloatArray
-    covariance: FloatArray
-    edge_covariance: FloatArray
+    problem: Problem
     moved_px: FloatArray
     row_shift_px: float
-    row_sigma_px: float
     starts: npt.NDArray[np.int64]
     points: FloatArray
     offsets: FloatArray
@@ -111,22 +139,6 @@ class Step:
         """The curves that were seen, by so much of both images."""
         seen = np.add.reduceat(self.weights, self.starts[:-1], axis=1).sum(axis=0) >= MIN_SAMPLES
         return np.flatnonzero(seen & (self.support().min(axis=0) >= share)).tolist()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """What the curves show in both images.
-
-    offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
-    shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
-    saturated surface.  soft (2, N) bool : of a curve that is blurred.
-    """
-
-    offset_px: FloatArray
-    base: FloatArray
-    bias_px: FloatArray
-    clipped: Flags
-    soft: Flags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,33 +279,15 @@ class State:
         solution = solve(samples, len(used) + priors, known_before + priors, SETTLED if final else ROUGHLY)
         if solution is None:
             return None
-        by_edges = known = solution.covariance[: len(used), : len(used)]
-        row, row_shift, row_variance = len(solution.delta) - 1, math.nan, math.nan
-        if final:
-            row_shift, row_variance = float(solution.delta[row]), float(solution.covariance[row, row])
-        if final and (edges.clipped.any() or edges.soft.any()):
-            by_cause = propagate(samples, solution, pairs.rows_of(*self._poor_light(edges, sides, starts)))
-            by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
-            row_variance += float(by_cause[row] @ by_cause[row])
-            known = by_edges
-        if final and self.rig.covariance is not None:
-            space = self.face.to_rig(outline.points)
-            causes = pairs.rows_of(*shifts_by_calibration(self.rig, space, *(side.normals for side in sides)))
-            by_cause = propagate(samples, solution, causes)
-            row_variance += float(by_cause[row] @ self.rig.covariance @ by_cause[row])
-            by_cause = by_cause[: len(used)]
-            known = known + by_cause @ self.rig.covariance @ by_cause.T
-        delta, covariances = np.zeros(self.unknowns), np.zeros((2, self.unknowns, self.unknowns))
+        delta = np.zeros(self.unknowns)
         delta[used] = solution.delta[: len(used)]
-        for whole, part in zip(covariances, (known, by_edges), strict=True):
-            whole[np.ix_(used, used)] = part
         return Step(
             delta,
-            covariances[0],
-            covariances[1],
+            Problem(
+                samples, solution, pairs, self.face, self.curves, outline, sides, edges, starts, used, final
+            ),
             self._motion(sides, delta, starts),
-            ROW_SIGMA_PX * row_shift,
-            ROW_SIGMA_PX * math.sqrt(row_variance),
+            ROW_SIGMA_PX * float(solution.delta[-1]) if final else math.nan,
             starts,
             np.stack(
                 [
@@ -308,7 +302,7 @@ class State:
 
     def _measure(
         self, outline: Outline, starts: npt.NDArray[np.int64], reach: float, final: bool
-    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], _Edges]:
+    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], Edges]:
         """The present curves in both images, and the edges across them."""
         counts = np.diff(starts)
         widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
@@ -316,7 +310,13 @@ class State:
 
         def side(
             number: int,
-        ) -> tuple[ProjectedOutline, FloatArray, FloatArray, FloatArray, tuple[Flags, Flags]]:
+        ) -> tuple[
+            ProjectedOutline,
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]],
+        ]:
             seen = project_outline(self.rig, SIDES[number], self.face, outline)
             image = self.images[number]
             signs = np.concatenate(
@@ -344,31 +344,8 @@ class State:
         offsets, base, bias = (np.stack(pair) for pair in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         base = np.where(np.repeat(few, counts), 0.0, base)
-        return (left, right), _Edges(
+        return (left, right), Edges(
             offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
-        )
-
-    def _poor_light(
-        self,
-        edges: _Edges,
-        sides: tuple[ProjectedOutline, ProjectedOutline],
-        starts: npt.NDArray[np.int64],
-    ) -> tuple[FloatArray, FloatArray]:
-        """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
-
-        A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
-        A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
-        in each camera by itself. Along the rows that is a depth.
-        """
-        towards = -np.repeat([float(curve.polarity) for curve in self.curves], np.diff(starts))
-        left, right = CLIPPED_PX * towards * edges.clipped
-        none = np.zeros(len(towards))
-        soft_left, soft_right = (
-            SOFT_SHIFT_PX * seen.normals[:, 0] * soft for seen, soft in zip(sides, edges.soft, strict=True)
-        )
-        return (
-            np.column_stack([left, CLIPPED_APART * left, soft_left, none]),
-            np.column_stack([right, -CLIPPED_APART * right, none, soft_right]),
         )
 
     def _with_row_shift(

@@ -79,8 +79,12 @@ def _corner_in_rig(job: Job, fit: PlaneFit, name: str) -> Corner3D | None:
     point = place(job, fit, name)
     if point is None:
         return None
-    position, covariance = derived(fit, lambda parameters: lifted(fit.face, parameters, point(parameters)))
-    return Corner3D(name, position, covariance)
+    edges = next(corner.edges for corner in job.corners if corner.name == name)
+    position, covariance = derived(
+        fit, lambda parameters: lifted(fit.face, parameters, point(parameters)), edges
+    )
+    height = next(one.curve.height_mm for one in fit.fits if one.name in edges)
+    return Corner3D(name, position + height * fit.face.normal, covariance)
 
 
 def _edge_in_rig(fit: PlaneFit, curve: Curve) -> Edge3D:

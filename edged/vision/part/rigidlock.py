@@ -9,48 +9,51 @@ curve being candidates; what has rivals counts less.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
+from edged.domain.arrays import SIDES, FloatArray
+from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face, Outline
-from edged.vision.edges.subpixel import edge_profiles
+from edged.vision.edges.candidates import MOST, candidates
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
-from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.kernels.cholesky import factorise, substitute
+from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.median import median
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
+
+F64 = npt.NDArray[np.float64]
+B64 = npt.NDArray[np.bool_]
 
 FAR_PX = (16.0, 12.0, 8.0, 6.0)
 """How far edges may lie from the curves: a match knows its distance to one percent, that is ten px."""
-NEAR_PX = (5.0, 4.0, 3.0, 2.5, *(2.0,) * 10)
+STILL_STEPS = 10
+NEAR_PX = (4.0, 2.5, *(2.0,) * STILL_STEPS)
 """The last one is repeated until the pose stands still."""
+RIVAL_PX = (4.0, 3.0, 2.5)
+RIVAL_LACKS = 0.08
+"""By so much less the curves agree with a rival that need not be laid any better."""
 STILL_PX = 0.1
 GLANCE_PX = 4.0
 FAR_SPACING_PX = 5.0
 SPACING_PX = 2.5
 HOPELESS = 0.25
 """Share of the curves that after the far steps either camera must agree with."""
-STEP_PX = 0.5
 ALONG_PX = 10.0
 """Length of a curve whose profiles are averaged: texture has no edge that long."""
-BLUR_PX = 1.0
+ALIKE = 0.03
+"""Of two sizes in the picture that differ by a smaller share, the samples are the same."""
 MARGIN_PX = 5.0
 """Of an edge at both ends: beside a corner the other edge is as near."""
-MIN_SLOPE = 2.0
-"""Grey values per px."""
-RIVAL_SHARE = 0.35
-"""Of the strongest slope of a profile, from which another extremum is a candidate, too."""
 ODD_PX, ODD_SHARE = 2.0, 0.5
 """An edge of the other sign than taught is taken only if it is nearer by so much, and counts less: light and
 walls turn some signs round, but most remain."""
-MOST = 5
-"""Candidates of one profile."""
 AGREE_PX = 1.0
 LEAST_SIGMA_PX = 0.4
 TIGHT_SIGMA_PX, TIGHT_STEPS = 0.6, 10
@@ -61,7 +64,7 @@ GOOD_SHARE = 0.75
 """Of a pose that both cameras agree with this much there is no better one."""
 ROUNDS = 5
 MAX_STEP_RAD = 0.2
-CONDITION = 1e8
+TINY_PIVOT = 1e-8
 FEWEST = 24
 
 
@@ -69,11 +72,12 @@ FEWEST = 24
 class Lock:
     """A pose rig_from_part (4, 4), and the share of the curves that agree with it in each camera (2,).
 
-    moved_px : by which the last step moved the curves, rms.
+    by_curve (2, K) : the same share of each curve.  moved_px : by which the last step moved the curves, rms.
     """
 
     pose: FloatArray
     agreeing: FloatArray
+    by_curve: FloatArray
     moved_px: float
 
     @property
@@ -81,28 +85,28 @@ class Lock:
         """Of the camera that agrees less."""
         return float(self.agreeing.min())
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """All edges across N samples: offset_px and slope (N, MOST), NaN and 0 where there are no more."""
-
-    offset_px: FloatArray
-    slope: FloatArray
+    @property
+    def mean(self) -> float:
+        """Of both cameras."""
+        return float(self.agreeing.mean())
 
 
 def lock(
-    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, *, near: bool = False
+    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, rival_of: Lock | None = None
 ) -> Lock | None:
     """Lay curves of the part's frame onto the edges of both images, from a pose rig_from_part (4, 4).
 
-    near : the pose is good to a few px. None where the images do not show so many of the curves, or the pose
-    runs away.
+    rival_of : another pose; this one is good to a few px, and asked for only if it comes near to that one in
+    what agrees with it. None where the images do not show so many of the curves, or the pose runs away.
     """
     found: Lock | None = None
-    for reaches, spacing_px in ((FAR_PX, FAR_SPACING_PX), (NEAR_PX, SPACING_PX)):
-        if near and reaches is FAR_PX:
-            continue
+    phases: tuple[tuple[tuple[float, ...], float], ...] = ((FAR_PX, FAR_SPACING_PX), (NEAR_PX, SPACING_PX))
+    if rival_of is not None:
+        phases = ((RIVAL_PX, FAR_SPACING_PX), (NEAR_PX[-STILL_STEPS:], SPACING_PX))
+    for reaches, spacing_px in phases:
         if pose[2, 3] <= 0 or (found is not None and found.share < HOPELESS):
+            return None
+        if found is not None and rival_of is not None and found.mean < rival_of.mean - RIVAL_LACKS:
             return None
         outline, starts = spread(images, curves, pose, spacing_px)
         together = max(1, round(ALONG_PX / spacing_px))
@@ -125,7 +129,7 @@ def lock(
         tight = moved
         if tight.moved_px < STILL_PX:
             break
-    return max(found, tight, key=lambda one: float(one.agreeing.sum()))
+    return max(found, tight, key=lambda one: one.mean)
 
 
 def glance(
@@ -136,7 +140,7 @@ def glance(
         return 0.0
     outline, starts = spread(images, curves, pose, FAR_SPACING_PX)
     seen = _step(images, curves, outline, starts, pose, reach_px, round(ALONG_PX / FAR_SPACING_PX))
-    return 0.0 if seen is None else float(seen.agreeing.mean())
+    return 0.0 if seen is None else seen.mean
 
 
 def spread(
@@ -144,6 +148,12 @@ def spread(
 ) -> tuple[Outline, npt.NDArray[np.int64]]:
     """Samples of all curves with their motion by shift and turn in the face; where each begins (K + 1,)."""
     px_per_mm = images.rig.left.fx / float(pose[2, 3])
+    return _spread(tuple(curves), round(math.log(px_per_mm) / ALIKE), spacing_px)
+
+
+@lru_cache(maxsize=32)  # the curves of a few jobs, at both spacings, at a few distances
+def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]]:
+    px_per_mm = math.exp(size * ALIKE)
     outlines = []
     for curve in curves:
         count = max(int(curve.perimeter_mm * px_per_mm / spacing_px), FEWEST)
@@ -153,50 +163,6 @@ def spread(
     turning = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
     starts = np.cumsum([0, *(len(one.points) for one in outlines)])
     return Outline(points, normals, np.column_stack([normals, turning])), starts
-
-
-def candidates(
-    image: Image,
-    seen: ProjectedOutline,
-    starts: npt.NDArray[np.int64],
-    reach_px: float,
-    together: int,
-) -> Candidates:
-    """All edges of either sign within reach; of so many profiles together along their curve."""
-    half = reach_px + 3 * BLUR_PX + STEP_PX
-    with np.errstate(invalid="ignore"):
-        profiles, places = edge_profiles(image, seen.pixels, seen.normals, half, STEP_PX)
-    smooth = np.empty_like(profiles)
-    for first, last in itertools.pairwise(starts):
-        around = np.arange(first - together // 2, last + (together - 1) // 2)
-        around = first + (around - first) % (last - first)
-        total = np.cumsum(np.vstack([np.zeros(profiles.shape[1]), profiles[around]]), axis=0)
-        smooth[first:last] = (total[together:] - total[:-together]) / together
-    steps = np.arange(-round(3 * BLUR_PX / STEP_PX), round(3 * BLUR_PX / STEP_PX) + 1) * STEP_PX
-    operator = steps * np.exp(-0.5 * (steps / BLUR_PX) ** 2)
-    operator /= np.sum(operator * steps)  # a ramp of one grey value per px gives 1
-    inside = np.asarray(np.isfinite(smooth).all(axis=1))
-    slopes = cv2.filter2D(
-        np.where(inside[:, None], smooth, 0.0), cv2.CV_64F, operator[None], borderType=cv2.BORDER_REPLICATE
-    )
-    size = np.abs(slopes)
-    peak = np.zeros(slopes.shape, bool)
-    peak[:, 1:-1] = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] > size[:, 2:])
-    peak[:, np.abs(places) > reach_px] = False
-    size = np.where(peak, size, 0.0)
-    least = np.maximum(RIVAL_SHARE * size.max(axis=1, keepdims=True), MIN_SLOPE)
-    size = np.where(size >= least, size, 0.0)
-    order = np.argsort(-size, axis=1)[:, :MOST]
-    rows = np.arange(len(size))[:, None]
-    chosen = size[rows, order] > 0
-    absolute = np.abs(slopes)
-    before, here = absolute[rows, np.maximum(order - 1, 0)], absolute[rows, order]
-    after = absolute[rows, np.minimum(order + 1, slopes.shape[1] - 1)]
-    bend = before - 2 * here + after
-    with np.errstate(invalid="ignore", divide="ignore"):
-        fraction = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
-    offset = np.where(chosen, places[order] + STEP_PX * fraction, np.nan)
-    return Candidates(offset, np.where(chosen, slopes[rows, order], 0.0))
 
 
 def _step(
@@ -215,40 +181,21 @@ def _step(
     most_sigma_px : by which edges scatter that are taken for the curves' own.
     """
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    expected = np.repeat([curve.polarity for curve in curves], np.diff(starts))
-    designs, offsets, signs = [], [], []
+    expected = np.repeat([float(curve.polarity) for curve in curves], np.diff(starts))
+    designs, offsets, odds = [], [], []
     for side, image in zip(SIDES, images.raw, strict=True):
         with np.errstate(invalid="ignore", divide="ignore"):
             seen = project_outline(images.rig, side, face, outline)
         if not np.isfinite(seen.design).all():
             return None
-        edges = candidates(image, seen, starts, reach, together)
+        edges = candidates(image, seen.pixels, seen.normals, starts, reach, together)
         offsets.append(edges.offset_px)
-        signs.append(np.sign(edges.slope) * expected[:, None])
+        odds.append(edges.slope * expected[:, None] < 0)
         designs.append(seen.design)
-    design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(signs) < 0
-    many = np.isfinite(offset).sum(axis=1)
-    known = many > 0
-    if known.sum() < FEWEST:
+    design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(odds)
+    delta, left = np.zeros(design.shape[1]), np.full(len(offset), np.nan)
+    if not _settle(design, offset, odd, most_sigma_px, delta, left):
         return None
-    rows, choices, odd = design[known], offset[known], odd[known]
-    trust = 1.0 / many[known] ** 2
-    penalty = np.where(odd, ODD_PX, 0.0)
-    delta, values = np.zeros(design.shape[1]), np.zeros(len(rows))
-    every = np.arange(len(rows))
-    for _ in range(ROUNDS):
-        ahead = rows @ delta
-        chosen = np.nanargmin(np.abs(choices - ahead[:, None]) + penalty, axis=1)
-        values = choices[every, chosen]
-        residuals = values - ahead
-        sigma_px = min(max(mad_sigma(residuals), LEAST_SIGMA_PX), most_sigma_px)
-        weights = trust * tukey_weights(residuals, sigma_px)
-        weights *= np.where(odd[every, chosen], ODD_SHARE, 1.0)
-        normal = rows.T @ (rows * weights[:, None])
-        scale = np.sqrt(np.diag(normal))
-        if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > CONDITION:
-            return None
-        delta = np.linalg.solve(normal, rows.T @ (weights * values))
     height, slope_u, slope_v, shift_u, shift_v, turn = delta
     if max(abs(slope_u), abs(slope_v), abs(turn)) > MAX_STEP_RAD:
         return None
@@ -256,7 +203,79 @@ def _step(
     motion = transform(
         rotation_matrix(np.array([slope_v, -slope_u, turn])), np.array([shift_u, shift_v, height])
     )
-    agree = np.zeros(len(offset), bool)
-    agree[known] = np.abs(values - rows @ delta) < AGREE_PX
-    moved_px = float(np.sqrt(np.mean((rows @ delta) ** 2)))
-    return Lock(np.asarray(pose @ motion), agree.reshape(2, -1).mean(axis=1), moved_px)
+    agree = (np.abs(left) < AGREE_PX).reshape(2, -1)
+    by_curve = np.add.reduceat(agree, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
+    moved_px = float(np.sqrt(np.mean((design[np.isfinite(left)] @ delta) ** 2)))
+    return Lock(np.asarray(pose @ motion), agree.mean(axis=1), by_curve, moved_px)
+
+
+@kernel("b1(f8[:, ::1], f8[:, ::1], b1[:, ::1], f8, f8[::1], f8[::1])")
+def _settle(design: F64, offset: F64, odd: B64, most_sigma_px: float, delta: F64, left: F64) -> bool:
+    """Fill delta (6,), the step that fits most samples best, of whose edges the nearest is taken each time.
+
+    offset, odd (N, MOST) : all edges of a sample, and which are of the other sign than taught.  left (N,) :
+    what the step leaves of the nearest edge, NaN where there is none. False where the edges do not tell.
+    """
+    count, size = design.shape
+    chosen, trust = np.zeros(count, np.int64), np.zeros(count)
+    values, kept = np.zeros(count), np.empty(count)
+    normal, right_side, scale = np.empty((size, size)), np.empty(size), np.empty(size)
+    known = 0
+    for n in range(count):
+        many = 0
+        for m in range(MOST):
+            many += np.isfinite(offset[n, m])
+        if many:
+            trust[n], known = 1.0 / many**2, known + 1
+    if known < FEWEST:
+        return False
+    for _ in range(ROUNDS):
+        many = 0
+        for n in range(count):
+            if trust[n] == 0.0:
+                continue
+            ahead, nearest = 0.0, np.inf
+            for i in range(size):
+                ahead += design[n, i] * delta[i]
+            for m in range(MOST):
+                away = abs(offset[n, m] - ahead) + (ODD_PX if odd[n, m] else 0.0)
+                if away < nearest:  # not where there is no edge: that is NaN
+                    nearest, chosen[n] = away, m
+            values[n] = offset[n, chosen[n]]
+            kept[many] = left[n] = values[n] - ahead
+            kept[many] = abs(kept[many])
+            many += 1
+        sigma = min(max(SIGMA_PER_MEDIAN * median(kept[:many]), LEAST_SIGMA_PX), most_sigma_px)
+        normal[:], right_side[:] = 0.0, 0.0
+        for n in range(count):
+            if trust[n] == 0.0:
+                continue
+            weight = trust[n] * tukey_weight(left[n] / sigma)
+            if odd[n, chosen[n]]:
+                weight *= ODD_SHARE
+            if weight == 0.0:
+                continue
+            for i in range(size):
+                heavy = weight * design[n, i]
+                right_side[i] += heavy * values[n]
+                for j in range(i + 1):
+                    normal[i, j] += heavy * design[n, j]
+        for i in range(size):
+            if not normal[i, i] > 0.0:
+                return False
+            scale[i] = 1.0 / math.sqrt(normal[i, i])
+        for i in range(size):
+            delta[i] = scale[i] * right_side[i]
+            for j in range(i + 1):
+                normal[i, j] *= scale[i] * scale[j]
+        if not factorise(normal, size) > TINY_PIVOT:
+            return False
+        substitute(normal, delta, size)
+        for i in range(size):
+            delta[i] *= scale[i]
+    for n in range(count):
+        if trust[n] > 0.0:
+            left[n] = values[n]
+            for i in range(size):
+                left[n] -= design[n, i] * delta[i]
+    return True

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.curves.planestate import FitParams
+from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
@@ -38,7 +40,6 @@ from edged.vision.part.rigidlock import (
     GOOD_SHARE,
     SPACING_PX,
     Lock,
-    candidates,
     glance,
     lock,
     spread,
@@ -58,6 +59,8 @@ LIKE = 0.1
 MAX_RIVALS = 16
 ASIDE = 0.2
 """Of the part's size: by so much a turn may shift its middle."""
+CONCENTRIC = 0.15
+"""Of its radius: a circle whose middle is nearer to the axis of a turn looks the same after it."""
 SAME_TURN = math.radians(3.0)
 MIN_MARGIN = 0.012
 """Share of all curves by which one turn must agree better than every other: an odd hole is about 0.04."""
@@ -67,6 +70,8 @@ RIVAL_SHARE = 0.25
 """Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
 MIN_FOUND = 0.5
 """Of all curves, and of the circles: with fewer it is another part, or most of it is hidden."""
+PLAIN_SHARE = 0.65
+"""Of a curve, or of those beside the axis of a turn: with so much it is plain. By chance it is about 0.5."""
 TURNS = tuple(math.radians(15.0) * np.arange(1, 24))
 TURN_REACH_PX, TURNED_STARTS = 12.0, 3
 POOR_SHARE = 0.35
@@ -78,13 +83,14 @@ RIGID_PX = 0.08
 """What a feature's taught place and size are worth: another light and view had moved its edges so far."""
 
 
-def curves_of(job: Job) -> list[Curve]:
+@lru_cache(maxsize=16)  # a job stays the same from image to image
+def curves_of(job: Job) -> tuple[Curve, ...]:
     """All features of a job as curves of its part frame."""
-    return [
+    return (
         *(circle_curve(circle, free_polarity=False) for circle in job.circles),
         *(edge_curve(edge, free_polarity=False) for edge in job.edges),
         *(slot_curve(slot, free_polarity=False) for slot in job.slots),
-    ]
+    )
 
 
 def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
@@ -105,7 +111,11 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     reject = Reject.NONE
     if margin < MIN_MARGIN:
         reject |= Reject.AMBIGUOUS_ROTATION
-    circles = sum(one.curve.kind == "circle" for one in fit.fits)
+    fitted_ones = {one.name for one in fit.fits}
+    circles = sum(
+        curve.kind == "circle" and curve.name in fitted_ones and share >= PLAIN_SHARE
+        for curve, share in zip(whole.curves, best.by_curve.mean(axis=0), strict=True)
+    )
     if len(fit.fits) < MIN_FOUND * len(whole.curves) or circles < MIN_FOUND * len(job.circles):
         reject |= Reject.FEW_EDGES
     alone = whole.alone(images)
@@ -136,39 +146,39 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     0 where the search could not tell turns apart, and the features have none to try.
     """
     curves = curves_of(job)
-    poses = _starts(images, job, match)
-    best = _best_of(images, curves, poses)
-    if best is None or best.share < GOOD_SHARE:
+    best = _best_of(images, curves, _starts(images, job, match))
+    if best is None or (best.share < GOOD_SHARE and not _tells_turn(job, best)):
+        poses = list(_starts(images, job, match))
         best = _best_of(images, curves, _turned(images, curves, job, poses), best)
     if best is None or best.share < POOR_SHARE:
         return None
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
-    if roundish:
+    if roundish and not _tells_turn(job, best):
         others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
         found += [one for one in others if one is not None]
-        best = max(found, key=lambda one: float(one.agreeing.sum()))
+        best = max(found, key=lambda one: one.mean)
     for motion in motions:
         turned = best.pose @ motion
-        if glance(images, curves, turned) > float(best.agreeing.mean()) - RIVAL_SHARE:
-            one = lock(images, curves, turned, near=True)
+        if glance(images, curves, turned) > best.mean - RIVAL_SHARE:
+            one = lock(images, curves, turned, rival_of=best)
             found += [] if one is None else [one]
-    found.sort(key=lambda one: -float(one.agreeing.sum()))
+    found.sort(key=lambda one: -one.mean)
     best = found[0]
-    if best.share < LEAST_SHARE or float(best.agreeing.mean()) < MIN_SHARE:
+    if best.share < LEAST_SHARE or best.mean < MIN_SHARE:
         return None
     if match.ambiguous and not roundish and not motions:
         return best, 0.0
     other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
-    return best, 1.0 if other is None else float(best.agreeing.mean() - other.agreeing.mean())
+    return best, 1.0 if other is None else best.mean - other.mean
 
 
 def _best_of(
-    images: StereoImages, curves: Sequence[Curve], poses: Sequence[FloatArray], best: Lock | None = None
+    images: StereoImages, curves: Sequence[Curve], poses: Iterable[FloatArray], best: Lock | None = None
 ) -> Lock | None:
     """The lock that most of the part agrees with, of several starts; the first good one settles it."""
     for pose in poses:
         one = lock(images, curves, pose)
-        if one is not None and (best is None or one.agreeing.sum() > best.agreeing.sum()):
+        if one is not None and (best is None or one.mean > best.mean):
             best = one
         if one is not None and one.share >= GOOD_SHARE:
             break
@@ -179,6 +189,18 @@ def _is_roundish(job: Job) -> bool:
     """Whether its outline tells little of its turn: then every turn is a rival."""
     around = 2 * math.pi * max((circle.radius_mm for circle in job.circles), default=0.0)
     return sum(edge.length_mm for edge in job.edges) < around
+
+
+def _tells_turn(job: Job, found: Lock) -> bool:
+    """Whether the curves beside the reference agree: those about it, a rim, a bore, do so at any turn.
+
+    Where one feature lies at the place of another one like it, `_rival_motions` has that turn.
+    """
+    curves, centre = curves_of(job), job.place_of(job.reference)[:2]
+    lengths = np.array([curve.perimeter_mm for curve in curves])
+    away = np.array([float(np.linalg.norm(curve.parameters[:2] - centre)) for curve in curves])
+    beside = np.where(away > CONCENTRIC * lengths / (2 * math.pi), lengths, 0.0)
+    return bool(beside.any() and (found.by_curve @ beside >= PLAIN_SHARE * beside.sum()).all())
 
 
 def _turned(
@@ -226,16 +248,17 @@ def _turn_between(one: Lock, two: Lock) -> float:
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(between)) - 1.0))))
 
 
-def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> list[FloatArray]:
+def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[FloatArray]:
     """Likely poses rig_from_part (4, 4): by the match alone, and by the rows of both images."""
     share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
     level = float(job.place_of(job.reference)[2])
     main = [curve for curve in curves_of(job) if abs(curve.height_mm - level) < SOLID_MM]
     flat = np.concatenate([curve.outline(share).points for curve in main])
     flat[:, 2] = 0.0
-    poses = poses_of_match(images, job, match, np.ascontiguousarray(flat))
+    yield from poses_of_match(images, job, match, np.ascontiguousarray(flat))
     by_rows = start_pose(images, job, match, main)
-    return poses if by_rows is None else [*poses, by_rows]
+    if by_rows is not None:
+        yield by_rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,7 +303,7 @@ def _with_signs(
     lone = [np.zeros(one.shape, bool) for one in signs]
     for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
         seen = project_outline(images.rig, name, face, outline)
-        edges = candidates(image, seen, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
+        edges = candidates(image, seen.pixels, seen.normals, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
         away = np.nan_to_num(np.abs(edges.offset_px), nan=np.inf)
         own, rows = away.argmin(axis=1), np.arange(len(away))
         sign = np.where(away[rows, own] < 2 * AGREE_PX, np.sign(edges.slope[rows, own]), 0.0)

@@ -17,9 +17,12 @@ from edged.domain.measurement import Outcome, Reject, Target
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import CurveFit, PlaneFit
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages
-from edged.vision.part.job import Job, MeasurementSpec
+from edged.vision.part.frames import with_features
+from edged.vision.part.job import CornerFeature, Job, MeasurementSpec
 from edged.vision.part.rigidlock import lock
 from edged.vision.part.solid import curves_of
 from edged.vision.shape.inspection import inspect_model
@@ -243,3 +246,19 @@ def test_the_report_states_heights() -> None:
     bore = min(here.job.circles, key=lambda circle: abs(circle.radius_mm - 2.0))
     assert "place, height mm" in page
     assert f", {-float(bore.centre_mm[2]):+.3f}" in page.replace("&#43;", "+")
+
+
+def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
+    """A corner is where its two edges meet in space, not below it in the face that the search looks for."""
+    here = taught()
+    where = lying(here.rig.rig, 20.0, 40.0, 30.0)
+    edges = (
+        Curve("a", "edge", np.array([-4.0, -7.0, 0.0]), 1, length_mm=14.0, height_mm=-STEP_MM),
+        Curve("b", "edge", np.array([-11.0, -1.5, math.pi / 2]), 1, length_mm=11.0, height_mm=-STEP_MM),
+    )
+    nothing = np.zeros((2, 0))
+    fits = tuple(CurveFit(edge, np.ones(2), 0.1, 0.0, nothing[..., None], nothing) for edge in edges)
+    fit = PlaneFit(Face(where[:3, 3], where[:3, :3].T), fits, np.eye(9), np.eye(9), 0.0, 0.1)
+    job = replace(here.job, edges=(), corners=(CornerFeature("k", ("a", "b")),))
+    (corner,) = with_features(only(here.see(block(where))), job, fit).corners
+    np.testing.assert_allclose(corner.position_mm, apply(where, np.array([-11.0, -7.0, -STEP_MM])))
