@@ -104,7 +104,11 @@ class Link:
         """Until something comes; then as much of it as is left has passed as well."""
         end_s = self.now_s() + duration_s
         self.has_come(duration_s)
-        self._ahead_s += max(0.0, end_s - self.now_s())
+        self.jump(end_s)
+
+    def jump(self, to_s: float) -> None:
+        """It is later now."""
+        self._ahead_s += max(0.0, to_s - self.now_s())
 
     def _is_ready(self, timeout_s: float) -> bool:
         return self._socket is not None and bool(select.select([self._socket], [], [], timeout_s)[0])

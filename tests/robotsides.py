@@ -6,15 +6,23 @@ another way.
 
 from __future__ import annotations
 
+import atexit
+import itertools
+import shutil
+import tempfile
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import drl
+import inform
 import karel
 import kawasaki
 import krl
 import melfa
 import numpy as np
+import pytest
 import rapid
 import spel
 import val3
@@ -24,6 +32,7 @@ from robotlink import Link
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.melfa import melfa_files
+from edged.plc.clients.motoplus import motoplus_files
 from edged.plc.clients.robotlines import Failure
 from edged.plc.clients.val3 import val3_files
 from edged.plc.lines import answer_fields
@@ -476,5 +485,65 @@ class MitsubishiThatGoesOn(Mitsubishi):
     }
 
 
+@cache
+def _translated() -> Path:
+    """The MotoPlus task, once for all tests."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no C compiler")
+    folder = Path(tempfile.mkdtemp(prefix="edged-motoplus-"))
+    atexit.register(shutil.rmtree, folder)
+    return inform.translate(motoplus_files()["edged.c"], folder)
+
+
+class Yaskawa:
+    """A Yaskawa controller: the task runs beside the job."""
+
+    brand = Brand.YASKAWA
+    excuses: ClassVar[dict[str, Lie]] = {}
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        program = _translated()
+        memory = program.with_name(f"memory{next(NUMBERS)}")
+        self.controller = inform.Controller(program, memory, motoplus_files()["EDGED.JBI"], link)
+
+    def _run(self, command: int, job: int = 0, timeout_s: float = 5.0) -> bool:
+        for name, value in (("I080", command), ("I081", job), ("I082", round(timeout_s * 100))):
+            self.controller.put(name, value)
+        self.controller.call()
+        return self.error() == 0
+
+    def _pose(self, number: int) -> tuple[float, ...]:
+        x, y, z, rx, ry, rz = self.controller.positions[number].tolist()
+        return (x / 1e3, y / 1e3, z / 1e3, rx / 1e4, ry / 1e4, rz / 1e4)
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(1, job, timeout_s) else None
+
+    def next(self) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(2) else None
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        return [self._pose(81), self._pose(82)] if self._run(3) else None
+
+    def acknowledge(self) -> None:
+        self._run(4)
+
+    def error(self) -> int:
+        return self.controller.number("I083")
+
+    def remaining(self) -> int:
+        return self.controller.number("I084")
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = (self.controller.number(f"D07{i}") / 1e4 for i in range(3))
+        return (*sigma, self.controller.number("D073") / 1e3)
+
+    def close(self) -> None:
+        self.controller.close()
+
+
+NUMBERS = itertools.count(1)
+"""Of controllers."""
 SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
-SIDES += [Kawasaki, KawasakiThatHearsNothing, Epson, Mitsubishi, MitsubishiThatGoesOn]
+SIDES += [Kawasaki, KawasakiThatHearsNothing, Epson, Mitsubishi, MitsubishiThatGoesOn, Yaskawa]

@@ -117,7 +117,7 @@ def registers(
         typer.Option(
             "--format",
             help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python; "
-            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel, melfa",
+            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel, melfa, motoplus",
         ),
     ] = "md",
     output: Annotated[

@@ -14,6 +14,7 @@ from edged.plc.clients import (
     karel_files,
     krl_files,
     melfa_files,
+    motoplus_files,
     plcopen_source,
     python_source,
     rapid_source,
@@ -127,4 +128,5 @@ SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
     "krl": krl_files,
     "val3": val3_files,
     "melfa": melfa_files,
+    "motoplus": motoplus_files,
 }

@@ -518,7 +518,7 @@ CASES: dict[str, Bad] = {
     "register format": Bad(
         "registers --format xml",
         "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, "
-        "as, spel, twincat, karel, krl, val3, melfa",
+        "as, spel, twincat, karel, krl, val3, melfa, motoplus",
     ),
     "locate: convention": Bad(
         f"{LOCATE} --convention kuka",

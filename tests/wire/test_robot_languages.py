@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from robotlink import Link
-from robotsides import LIES, SIDES, Abb, Doosan, Fanuc, FanucWithEnds, Kuka, Mitsubishi, Shared, Side, honest
+from robotsides import LIES, SIDES, Doosan, Fanuc, FanucWithEnds, Kuka, Mitsubishi, Side, honest
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
@@ -27,7 +27,7 @@ from edged.robot.orientations import Brand, transform_of
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
 WAIT_S = 20.0
-TALKERS = [one for one in SIDES if one is Doosan or one is Abb or issubclass(one, Shared)]
+TALKERS = [one for one in SIDES if hasattr(one, "acknowledge")]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
 CALLERS = [one for one in SIDES if hasattr(one, "locate_grasps")]

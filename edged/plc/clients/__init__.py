@@ -9,6 +9,7 @@ from edged.plc.clients.drl import drl_source
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.melfa import melfa_files
+from edged.plc.clients.motoplus import motoplus_files
 from edged.plc.clients.plcopen import plcopen_source
 from edged.plc.clients.python import python_source
 from edged.plc.clients.rapid import rapid_source
@@ -25,6 +26,7 @@ __all__ = [
     "karel_files",
     "krl_files",
     "melfa_files",
+    "motoplus_files",
     "plcopen_source",
     "python_source",
     "rapid_source",
