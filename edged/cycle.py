@@ -431,6 +431,11 @@ class Cycle:
         return self._drift.state()
 
     @property
+    def in_setup(self) -> bool:
+        """People have the cell, or it has nothing to measure by: it serves nobody."""
+        return self._in_setup
+
+    @property
     def setup_locked(self) -> bool:
         """The plant forbids SETUP (AUTO_LOCK)."""
         return self._desk.locked

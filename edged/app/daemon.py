@@ -30,7 +30,8 @@ from edged.ports import Publisher
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 
-if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
+    from edged.app.workshop import Workshop
     from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
@@ -111,6 +112,7 @@ class Daemon:
             live=self._live,
             rooms=self._rooms,
         )
+        self._workshop: Workshop | None = None
         self._reloading = asyncio.Lock()
 
     async def run(self) -> None:
@@ -129,6 +131,8 @@ class Daemon:
             await self._servers.close()
             await self._live.close()
             await self._cameras_room.close()
+            if self._workshop is not None:
+                await self._workshop.close()
             for observer in started:
                 await observer.close()
 
@@ -207,8 +211,13 @@ class Daemon:
     def _rooms(self) -> Sequence[Room]:
         """What is set up on the page; a cell without the page loads none of it."""
         from edged.adapters.web.cameras import CameraRoutes
+        from edged.app.workshop import Workshop
 
-        return (CameraRoutes(self._cameras_room).add_to, *self._more_rooms)
+        if self._workshop is None:
+            self._workshop = Workshop(
+                self._path, self._cycle, lambda: self._running, self._notices, self._live
+            )
+        return (CameraRoutes(self._cameras_room).add_to, *self._workshop.rooms(), *self._more_rooms)
 
     @property
     def _running(self) -> Running:

@@ -128,7 +128,7 @@ class Servers:
     commander : carries their clients' commands out. running : the cell, for what they tell of it.
     metrics : Prometheus' text. changed : called whenever others run than before an exchange.
     commissioner : where people take the cell for SETUP. notices, live : what their pages are told and shown.
-    rooms : adds further routes of /api/v1; asked when a page is made.
+    rooms : adds further routes of /api/v1; asked when a page that has it is made.
     """
 
     def __init__(
@@ -267,6 +267,7 @@ class Servers:
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
                 tls = page_context(web)
+                rooms = self._rooms() if section.commissioning else ()
                 return lambda: WebPublisher(
                     wanted.cell,
                     web,
@@ -275,7 +276,7 @@ class Servers:
                     commissioner=self._commissioner,
                     notices=self._notices,
                     live=self._live,
-                    rooms=self._rooms(),
+                    rooms=rooms,
                 )
 
     def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:

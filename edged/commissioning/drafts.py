@@ -148,7 +148,13 @@ class Drafts:
         self._folder = folder
 
     def create(
-        self, author: str, boards: Sequence[str], goal_um: float | None, lens: LensModel, now: datetime
+        self,
+        author: str,
+        boards: Sequence[str],
+        goal_um: float | None,
+        lens: LensModel,
+        now: datetime,
+        mm: float | None = None,
     ) -> Draft:
         """Begin one; the oldest beyond `KEPT` go. Raises `CalibrationError` for no board, and `OSError`."""
         if boards:
@@ -159,6 +165,7 @@ class Drafts:
             created=now.isoformat(timespec="seconds"),
             author=author,
             boards=tuple(boards),
+            mm=mm,
             goal_um=goal_um,
             lens=lens,
         )

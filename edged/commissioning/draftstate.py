@@ -54,7 +54,9 @@ class Solved(Kept):
 
 
 class DraftState(Kept):
-    """A draft. revision : counts every change.  operations : `done` of them hold, the others were undone."""
+    """A draft. revision : counts every change.  mm : pitch of a board that is to be recognised.
+    operations : `done` of them hold, the others were undone.
+    """
 
     format: Literal["edged-calibration-draft"] = "edged-calibration-draft"
     version: Literal[1] = 1
@@ -63,6 +65,7 @@ class DraftState(Kept):
     created: Text
     author: Text
     boards: Annotated[tuple[Text, ...], Field(max_length=8)]
+    mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
     goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
     lens: Literal["division", "brown"] = "division"
     auto: bool = False

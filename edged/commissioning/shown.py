@@ -55,11 +55,14 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
-    """A live pair. recognised : the board that it shows, where none was stated; in units of its pitch."""
+    """A live pair. size (w, h) : of the left picture.
+
+    recognised : the board that it shows, where none was stated; in units of its pitch.
+    """
 
     left: Seen
     right: Seen
-    width_px: int
+    size: tuple[int, int]
     recognised: NominalBoard | None = None
 
     @property
@@ -81,7 +84,7 @@ def watch(left: Image, right: Image, boards: Sequence[NominalBoard]) -> Watched:
         recognised = recognise_board(images[0][0])
         boards = () if recognised is None else (recognised,)
     both = work_on([partial(_see, *image, boards) for image in images], "", lambda *_: None)
-    return Watched(both[0], both[1], left.shape[1], recognised)
+    return Watched(both[0], both[1], (left.shape[1], left.shape[0]), recognised)
 
 
 def seen_in(image: Image, boards: Sequence[NominalBoard], results: Sequence[Detection | NotDetected]) -> Seen:
@@ -151,7 +154,7 @@ class Stillness:
             return False
         where = np.array([one for _, one in self._looks])
         moved = np.linalg.norm(where - where.mean(axis=0), axis=-1)
-        return bool(moved.max() <= STILL_SHARE * watched.width_px)
+        return bool(moved.max() <= STILL_SHARE * watched.size[0])
 
 
 def _halved(image: Image) -> tuple[Image, int]:

@@ -31,7 +31,7 @@ TRUE = np.array(outlines_of(RIG, BOARD, POSE))
 def watched(outlines: FloatArray = TRUE) -> Watched:
     """A look that found these."""
     left, right = (Seen(outline, "", "", clipped=False) for outline in outlines)
-    return Watched(left, right, 640)
+    return Watched(left, right, (640, 480))
 
 
 def ghost(outlines: FloatArray) -> Ghost:
@@ -57,7 +57,7 @@ def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
 
     found = watch(left, right, [board])
 
-    assert 1280 == found.width_px
+    assert (1280, 960) == found.size
     assert off_px(found.outlines, np.array(outlines_of(rig, board, pose))) < 1.5
 
 

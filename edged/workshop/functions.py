@@ -1,0 +1,68 @@
+"""What the worker process can do: by name, with a `Progress` before the arguments. Imported there alone."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from edged.commissioning import drafts, guidance, shown
+from edged.commissioning.drafts import Looks, Solution, views_of
+from edged.commissioning.guidance import Guided
+from edged.commissioning.pairs import Progress
+from edged.commissioning.shown import Seen, Watched
+from edged.commissioning.solving import solution_of
+from edged.domain.arrays import FloatArray, Image
+from edged.errors import UserError
+from edged.files.rig import load_rig
+from edged.vision.boards.board import NominalBoard
+from edged.vision.geometry.camera import LensModel
+
+Boards = Sequence[NominalBoard]
+
+
+def watch(_progress: Progress, left: Image, right: Image, boards: Boards) -> Watched:
+    """A live pair."""
+    return shown.watch(left, right, boards)
+
+
+def keep(
+    _progress: Progress, folder: Path, name: str, left: Image, right: Image, boards: Boards
+) -> tuple[Looks, Seen, Seen]:
+    """A pair for a draft."""
+    *looks, seen_left, seen_right = drafts.keep_pair(folder, name, left, right, boards)
+    return (looks[0], looks[1]), seen_left, seen_right
+
+
+def look_again(progress: Progress, pictures: Path, names: Sequence[str], boards: Boards) -> dict[str, Looks]:
+    """Kept pairs."""
+    return drafts.look_again(pictures, names, boards, progress)
+
+
+def guide(
+    progress: Progress,
+    pictures: Path,
+    boards: Boards,
+    looks: Mapping[str, Looks],
+    lens: LensModel,
+    goal_um: float | None,
+    taken: Sequence[FloatArray],
+) -> Guided:
+    """What the views in use give, and what comes next."""
+    return guidance.guide(views_of(pictures, list(looks), boards, looks), lens, goal_um, taken, progress)
+
+
+def solve(
+    progress: Progress,
+    pictures: Path,
+    boards: Boards,
+    looks: Mapping[str, Looks],
+    lens: LensModel,
+    former: Path,
+    about: Mapping[str, str],
+) -> Solution:
+    """The rig. former : the one before, if it is there and fit."""
+    before = None
+    with contextlib.suppress(UserError):
+        before = load_rig(former)
+    return solution_of(views_of(pictures, list(looks), boards, looks), lens, about, before, progress)

@@ -1,0 +1,216 @@
+"""From boards before two cameras to a rig, over HTTP and a running daemon."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import os
+import signal
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from boardcell import BoardCell
+from boardpairs import RIG, SPEC, pairs
+from rich.console import Console
+
+from edged.commands.calibrate import calibrate
+from edged.files.rig import rig_of
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.triangulation import triangulate_raw
+from edged.vision.geometry.uncertainty import calibration_covariance
+
+
+def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell:
+    """A test's coroutine beside a running cell, bounded."""
+    cell = BoardCell(folder)
+
+    async def bounded() -> None:
+        async with asyncio.timeout(60), cell.running():
+            await test(cell)
+
+    asyncio.run(bounded())
+    return cell
+
+
+async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
+    """Path of a draft with that many views, and the token."""
+    _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+    token = {"token": entered["token"]}
+    status, draft = await cell.ask("POST", "/calibrations", {"boards": [SPEC], "goal_um": 5.0})
+    assert (201, [SPEC], []) == (status, draft["boards"], draft["views"])
+    place = f"/calibrations/{draft['id']}"
+    for number in range(count):
+        cell.world.shown = pairs(6)[number]
+        status, draft = await cell.ask("POST", f"{place}/views", token)
+        assert (201, number + 1) == (status, len(draft["views"]))
+    return place, entered["token"]
+
+
+@pytest.mark.slow
+def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
+    """Over HTTP: suggestions on the way, a solution with its report, and points where they truly are."""
+
+    async def test(cell: BoardCell) -> None:
+        place, _ = await with_views(cell, 6)
+        draft = await cell.until(place, lambda draft: not draft["guiding"])
+        assert draft["sigma_um"]["z"] > 0
+        assert 3 == len(draft["suggestions"])
+        assert 4 == len(draft["suggestion"]["left"]) == len(draft["suggestion"]["right"])
+        assert draft["suggestion"]["sigma_um"]["x"] < draft["sigma_um"]["x"]
+        assert [True] * 6 == [view["used"] for view in draft["views"]]
+        status, begun = await cell.ask("POST", f"{place}/solve", {})
+        assert 202 == status
+        ended = await cell.done(begun["task"])
+        assert ("done", None, "solve") == (ended["state"], ended["problem"], ended["what"])
+        _, draft = await cell.ask("GET", place)
+        solved = draft["solved"]
+        assert solved["rms_px"] < 0.05
+        assert None is solved["moved_um"]
+        assert all(view["heldout_px"] < 0.1 for view in draft["views"])
+        async with cell.session.get(f"/api/v1{place}/report") as answer:
+            assert "sandbox" in answer.headers["Content-Security-Policy"]
+            assert solved["calibration_id"] in await answer.text()
+        async with cell.session.get(draft["views"][0]["thumbnails"]["left"]) as answer:
+            assert (200, b"\xff\xd8") == (answer.status, (await answer.read())[:2])
+
+    cell = run(tmp_path, test)
+
+    pictures = next((cell.state / "drafts").glob("*/pictures"))
+    calibrate(pictures, SPEC, tmp_path / "by_command.json", "division", None, Console(file=io.StringIO()))
+    written = next((cell.state / "drafts").glob("*/rig-*.json")).read_bytes()
+    assert (tmp_path / "by_command.json").read_bytes() == written, "the page and the command disagree"
+    assert 0.1 < error_in_sigmas(rig_of(written, tmp_path)) < 2.5
+
+
+def error_in_sigmas(rig: StereoRig) -> float:
+    """Of points all over the volume, measured in pictures of the true rig, over what the rig states."""
+    depth_mm = RIG.baseline_mm / (2 * np.tan(np.radians(12)))
+    x, y, z = np.meshgrid([-20.0, 0.0, 20.0], [-15.0, 0.0, 15.0], [0.95 * depth_mm, 1.05 * depth_mm])
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    pixels = RIG.left.project(points), RIG.right.project(apply(RIG.right_from_left, points))
+    errors_mm = triangulate_raw(rig, *pixels) - points
+    variances = np.einsum("nii->n", calibration_covariance(rig, points))
+    print(f"error {1e3 * np.sqrt(np.mean(errors_mm**2)):.1f} µm a coordinate")
+    return float(np.sqrt(np.sum(errors_mm**2) / np.sum(variances)))
+
+
+def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
+    """The board is recognised, pairs come over the socket, and one is taken of each place it is held at."""
+
+    async def test(cell: BoardCell) -> None:
+        _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+        token = entered["token"]
+        _, draft = await cell.ask("POST", "/calibrations", {"recognise": True, "mm": 6.0})
+        place = f"/calibrations/{draft['id']}"
+        headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+        async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+            await socket.send_json({"live": True, "token": token})
+            looking = asyncio.create_task(look(socket))
+            draft = await cell.until(place, lambda draft: draft["boards"])
+            assert [SPEC] == draft["boards"]
+            draft = await cell.until(place, lambda draft: draft["still"] and draft["suggestion"])
+            assert 4 == len(draft["shown"]["left"]["polygon"])
+            assert (None, False, []) == (draft["shown"]["left"]["missing"], draft["auto"], draft["views"])
+            status, draft = await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
+            assert (200, True) == (status, draft["auto"])
+            await cell.until(place, lambda draft: len(draft["views"]) == 1)
+            await cell.until(place, lambda draft: draft["waits"] == "same")
+            cell.world.shown = tuple(np.full_like(image, 90) for image in pairs(6)[0])
+            draft = await cell.until(place, lambda draft: draft["waits"] == "no_board")
+            assert "not_found" == draft["shown"]["left"]["missing"]
+            looking.cancel()
+
+    run(tmp_path, test)
+
+
+async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
+    """A tab that has seen each pair at once."""
+    async for message in socket:
+        if message.type is aiohttp.WSMsgType.TEXT and "number" in (told := message.json()):
+            await socket.send_json({"seen": told["number"]})
+
+
+def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
+    """Views, what was left out and undone: the next daemon goes on with the same, and suggests the same."""
+    cell = BoardCell(tmp_path)
+
+    async def first() -> Any:
+        async with asyncio.timeout(60), cell.running():
+            place, _ = await with_views(cell, 3)
+            await cell.ask("DELETE", f"{place}/views/view_002", {})
+            _, draft = await cell.ask("POST", f"{place}/undo", {})
+            assert (True, True) == (draft["can_undo"], draft["can_redo"])
+            return await cell.until(place, lambda draft: not draft["guiding"])
+
+    async def second(before: Any) -> None:
+        async with asyncio.timeout(60), cell.running():
+            place = f"/calibrations/{before['id']}"
+            after = await cell.until(place, lambda draft: not draft["guiding"])
+            for key in ("revision", "boards", "views", "sigma_um", "suggestion", "can_redo"):
+                assert before[key] == after[key], key
+            _, listed = await cell.ask("GET", "/calibrations")
+            assert [(before["id"], 3)] == [(one["id"], one["views"]) for one in listed["calibrations"]]
+
+    asyncio.run(second(asyncio.run(first())))
+
+
+def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path) -> None:
+    """While it solves: the task has failed and says so, the draft is as it was, and the next one is done."""
+
+    async def test(cell: BoardCell) -> None:
+        place, _ = await with_views(cell, 3)
+        await cell.until(place, lambda draft: not draft["guiding"])
+        worker = cell.daemon._workshop._worker  # noqa: SLF001  (nobody else knows its process)
+        _, begun = await cell.ask("POST", f"{place}/solve", {})
+        await cell.until(f"/tasks/{begun['task']}", lambda task: task["text"] != "waits for its turn")
+        assert (422, "calibration") == (await refused(cell, "POST", f"{place}/solve"))
+        os.kill(worker.pid, signal.SIGKILL)
+        ended = await cell.done(begun["task"])
+        assert ("failed", "task_failed") == (ended["state"], ended["problem"]["code"])
+        assert "SIGKILL" in ended["problem"]["detail"]
+        _, again = await cell.ask("POST", f"{place}/solve", {})
+        _, cancelled = await cell.ask("DELETE", f"/tasks/{again['task']}", {})
+        assert "cancelled" == cancelled["state"]
+        _, draft = await cell.ask("GET", place)
+        assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
+
+    run(tmp_path, test)
+
+
+async def refused(cell: BoardCell, method: str, path: str, document: Any = None) -> tuple[int, str]:
+    """Status and code."""
+    status, problem = await cell.ask(method, path, {} if document is None else document)
+    return status, problem["code"]
+
+
+def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
+    """No board, no lease, nothing of that name, nothing to undo or to solve; and nothing changes."""
+
+    async def test(cell: BoardCell) -> None:
+        assert (422, "calibration") == await refused(
+            cell, "POST", "/calibrations", {"boards": ["carpet:1x1:1"]}
+        )
+        assert (400, "invalid") == await refused(cell, "POST", "/calibrations", {})
+        assert (400, "invalid") == await refused(cell, "POST", "/calibrations", {"recognise": True})
+        place, _ = await with_views(cell, 0)
+        assert (409, "setup_refused") == await refused(cell, "POST", f"{place}/views", {"token": "x"})
+        assert (422, "calibration") == await refused(cell, "POST", f"{place}/undo")
+        assert (422, "calibration") == await refused(cell, "POST", f"{place}/solve")
+        assert (404, "unknown") == await refused(cell, "DELETE", f"{place}/views/view_001")
+        assert (404, "unknown") == await refused(cell, "POST", "/calibrations/20260101-000000-ffff/undo")
+        assert (404, "unknown") == await refused(cell, "DELETE", "/tasks/0123456789ab")
+        status, problem = await cell.ask("GET", f"{place}/report")
+        assert (422, "calibration") == (status, problem["code"])
+        _, draft = await cell.ask("GET", place)
+        assert (0, []) == (draft["revision"], draft["views"])
+        state = next((cell.state / "drafts").glob("*/state.json"))
+        state.write_text("{")
+        _, listed = await cell.ask("GET", "/calibrations")
+        assert "state.json" in listed["calibrations"][0]["trouble"]
+
+    run(tmp_path, test)
