@@ -16,6 +16,8 @@ from webcell import HASH, PASSWORD
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.domain.arrays import SIDES, Image
+from edged.files.statefolder import state_folder
+from edged.files.users import User, UserFile
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 
@@ -60,6 +62,8 @@ class BoardCell:
             f"[modbus]\nport = {free_port()}\n[zenoh]\nenabled = false\n"
             f'[web]\nport = {self.port}\npassword_hash = "{HASH}"\ncommissioning = true\n'
         )
+        anna = User(name="Anna", role="engineer", password_hash=HASH)
+        UserFile(state_folder(self.config) / "users.json").put(anna)
         self.session: aiohttp.ClientSession
         self.daemon: Daemon
 
@@ -107,7 +111,7 @@ class BoardCell:
         while not task.done():
             try:
                 async with self.session.post(
-                    "/login", data={"password": PASSWORD}, allow_redirects=False
+                    "/login", data={"name": "Anna", "password": PASSWORD}, allow_redirects=False
                 ) as answer:
                     assert 303 == answer.status
                     return

@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import aiohttp
 import pytest
 from scriptedhead import Ear, Head, make_setup
+from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.cycle import Cycle
+from edged.files.users import RoleName, User, UserFile
 from edged.passwords import hash_password
 from edged.robot.orientations import Convention
 
 PASSWORD = "correct horse"
 HASH = hash_password(PASSWORD)
+USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
+"""All with the same password."""
 
 
 class Cell:
     """A cycle with its page, and a browser."""
 
     def __init__(
-        self, cycle: Cycle, web: WebPublisher, head: Head, ear: Ear, session: aiohttp.ClientSession
+        self,
+        cycle: Cycle,
+        web: WebPublisher,
+        head: Head,
+        ear: Ear,
+        session: aiohttp.ClientSession,
+        asleep_s: list[float],
     ) -> None:
         self.web = web
+        self.asleep_s = asleep_s
         self.cycle, self.head, self.ear, self.session = cycle, head, ear, session
         self.origin = str(session._base_url).rstrip("/")  # noqa: SLF001  (what the browser would send)
 
@@ -36,18 +50,41 @@ class Cell:
         async with self.session.request(method, path, json=document, headers=sent) as answer:
             return answer.status, await answer.json() if answer.content_type.endswith("json") else None
 
-    async def log_in(self) -> None:
-        """With the form."""
-        async with self.session.post("/login", data={"password": PASSWORD}, allow_redirects=False) as answer:
-            assert "/" == answer.headers["Location"]
+    async def log_in(self, name: str = "Anna") -> None:
+        """With the form; "" with the page's password alone, which makes a viewer."""
+        assert await self.comes_in(name)
+
+    def cookies(self) -> dict[str, str]:
+        """Of the session that is used now."""
+        return {cookie.key: cookie.value for cookie in self.session.cookie_jar}
+
+    def use(self, cookies: Mapping[str, str]) -> None:
+        """Another session from now on."""
+        self.session.cookie_jar.clear()
+        self.session.cookie_jar.update_cookies(cookies, URL(self.origin))
+
+    def sleep(self, seconds: float) -> None:
+        """Nobody does anything for so long."""
+        self.asleep_s[0] += seconds
+
+    async def comes_in(self, name: str, password: str = PASSWORD) -> bool:
+        """Whether somebody can log in."""
+        form = {"name": name, "password": password}
+        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
+            return answer.headers["Location"] == "/"
 
 
-def run(test: Callable[[Cell], Awaitable[None]], *, commissioning: bool = True) -> Ear:
-    """A test's coroutine beside a running cell, bounded."""
+def run(
+    test: Callable[[Cell], Awaitable[None]],
+    *,
+    commissioning: bool = True,
+    users: Mapping[str, RoleName] | None = USERS,
+) -> Ear:
+    """A test's coroutine beside a running cell, bounded. users : None: their file cannot be used."""
     ear = Ear()
 
     async def bounded() -> None:
-        async with asyncio.timeout(30), running(ear, commissioning) as cell:
+        async with asyncio.timeout(30), running(ear, commissioning, users) as cell:
             await test(cell)
 
     asyncio.run(bounded())
@@ -55,8 +92,16 @@ def run(test: Callable[[Cell], Awaitable[None]], *, commissioning: bool = True) 
 
 
 @asynccontextmanager
-async def running(ear: Ear, commissioning: bool) -> AsyncIterator[Cell]:
+async def running(
+    ear: Ear, commissioning: bool, users: Mapping[str, RoleName] | None = USERS
+) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it."""
+    folder = TemporaryDirectory()
+    state = Path(folder.name)
+    if users is None:
+        (state / "users.json").write_text("{")
+    for name, role in (users or {}).items():
+        UserFile(state / "users.json").put(User(name=name, role=role, password_hash=HASH))
     head = Head()
     cycle = Cycle(head, make_setup())
     sources = Sources(
@@ -67,16 +112,24 @@ async def running(ear: Ear, commissioning: bool) -> AsyncIterator[Cell]:
         metrics=bytes,
         convention=lambda: Convention.FIXED_XYZ,
     )
-    settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning)
-    web = WebPublisher("cell1", settings, sources, commissioner=cycle)
+    settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
+    asleep_s = [0.0]
+    web = WebPublisher(
+        "cell1",
+        settings,
+        sources,
+        commissioner=cycle,
+        clock_s=lambda: time.monotonic() + asleep_s[0],
+    )
     await web.start()
     cycle.set_publishers([ear, web])
     task = asyncio.create_task(cycle.run())
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            yield Cell(cycle, web, head, ear, session)
+            yield Cell(cycle, web, head, ear, session, asleep_s)
     finally:
         cycle.stop()
         await task
         await web.close()
+        folder.cleanup()

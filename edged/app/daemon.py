@@ -24,6 +24,7 @@ from edged.commissioning.registration import Registered, save
 from edged.cycle import Cycle
 from edged.errors import EdgedError, UserError
 from edged.files.setupnote import SetupNote
+from edged.files.statefolder import state_folder
 from edged.logs import fields
 from edged.loop.loaded import Setup
 from edged.ports import Publisher
@@ -111,6 +112,7 @@ class Daemon:
             notices=self._notices,
             live=self._live,
             rooms=self._rooms,
+            state=state_folder(path),
         )
         self._workshop: Workshop | None = None
         self._reloading = asyncio.Lock()

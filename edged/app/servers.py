@@ -129,6 +129,7 @@ class Servers:
     metrics : Prometheus' text. changed : called whenever others run than before an exchange.
     commissioner : where people take the cell for SETUP. notices, live : what their pages are told and shown.
     rooms : adds further routes of /api/v1; asked when a page that has it is made.
+    state : the folder in which users are kept.
     """
 
     def __init__(
@@ -141,8 +142,10 @@ class Servers:
         notices: Notices | None = None,
         live: LivePictures | None = None,
         rooms: Callable[[], Sequence[Room]] = tuple,
+        state: Path | None = None,
     ) -> None:
         self._rooms = rooms
+        self._state = state
         self._notices = notices
         self._live = live
         self._commander = commander
@@ -265,7 +268,7 @@ class Servers:
                     overview=lambda: overview(running()),
                 )
                 hashed = section.password_hash.get_secret_value()
-                web = WebSettings(**{**section.model_dump(), "password_hash": hashed})
+                web = WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": self._state})
                 tls = page_context(web)
                 rooms = self._rooms() if section.commissioning else ()
                 return lambda: WebPublisher(

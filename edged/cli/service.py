@@ -122,6 +122,20 @@ def password() -> None:
     raise typer.Exit(command())
 
 
+web = typer.Typer(help="Users of the page on which a cell is set up.", no_args_is_help=True)
+app.add_typer(web, name="web")
+
+
+@web.command("invite")
+def web_invite(
+    config: Annotated[Path, typer.Argument(help="configuration file of the cell")],
+) -> None:
+    """Print a code by which somebody becomes an engineer, once: the first one, or one without a password."""
+    from edged.commands.web import invite
+
+    raise typer.Exit(invite(config))
+
+
 @app.command()
 def warm(
     if_needed: Annotated[

@@ -13,17 +13,21 @@ from edged.app.daemon import Daemon
 from edged.app.process import serve
 from edged.app.stage import StageRoutes
 from edged.files.private import write_private
+from edged.files.statefolder import state_folder
+from edged.files.users import User, UserFile
 from edged.passwords import hash_password
 from edged.sim.world import VirtualWorld
 
 CELL = "stage"
 JOB = "flange"
 WEB_PORT = 8080
+USER = "me"
+"""Who sets the stage up: an engineer."""
 
 TODO = """\
 A virtual cell without a calibration and without a job: whatever it is to do, you teach it on its page.
   1  open    http://127.0.0.1:{port}/setup
-  2  log in  password {password}   (made for this run)
+  2  log in  name {name}, password {password}   (made for this run)
   3  take the cell; the stage on the page moves a hand that shows the board and follows the drawn outline
 Rig, jobs and drafts go to {folder}; ctrl-C ends it."""
 
@@ -40,7 +44,9 @@ def run_stage(
     warm_up(loaded)
     routes = StageRoutes(world.stage)
     console.print(
-        TODO.format(port=ports[0], password=password, folder=folder), highlight=False, soft_wrap=True
+        TODO.format(port=ports[0], name=USER, password=password, folder=folder),
+        highlight=False,
+        soft_wrap=True,
     )
     asyncio.run(serve(lambda: Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])))
     return 0
@@ -49,9 +55,10 @@ def run_stage(
 def write_cell(
     folder: Path, password: str, *, ports: tuple[int, int, int], period_s: float, gige: bool
 ) -> Path:
-    """Write the configuration, and nothing else; returns it. What was taught there before stays."""
+    """Write the configuration and its user, and nothing else; what was taught there before stays."""
     folder.mkdir(parents=True, exist_ok=True)
     web, modbus, zenoh = ports
+    hashed = hash_password(password)
     source = "virtual" if gige else "virtual-inprocess"
     text = f"""# Written by `edged demo --stage`, anew at each start. Its cameras are virtual.
 [cell]
@@ -78,8 +85,10 @@ listen = ["tcp/127.0.0.1:{zenoh}"]
 [web]
 port = {web}
 commissioning = true
-password_hash = "{hash_password(password)}"
+password_hash = "{hashed}"
 """
     path = folder / "cell.toml"
     write_private(path, text.encode())
+    users = UserFile(state_folder(path) / "users.json")
+    users.put(User(name=USER, role="engineer", password_hash=hashed))
     return path

@@ -104,7 +104,7 @@ class WebSection(Section):
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
     key: FilePath | None = Field(None, description="PEM; private key of the certificate")
     commissioning: bool = Field(
-        False, description="who has the password may take the cell for SETUP, over /api/v1"
+        False, description="users may set the cell up, each by their role (`edged web invite`)"
     )
 
     @model_validator(mode="after")
@@ -118,8 +118,6 @@ class WebSection(Section):
             raise ValueError(
                 f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
             )
-        if self.commissioning and not hashed:
-            raise ValueError("commissioning: password_hash is missing (`edged password`)")
         if self.commissioning and self.certificate is None and not is_loopback(self.host):
             raise ValueError(
                 f"commissioning: host {self.host!r} is seen from other machines: certificate and key are "

@@ -22,7 +22,7 @@ from edged.adapters.aravis import aravis_missing
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.app.stage import StageRoutes
-from edged.commands.stage import write_cell
+from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
 from edged.sim.gige import genicam as g
 from edged.sim.stage import stage_board
@@ -60,7 +60,9 @@ class Newcomer:
 
     async def take(self) -> None:
         """Log in and take the cell."""
-        async with self.session.post("/login", data={"password": PASSWORD}, allow_redirects=False) as answer:
+        async with self.session.post(
+            "/login", data={"name": USER, "password": PASSWORD}, allow_redirects=False
+        ) as answer:
             assert "Location" in answer.headers
         self.token = await self.ask("POST", "setup", {"name": "Anna"}, 201)
 
@@ -235,5 +237,5 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
         rest = process.communicate(timeout=20)[0]
     assert (0, "") == (process.returncode, rest)
     assert f"http://127.0.0.1:{ports[0]}/setup" in said
-    assert ["cell.toml"] == [path.name for path in (tmp_path / "cell").iterdir()]
+    assert {".cell.state", "cell.toml"} == {path.name for path in (tmp_path / "cell").iterdir()}
     assert 0 == (tmp_path / "cell" / "cell.toml").stat().st_mode & 0o007

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import re
 from typing import Any
 
 import pytest
 from scriptedhead import until
-from webcell import PASSWORD, Cell, run
+from webcell import PASSWORD, USERS, Cell, run
 
 from edged.adapters.web.routes import Body, Leased, RouteTable
 from edged.domain.cell import CellPhase
 
+ROLES = ("viewer", "operator", "engineer")
+PARAMETERS, FITTING = re.compile(r"\{(\w+)\}"), {"side": "left", "name": "nobody"}
 BASIC = "Basic " + base64.b64encode(f"edged:{PASSWORD}".encode()).decode()
 
 
@@ -28,7 +31,9 @@ def operations(document: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]
     found = []
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
-            found.append((method.upper(), path.replace("{side}", "left").replace("{number}", "1"), operation))
+            found.append(
+                (method.upper(), PARAMETERS.sub(lambda found: FITTING.get(found[1], "1"), path), operation)
+            )
     return found
 
 
@@ -65,36 +70,62 @@ def references(part: Any) -> list[str]:
     return here + [place for one in part.values() for place in references(one)]
 
 
+@pytest.mark.parametrize("name, role", [("", "viewer"), *USERS.items()])
+def test_every_route_lets_in_who_may_and_nobody_else(name: str, role: str) -> None:
+    """By the role that the document says; with too little of it, nothing else about the route is told."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in(name)
+        for method, path, operation in operations(await document_of(cell)):
+            status, answer = await cell.ask(method, path, {} if method != "GET" else None)
+            needed = operation["x-edged-role"]
+            if ROLES.index(role) < ROLES.index(needed):
+                assert (403, "role") == (status, answer["code"]), path
+                assert {"needed": needed, "role": role} == answer["params"]
+            else:
+                assert 403 != status, path
+
+    run(test)
+
+
 def test_every_route_asks_every_visitor_the_same_questions() -> None:
     """In this order: who are you, from where, in what, how much; and a lease where a camera is used."""
 
     async def test(cell: Cell) -> None:
         asked = operations(await document_of(cell))
-        assert len(asked) >= 8
+        assert len(asked) >= 15
         for method, path, _ in asked:
             assert 401 == (await cell.ask(method, path, {}))[0], path
-        changing = [one for one in asked if one[0] != "GET"]
-        for method, path, _ in changing:
-            assert (403, "log_in") == await coded(cell, method, path, Authorization=BASIC), path
+        for method, path, operation in asked:
+            if method != "GET" or operation["x-edged-role"] != "viewer":
+                assert (403, "log_in") == await coded(cell, method, path, Authorization=BASIC), path
         await cell.log_in()
-        for method, path, operation in changing:
+        for method, path, operation in asked:
+            if method == "GET":
+                continue
             for origin in ("http://evil.example", "null", ""):
                 assert (403, "origin") == await coded(cell, method, path, Origin=origin), path
-            own = {"Origin": cell.origin}
-            async with cell.session.request(method, path, data={"a": "b"}, headers=own) as answer:
-                assert 415 == answer.status, path
-            large = b'{"a": "' + b"x" * operation["x-edged-limit-bytes"] + b'"}'
-            for data in (large, pieces(large)):
-                async with cell.session.request(
-                    method, path, data=data, headers={**own, "Content-Type": "application/json"}
-                ) as answer:
-                    assert (413, "too_large") == (answer.status, (await answer.json())["code"]), path
+            if "requestBody" in operation:
+                await refuse_bodies(cell, method, path, operation["x-edged-limit-bytes"])
             if operation["x-edged-lease"]:
                 assert (400, "invalid") == await coded(cell, method, path), path
                 status, problem = await cell.ask(method, path, {"token": "of nobody"})
                 assert (status, problem["code"]) in ((409, "setup_refused"), (400, "invalid")), path
 
     run(test)
+
+
+async def refuse_bodies(cell: Cell, method: str, path: str, limit_bytes: int) -> None:
+    """Of another type; too large, whether that is told before or not; of no JSON; of what is not known."""
+    own = {"Origin": cell.origin}
+    async with cell.session.request(method, path, data={"a": "b"}, headers=own) as answer:
+        assert 415 == answer.status, path
+    large = b'{"a": "' + b"x" * limit_bytes + b'"}'
+    bodies = ((large, 413, "too_large"), (pieces(large), 413, "too_large"), (b"[]", 400, "json"))
+    for data, status, code in (*bodies, (b"{", 400, "json"), (b'{"colour": 1}', 400, "invalid")):
+        headers = {**own, "Content-Type": "application/json"}
+        async with cell.session.request(method, path, data=data, headers=headers) as answer:
+            assert (status, code) == (answer.status, (await answer.json())["code"]), path
 
 
 async def coded(cell: Cell, method: str, path: str, **headers: str) -> tuple[int, str]:
@@ -117,7 +148,7 @@ def test_who_has_the_cell_is_in_the_overview() -> None:
         await until(lambda: cell.ear.state() is CellPhase.READY)
         await cell.log_in()
         _, me = await cell.ask("GET", "/api/v1/me", None)
-        assert {"name", "role", "language"} == set(me)
+        assert {"name": "Anna", "role": "engineer", "language": None, "idle": False} == me
         _, shown = await cell.ask("GET", "/api/v1/cell", None)
         assert ("cell1", "READY", None) == (shown["name"], shown["state"], shown["setup"])
         assert {"owner": None, "auto_lock": False} == shown["plc"]

@@ -26,6 +26,8 @@ from edged.adapters.modbus import ModbusSettings
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.errors import SetupRefused
+from edged.files.statefolder import state_folder
+from edged.files.users import User, UserFile
 from edged.passwords import hash_password
 from edged.plc import registers as reg
 from edged.plc.handshake import Reason
@@ -294,6 +296,8 @@ def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: 
     small = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
     web = f"password_hash = '{hash_password(PASSWORD)}'\ncommissioning = true\n"
     small.config.write_text(small.config.read_text().replace("[web]\n", f"[web]\n{web}"))
+    anna = User(name="Anna", role="engineer", password_hash=hash_password(PASSWORD))
+    UserFile(state_folder(small.config) / "users.json").put(anna)
     daemon = DaemonProcess(small.config)
     try:
         daemon.wait_ready()
@@ -333,7 +337,7 @@ class Browser:
         self._host = f"http://127.0.0.1:{port}"
         keeping = urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar())
         self._opener = urllib.request.build_opener(keeping)
-        form = urllib.parse.urlencode({"password": PASSWORD}).encode()
+        form = urllib.parse.urlencode({"name": "Anna", "password": PASSWORD}).encode()
         self._opener.open(f"{self._host}/login", form, timeout=WAIT_S).close()
 
     def ask(self, method: str, path: str, document: dict[str, str]) -> Any:

@@ -23,7 +23,7 @@ import pytest
 from cells import flange, frame_pair
 from snapshots import make_snapshot, make_target, make_transform
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings, page, server, viewers
+from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import read_assets
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, outlines, picture
@@ -731,9 +731,9 @@ def test_a_session_ends_by_itself() -> None:
         access = Access(HASH, lambda: now_s[0])
         cookie = await access.log_in("10.0.0.9", PASSWORD)
         assert cookie is not None
-        assert access.has_session(cookie)
+        assert access.visitor(cookie, "10.0.0.9")
         now_s[0] = 12 * 3600.0 + 1
-        assert not access.has_session(cookie)
+        assert access.visitor(cookie, "10.0.0.9") is None
 
     run(test)
 
@@ -816,7 +816,7 @@ async def ended(reader: StreamReader) -> bool:
 def test_a_request_that_does_not_come_is_not_waited_for(sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing, half a header, half a form: closed, whatever is dribbled meanwhile."""
     monkeypatch.setattr(server, "IDLE_S", 0.4)
-    monkeypatch.setattr(server, "FORM_S", 0.2)
+    monkeypatch.setattr(login, "FORM_S", 0.2)
 
     async def test() -> None:
         async with served() as (web, _):

@@ -11,12 +11,14 @@ import asyncio
 import errno
 import json
 import logging
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 from aiohttp import web
 from pydantic import BaseModel, ValidationError
 
+from edged.adapters.web.access import TooManyAttempts
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
 from edged.adapters.web.visitors import Role, Visitor
 from edged.errors import (
@@ -56,7 +58,8 @@ Note = Callable[[Route, Visitor, web.Request, Any, str], None]
 class Gate:
     """Serves a table.
 
-    visitor_of : who sent a request; None without a session of the page. note : keeps the audit.
+    visitor_of : who sent a request; None without a session of the page. note : keeps the audit. active : told
+    of a session in which a person does something.
     """
 
     def __init__(
@@ -65,7 +68,9 @@ class Gate:
         commissioner: Commissioner,
         visitor_of: Callable[[web.Request], Visitor | None],
         note: Note | None = None,
+        active: Callable[[str], None] = lambda _session: None,
     ) -> None:
+        self._active = active
         self._table = table
         self._commissioner = commissioner
         self._visitor_of = visitor_of
@@ -83,12 +88,14 @@ class Gate:
             outcome = "broken_off"
             try:
                 check_visitor(route, visitor, request)
+                if route.changes and not route.is_by_itself:
+                    self._active(visitor.session)
                 body = await _body(route, request)
                 if route.needs_lease:
                     self._commissioner.renew_setup(body.token)
                 response = _response(route, await route.handler(Call(visitor, body, request)))
                 outcome = "ok"
-            except (Problem, EdgedError, OSError) as error:
+            except (Problem, TooManyAttempts, EdgedError, OSError) as error:
                 problem = _problem(error)
                 outcome = problem.code
                 response = problem.response()
@@ -104,6 +111,8 @@ def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
     """Whether somebody may ask, from where they ask. Raises `Problem`."""
     if not visitor.session and (route.needs_origin or route.role > Role.VIEWER):
         raise Problem(403, "log_in", "log in on the page first: a password alone may only look")
+    if visitor.is_idle and route.role > Role.VIEWER:
+        raise Problem(403, "idle", "no sign of you for ten minutes: say your password again")
     if visitor.role < route.role:
         raise Problem(
             403,
@@ -173,10 +182,12 @@ def _response(route: Route, given: Given) -> web.StreamResponse:
     return web.Response(text=given.model_dump_json(), status=route.status, content_type="application/json")
 
 
-def _problem(error: Problem | EdgedError | OSError) -> Problem:
+def _problem(error: Problem | TooManyAttempts | EdgedError | OSError) -> Problem:
     """An error as it is answered. Raises it where it is a bug."""
     if isinstance(error, Problem):
         return error
+    if isinstance(error, TooManyAttempts):
+        return Problem(429, "wait", str(error), params={"wait_s": math.ceil(error.wait_s)})
     if isinstance(error, CaptureError):
         return Problem(503, f"camera_{error.code}", str(error), params={"camera": error.camera})
     if isinstance(error, OSError):

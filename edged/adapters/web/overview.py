@@ -1,4 +1,4 @@
-"""The cell at a glance, for who sets it up: who asks, what state it is in, and what it lacks."""
+"""The cell at a glance, for who sets it up: what state it is in, and what it lacks."""
 
 from __future__ import annotations
 
@@ -12,14 +12,6 @@ from edged.adapters.web.page import Overview, Page
 from edged.adapters.web.routes import Answer, Call, RouteTable
 from edged.adapters.web.visitors import Role
 from edged.domain.cell import SetupSource
-
-
-class Me(Answer):
-    """Who asks. language : a tag of BCP 47; null: as the browser has it."""
-
-    name: str
-    role: str
-    language: str | None
 
 
 class SetupNow(Answer):
@@ -71,7 +63,7 @@ class CellNow(Answer):
 
 
 class OverviewRoutes:
-    """`me`, `cell`, and the document of all routes.
+    """`cell`, and the document of all routes.
 
     holder : the session that took the cell last. asked : what events do not tell.
     """
@@ -90,7 +82,6 @@ class OverviewRoutes:
         async def document(_call: Call[None]) -> web.Response:
             return web.json_response(document_of(table, self._cell))
 
-        table.route("GET", "/me", _me, "Who I am, and what I may", role=Role.VIEWER, answer=Me)
         table.route("GET", "/cell", self._now, "The cell at a glance", role=Role.VIEWER, answer=CellNow)
         table.route(
             "GET",
@@ -137,10 +128,6 @@ class OverviewRoutes:
             jobs=[JobName(number=number, name=name) for number, name in self._page.jobs()],
             stage=asked.stage,
         )
-
-
-async def _me(call: Call[None]) -> Me:
-    return Me(name=call.visitor.name, role=call.visitor.role.word, language=None)
 
 
 def _known(number: float) -> float | None:

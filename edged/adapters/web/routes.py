@@ -122,6 +122,7 @@ class Route:
     audit: bool
     needs_lease: bool
     limit_bytes: int
+    is_by_itself: bool
 
     @property
     def changes(self) -> bool:
@@ -167,6 +168,7 @@ class RouteTable:
         audit: bool = False,
         needs_lease: bool = False,
         limit_bytes: int = LIMIT_BYTES,
+        is_by_itself: bool = False,
     ) -> None:
         """Add a route.
 
@@ -176,7 +178,8 @@ class RouteTable:
         limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
         status : of a success; None: 200, or 204 without an answer.
         audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-        that of whoever has the cell, and is a sign of life of theirs.
+        that of whoever has the cell, and is a sign of life of theirs. is_by_itself : pages ask it without
+        anybody's doing.
         Raises `ValueError` for a row that contradicts itself, or that is there already.
         """
         model = body if isinstance(body, type) and issubclass(body, BaseModel) else None
@@ -186,5 +189,16 @@ class RouteTable:
             raise ValueError(f"{method} {path}: is there already")
         status = status or (200 if answer is not None else 204)
         self._routes[method, path] = Route(
-            method, path, handler, what, role, model, answer, status, audit, needs_lease, limit_bytes
+            method,
+            path,
+            handler,
+            what,
+            role,
+            model,
+            answer,
+            status,
+            audit,
+            needs_lease,
+            limit_bytes,
+            is_by_itself,
         )

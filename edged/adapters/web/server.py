@@ -9,34 +9,38 @@ import asyncio
 import logging
 import math
 import ssl
+import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from edged.adapters.web.access import Access, TooManyAttempts, session_of
+from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import modules, read_assets, type_of
 from edged.adapters.web.gate import Gate
+from edged.adapters.web.login import COOKIE, LoginForms
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
+from edged.adapters.web.people import People
 from edged.adapters.web.routes import RouteTable
 from edged.adapters.web.settings import WebSettings, is_loopback, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, foremost
-from edged.adapters.web.visitors import Role, Visitor
+from edged.adapters.web.visitors import Visitor
 from edged.domain.arrays import Side
 from edged.domain.events import Event
 from edged.domain.measurement import Nearest
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
+from edged.files.invite import Invite
+from edged.files.users import UserFile
 from edged.logs import LogLimit
 from edged.payload import Json
 from edged.ports import Commissioner
@@ -50,10 +54,8 @@ MAX_GUESTS = 64
 """Connections at a time; a browser has six, a scraper one."""
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
-FORM_S = 5.0
 HANDSHAKES_PER_S = 50.0
 MAX_FORM_BYTES = 4096
-COOKIE = "edged_session"
 CACHED_BYTES = 4 * 1024 * 1024
 """Of JPEGs that were drawn for one viewer, and may be asked for by the next."""
 WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
@@ -109,6 +111,7 @@ class WebPublisher:
         notices: Notices | None = None,
         live: LivePictures | None = None,
         rooms: Sequence[Callable[[RouteTable], None]] = (),
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._cell = cell
         self._sources = sources
@@ -120,15 +123,18 @@ class WebPublisher:
         self._context = context
         self._commissioner = commissioner
         self._page = Page(cell, sources)
-        self._access = Access(settings.password_hash)
+        is_set_up = settings.commissioning and commissioner is not None
+        state = settings.state if is_set_up else None
+        self._users = None if state is None else UserFile(state / "users.json")
+        self._invite = None if state is None else Invite(state)
+        self._access = Access(settings.password_hash, clock_s, users=self._users, invite=self._invite)
         self._manual_folder = manual
         self._manual: Manual | None = None
         self._viewers = Viewers(self._shown, self._page.history)
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._assets = read_assets()
-        self._html = {name: render(f"{name}.html", __package__, cell=cell) for name in ("login", "nomanual")}
-        is_set_up = settings.commissioning and commissioner is not None
+        self._html = {"nomanual": render("nomanual.html", __package__, cell=cell)}
         self._html["index"] = render("index.html", __package__, cell=cell, setup=is_set_up)
         self._html["setup"] = render("setup.html", __package__, cell=cell, modules=modules(self._assets))
         self._runner: web.AppRunner | None = None
@@ -149,9 +155,9 @@ class WebPublisher:
             log.warning("the status page sends its password in the clear: set web.certificate and web.key")
         app = web.Application(middlewares=[self._guard], client_max_size=MAX_FORM_BYTES)
         app.router.add_get("/", self._index)
-        app.router.add_get("/login", self._login_form)
-        app.router.add_post("/login", self._log_in)
-        app.router.add_post("/logout", self._log_out)
+        secure = settings.certificate is not None
+        forms = LoginForms(self._cell, self._access, users=self._users is not None, secure=secure)
+        forms.add_to(app.router)
         app.router.add_get("/events", self._events)
         app.router.add_get("/status.json", self._status)
         app.router.add_get("/registers.json", self._registers)
@@ -185,7 +191,23 @@ class WebPublisher:
             place = f"{settings.host}:{settings.port}"
             raise ListenError(f"status page on {place}: {error.strerror or error}") from error
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
-        log.info("status page: %s://%s:%d", "https" if context is not None else "http", host, self.port)
+        place = f"{'https' if context is not None else 'http'}://{host}:{self.port}"
+        log.info("status page: %s", place)
+        self._tell_of_users(place)
+
+    def _tell_of_users(self, place: str) -> None:
+        """That their file cannot be used; how the first engineer comes in."""
+        if self._users is None or self._invite is None:
+            return
+        if self._users.problem:
+            log.error("nobody can log in by name: %s", self._users.problem)
+        elif not self._users.has_engineer:
+            try:
+                code = self._invite.make()
+            except OSError as error:
+                log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
+                return
+            log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
 
     def _api(self, commissioner: Commissioner) -> Gate:
         """What sets the cell up: the routes that every cell has, and those of the rooms."""
@@ -195,12 +217,16 @@ class WebPublisher:
         asked = self._sources.overview
         overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder)
         overview.add_to(table)
+        if self._users is not None:
+            People(self._access, self._users).add_to(table)
         live = self._live or LivePictures(commissioner, self._notices)
-        self._sockets = Sockets(live, self._notices, self._drawer, self._visitor, overview.now)
+        self._sockets = Sockets(
+            live, self._notices, self._drawer, self._visitor, overview.now, self._access.note_activity
+        )
         self._sockets.add_to(table)
         for add_to in self._rooms:
             add_to(table)
-        return Gate(table, commissioner, self._visitor)
+        return Gate(table, commissioner, self._visitor, active=self._access.note_activity)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
@@ -279,7 +305,7 @@ class WebPublisher:
             if not await self._may_see(request):
                 is_page = request.path in ("/", "/setup") or request.path.startswith("/manual")
                 if is_page and "text/html" in request.headers.get("Accept", ""):
-                    raise web.HTTPSeeOther("/login")
+                    raise web.HTTPSeeOther("/login?to=setup" if request.path == "/setup" else "/login")
                 # a browser's page asks with its own form; a scraper must be told how
                 asked = {"WWW-Authenticate": 'Basic realm="edged"'} if request.path == "/metrics" else {}
                 raise web.HTTPUnauthorized(text="log in first\n", headers=asked)
@@ -305,21 +331,16 @@ class WebPublisher:
     async def _may_see(self, request: web.Request) -> bool:
         if self._access.is_open or request.path in FREE:
             return True
-        if self._has_session(request):
+        if self._users is not None and request.path == "/invite":
+            return True
+        if self._visitor(request) is not None:
             return True
         header = request.headers.get("Authorization", "")
         return bool(header) and await self._access.has_basic(request.remote or "", header)
 
-    def _has_session(self, request: web.Request) -> bool:
-        """Whether it comes of somebody who logged in on the page."""
-        return not self._access.is_open and self._access.has_session(request.cookies.get(COOKIE, ""))
-
     def _visitor(self, request: web.Request) -> Visitor | None:
         """Who sent it, if they logged in on the page."""
-        if not self._has_session(request):
-            return None
-        session = session_of(request.cookies[COOKIE])
-        return Visitor("", Role.ENGINEER, request.remote or "", session)
+        return self._access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
 
     # --- pages -------------------------------------------------------------------------------
 
@@ -351,32 +372,6 @@ class WebPublisher:
         if file is None:
             raise web.HTTPNotFound(text="the manual has no such page\n")
         return web.FileResponse(file, headers=self._manual.headers(path))
-
-    async def _login_form(self, _request: web.Request) -> web.Response:
-        return _text(self._html["login"], "text/html")
-
-    async def _log_in(self, request: web.Request) -> web.Response:
-        # not `request.post()`: it fails on what a browser would not send, other character sets for example
-        try:
-            async with asyncio.timeout(FORM_S):
-                form = parse_qs((await request.read()).decode("ascii", "replace"))
-        except (TimeoutError, web.RequestPayloadError) as error:
-            raise web.HTTPBadRequest(text="this is no form\n") from error
-        password = form.get("password", [""])[0]
-        cookie = await self._access.log_in(request.remote or "", password) if password else None
-        if cookie is None:
-            log.warning("status page: wrong password from %s", request.remote)
-            raise web.HTTPSeeOther("/login?wrong")
-        answer = web.HTTPSeeOther("/")
-        secure = self._settings.certificate is not None
-        answer.set_cookie(COOKIE, cookie, httponly=True, samesite="Strict", secure=secure, path="/")
-        raise answer
-
-    async def _log_out(self, request: web.Request) -> web.Response:
-        self._access.log_out(request.cookies.get(COOKIE, ""))
-        answer = web.HTTPSeeOther("/login")
-        answer.del_cookie(COOKIE, path="/")
-        raise answer
 
     # --- data --------------------------------------------------------------------------------
 

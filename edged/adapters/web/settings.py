@@ -15,7 +15,8 @@ class WebSettings:
     """Where and for whom.
 
     password_hash : Argon2; "" is for loopback only.  certificate, key : PEM, both or none.
-    commissioning : people with the password may take the cell.
+    commissioning : users may set the cell up, by their roles. state : the folder that they are kept in; None:
+    there are none.
     """
 
     host: str = "127.0.0.1"
@@ -24,6 +25,7 @@ class WebSettings:
     certificate: Path | None = None
     key: Path | None = None
     commissioning: bool = False
+    state: Path | None = None
 
 
 def is_loopback(host: str) -> bool:

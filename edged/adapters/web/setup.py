@@ -39,15 +39,15 @@ class Lease(Answer):
 
 
 class Leaving(Body):
-    """By who has the cell, with the token; or by somebody at the cell, with a name."""
+    """By who has the cell, with the token; or by somebody at the cell. name : left out: of who asks."""
 
     token: Token | None = None
     name: Name | None = None
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Leaving:
-        if (self.token is None) == (self.name is None):
-            raise ValueError("expected either the token or a name")
+        if self.token is not None and self.name is not None:
+            raise ValueError("expected the token or a name, not both")
         return self
 
 
@@ -95,7 +95,9 @@ class SetupRoutes:
             "/setup/lease",
             self._renew,
             "Somebody still looks after the cell: once a minute at least",
+            role=Role.VIEWER,  # the token is the proof: who is idle still has the cell
             body=Leased,
+            is_by_itself=True,
             needs_lease=True,
         )
         table.route(
@@ -128,8 +130,6 @@ class SetupRoutes:
 
     async def _enter(self, call: Call[Entering]) -> Lease:
         name = call.body.name or call.visitor.name
-        if not name:
-            raise Problem(400, "invalid", "name: expected the name of who takes the cell", field="name")
         token = await self._commissioner.enter_setup(name, take_over=call.body.take_over)
         self._holder = call.visitor.session
         log.info("setup: %s at %s has the cell", name, call.visitor.address)
@@ -142,9 +142,10 @@ class SetupRoutes:
         if call.body.token is not None:
             self._commissioner.leave_setup(call.body.token)
             log.info("setup: given back from %s", call.visitor.address)
-        elif call.body.name is not None:
-            self._commissioner.end_setup(call.body.name)
-            log.info("setup: ended by %s at %s", call.body.name, call.visitor.address)
+        else:
+            name = call.body.name or call.visitor.name
+            self._commissioner.end_setup(name)
+            log.info("setup: ended by %s at %s", name, call.visitor.address)
         self._holder = ""
 
     async def _capture(self, call: Call[Leased]) -> Capture:

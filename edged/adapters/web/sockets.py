@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -52,6 +52,7 @@ class FromTab(Body):
 
     live: bool | None = Field(None, description="whether pictures are wanted, by who has the cell")
     token: Token | None = None
+    active: Literal[True] | None = Field(None, description="somebody touched the screen, or a key")
     seen: int | None = Field(None, ge=0, description="the picture that was shown last: the next may come")
 
 
@@ -85,7 +86,7 @@ class Sockets:
     """All of them.
 
     visitor_of : who sent a request; None when their session has ended. now : the cell, as a session sees it.
-    encoder : where pictures are encoded.
+    encoder : where pictures are encoded. active : told of a session in which a person does something.
     """
 
     def __init__(
@@ -95,7 +96,9 @@ class Sockets:
         encoder: Executor,
         visitor_of: Callable[[web.Request], Visitor | None],
         now: Callable[[str], CellNow],
+        active: Callable[[str], None],
     ) -> None:
+        self._active = active
         self._live = live
         self._encoder = encoder
         self._visitor_of = visitor_of
@@ -228,12 +231,14 @@ class Sockets:
             tab.has_seen = True
             self._live.seen(tab)
             self._feed()
+        if said.active:
+            self._active(tab.session)
         if said.live is False:
             self._live.unwant(tab)
         if said.live:
             try:
                 if visitor.role < Role.ENGINEER:
-                    raise SetupRefused("only an engineer may")
+                    raise SetupRefused("only an engineer may, who is not idle")
                 self._live.want(tab, said.token or "")
             except SetupRefused as error:
                 refused = {"type": "live", "on": self._live.is_on, "code": "setup_refused"}

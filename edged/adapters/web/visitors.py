@@ -27,9 +27,12 @@ class Visitor:
     """Who sent a request.
 
     session : digest of the cookie of a log-in on the page; "" for who has none, and may only look.
+    is_idle : there was no sign of them for so long that they may only look until they say their password.
     """
 
     name: str
     role: Role
     address: str
     session: str = ""
+    language: str | None = None
+    is_idle: bool = False

@@ -1,0 +1,107 @@
+"""The forms of the page that need no session: log in, log out, and come in by an invitation."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from urllib.parse import parse_qs
+
+from aiohttp import web
+from pydantic import TypeAdapter, ValidationError
+
+from edged.adapters.web.access import Access
+from edged.adapters.web.people import MIN_LENGTH, Password
+from edged.errors import FileFormatError
+from edged.files.users import UserName
+from edged.report.page import render
+
+log = logging.getLogger(__name__)
+
+COOKIE = "edged_session"
+FORM_S = 5.0
+NEXT = {"setup": "/setup"}
+"""Where a form may lead, by what its address says; else to the status page."""
+_NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
+
+
+class LoginForms:
+    """What is asked before anything else.
+
+    users : whether there are any, besides the page's password. secure : served over TLS.
+    """
+
+    def __init__(self, cell: str, access: Access, *, users: bool, secure: bool) -> None:
+        self._access = access
+        self._secure = secure
+        self._users = users
+        self._login = render("login.html", __package__, cell=cell, users=users, one=not access.is_open)
+        self._invite = render("invite.html", __package__, cell=cell, min_length=MIN_LENGTH)
+
+    def add_to(self, router: web.UrlDispatcher) -> None:
+        """Add the routes."""
+        router.add_get("/login", self._login_form)
+        router.add_post("/login", self._log_in)
+        router.add_post("/logout", self._log_out)
+        if self._users:
+            router.add_get("/invite", self._invite_form)
+            router.add_post("/invite", self._redeem)
+
+    async def _login_form(self, _request: web.Request) -> web.Response:
+        return web.Response(text=self._login, content_type="text/html", charset="utf-8")
+
+    async def _invite_form(self, _request: web.Request) -> web.Response:
+        return web.Response(text=self._invite, content_type="text/html", charset="utf-8")
+
+    async def _log_in(self, request: web.Request) -> web.Response:
+        form = await _fields(request)
+        name, password = form.get("name", "").strip(), form.get("password", "")
+        is_known = bool(password) and (self._users or not name)
+        address = request.remote or ""
+        cookie = await self._access.log_in(address, password, name) if is_known else None
+        to = request.query.get("to", "")
+        if cookie is None:
+            log.warning("status page: wrong password from %s", request.remote)
+            raise web.HTTPSeeOther("/login?wrong" + (f"&to={to}" if to in NEXT else ""))
+        raise self._entered(cookie, NEXT.get(to, "/"))
+
+    async def _redeem(self, request: web.Request) -> web.Response:
+        form = await _fields(request)
+        try:
+            name = _NAME.validate_python(form.get("name", "").strip())
+            password = _PASSWORD.validate_python(form.get("password", ""))
+        except ValidationError:
+            raise web.HTTPSeeOther("/invite?short") from None
+        if password != form.get("again"):
+            raise web.HTTPSeeOther("/invite?differ")
+        try:
+            cookie = await self._access.redeem(request.remote or "", form.get("code", ""), name, password)
+        except (FileFormatError, OSError) as error:
+            log.error("%s cannot be made an engineer: %s", name, error)  # noqa: TRY400  (it says where)
+            raise web.HTTPInternalServerError(text=f"{error}\n") from error
+        if cookie is None:
+            log.warning("status page: wrong invitation from %s", request.remote)
+            raise web.HTTPSeeOther("/invite?wrong")
+        log.warning("status page: %s at %s is an engineer now, by an invitation", name, request.remote)
+        raise self._entered(cookie, "/setup")
+
+    async def _log_out(self, request: web.Request) -> web.Response:
+        self._access.log_out(request.cookies.get(COOKIE, ""))
+        answer = web.HTTPSeeOther("/login")
+        answer.del_cookie(COOKIE, path="/")
+        raise answer
+
+    def _entered(self, cookie: str, to: str) -> web.HTTPSeeOther:
+        answer = web.HTTPSeeOther(to)
+        answer.set_cookie(COOKIE, cookie, httponly=True, samesite="Strict", secure=self._secure, path="/")
+        return answer
+
+
+async def _fields(request: web.Request) -> dict[str, str]:
+    """Of a form, the first of each name. Raises `HTTPBadRequest`."""
+    # not `request.post()`: it fails on what a browser would not send, other character sets for example
+    try:
+        async with asyncio.timeout(FORM_S):
+            form = parse_qs((await request.read()).decode("ascii", "replace"))
+    except (TimeoutError, ValueError, web.RequestPayloadError) as error:
+        raise web.HTTPBadRequest(text="this is no form\n") from error
+    return {name: values[0] for name, values in form.items()}

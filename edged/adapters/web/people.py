@@ -1,0 +1,195 @@
+"""Users over /api/v1: who I am, my own password and language, and what an engineer does with others."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+from pydantic import Field, StringConstraints
+
+from edged.adapters.web.access import Access
+from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
+from edged.adapters.web.visitors import Role
+from edged.files.users import Language, LastEngineer, RoleName, User, UserFile, UserName
+
+MIN_LENGTH = 8
+Password = Annotated[str, StringConstraints(min_length=MIN_LENGTH, max_length=256, strip_whitespace=False)]
+Said = Annotated[str, StringConstraints(max_length=256, strip_whitespace=False)]
+"""A password that somebody has."""
+PERSON = "/users/{name:[^/]{1,64}}"
+
+
+class Me(Answer):
+    """Who asks. language : a tag of BCP 47; null: as the browser has it."""
+
+    name: str = Field(description="empty: who has the page's password alone")
+    role: str
+    language: str | None
+    idle: bool = Field(description="the rights come back with the password")
+
+
+class MyChange(Body):
+    """What everybody may change of themselves."""
+
+    language: Language | None
+
+
+class MyPassword(Body):
+    """Another password; whoever knows the old one."""
+
+    old: Said
+    new: Password
+
+
+class Waking(Body):
+    """It is still me."""
+
+    password: Said
+
+
+class NewUser(Body):
+    """Somebody who gets a password."""
+
+    name: UserName
+    role: RoleName
+    password: Password
+    language: Language | None = None
+
+
+class UserChange(Body):
+    """What is left out stays."""
+
+    role: RoleName | None = None
+    password: Password | None = None
+    language: Language | None = None
+
+
+class UserNow(Answer):
+    """A user."""
+
+    name: str
+    role: str
+    language: str | None
+
+
+class UsersNow(Answer):
+    """All of them, by name. problem : the file cannot be used, and why."""
+
+    users: list[UserNow]
+    problem: str | None
+
+
+class People:
+    """The routes of users."""
+
+    def __init__(self, access: Access, users: UserFile) -> None:
+        self._access = access
+        self._users = users
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the routes."""
+        viewer = Role.VIEWER
+        table.route("GET", "/me", _me, "Who I am, and what I may", role=viewer, answer=Me)
+        table.route("PUT", "/me", self._change_me, "My language", role=viewer, body=MyChange, answer=UserNow)
+        table.route(
+            "PUT",
+            "/me/password",
+            self._my_password,
+            "Another password",
+            role=viewer,
+            body=MyPassword,
+            audit=True,
+        )
+        table.route(
+            "POST",
+            "/me/wake",
+            self._wake,
+            "The rights of an engineer who was idle, again",
+            role=viewer,
+            body=Waking,
+            audit=True,
+        )
+        table.route("GET", "/users", self._all, "Everybody with a password", answer=UsersNow)
+        table.route(
+            "POST", "/users", self._add, "Somebody new", body=NewUser, answer=UserNow, status=201, audit=True
+        )
+        table.route(
+            "PUT", PERSON, self._change, "Another role, password or language", body=UserChange, audit=True
+        )
+        table.route("DELETE", PERSON, self._remove, "Take somebody out; their sessions end", audit=True)
+
+    async def _change_me(self, call: Call[MyChange]) -> UserNow:
+        user = self._user(call.visitor.name).model_copy(update={"language": call.body.language})
+        await self._put(user)
+        return _now(user)
+
+    async def _my_password(self, call: Call[MyPassword]) -> None:
+        user = self._user(call.visitor.name)
+        if not await self._access.is_user(call.visitor.address, user.name, call.body.old):
+            raise Problem(403, "password", "old: this is not your password", field="old")
+        password_hash = await self._access.hash(call.body.new)
+        await self._put(self._user(user.name).model_copy(update={"password_hash": password_hash}))
+        self._access.end_sessions(user.name, but=call.visitor.session)
+
+    async def _wake(self, call: Call[Waking]) -> None:
+        self._user(call.visitor.name)
+        if not await self._access.wake(call.visitor.address, call.visitor, call.body.password):
+            raise Problem(403, "password", "password: this is not your password", field="password")
+
+    async def _all(self, _call: Call[None]) -> UsersNow:
+        return UsersNow(users=[_now(user) for user in self._users.users], problem=self._users.problem or None)
+
+    async def _add(self, call: Call[NewUser]) -> UserNow:
+        body = call.body
+        if self._users.get(body.name) is not None:
+            raise Problem(409, "exists", f"there is a user {body.name} already", field="name")
+        password_hash = await self._access.hash(body.password)
+        user = User(name=body.name, role=body.role, password_hash=password_hash, language=body.language)
+        await self._put(user)
+        return _now(user)
+
+    async def _change(self, call: Call[UserChange]) -> None:
+        changes = call.body.model_dump(exclude_unset=True, exclude={"password"})
+        if changes.get("role", "") is None:
+            raise Problem(400, "invalid", "role: expected viewer, operator or engineer", field="role")
+        name = self._user(call.part("name")).name
+        if call.body.password is not None:
+            changes["password_hash"] = await self._access.hash(call.body.password)
+        await self._put(self._user(name).model_copy(update=changes))
+        if call.body.password is not None:
+            own = name == call.visitor.name
+            self._access.end_sessions(name, but=call.visitor.session if own else "")
+
+    async def _remove(self, call: Call[None]) -> None:
+        name = self._user(call.part("name")).name
+        try:
+            await asyncio.to_thread(self._users.remove, name)
+        except LastEngineer:
+            raise _last_engineer(name) from None
+        self._access.end_sessions(name)
+
+    def _user(self, name: str) -> User:
+        user = self._users.get(name) if name else None
+        if user is None:
+            what = f"there is no user {name}" if name else "the page's password belongs to nobody"
+            raise Problem(404, "no_user", what)
+        return user
+
+    async def _put(self, user: User) -> None:
+        try:
+            await asyncio.to_thread(self._users.put, user)
+        except LastEngineer:
+            raise _last_engineer(user.name) from None
+
+
+def _last_engineer(name: str) -> Problem:
+    return Problem(409, "last_engineer", f"{name} is the only engineer: make another one first")
+
+
+def _now(user: User) -> UserNow:
+    return UserNow(name=user.name, role=user.role, language=user.language)
+
+
+async def _me(call: Call[None]) -> Me:
+    visitor = call.visitor
+    return Me(name=visitor.name, role=visitor.role.word, language=visitor.language, idle=visitor.is_idle)

@@ -1,0 +1,25 @@
+"""`edged web invite`: a code by which somebody becomes an engineer on the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from edged.config.reading import load
+from edged.errors import UserError
+from edged.files.invite import VALID_S, Invite
+from edged.files.statefolder import state_folder
+
+
+def invite(config: Path) -> int:
+    """Print a code; the running daemon knows it at once. Raises `UserError` where nobody could use it."""
+    web = load(config).web
+    if web is None or not web.commissioning:
+        raise UserError(f"{config}: web.commissioning is off: nobody sets this cell up on the page")
+    folder = state_folder(config)
+    try:
+        code = Invite(folder).make()
+    except OSError as error:
+        raise UserError(f"{folder}: the code cannot be kept: {error.strerror or error}") from error
+    scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
+    print(f"{code}   for {scheme}://{host}:{web.port}/invite, once, within {VALID_S / 3600:.0f} hours")
+    return 0

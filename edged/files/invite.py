@@ -1,0 +1,65 @@
+"""A code by which somebody becomes an engineer, once: whoever reads the journal, or is root, hands it out."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import secrets
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from edged.errors import FileFormatError
+from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
+from edged.files.statefolder import hand_over
+
+LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
+"""None that is read as another."""
+GROUPS, GROUP = 3, 4
+"""59 bits: nobody guesses them within a day."""
+VALID_S = 24 * 3600.0
+
+
+class Invite:
+    """The code that holds now, if any: a file with its digest. A new one takes the place of the last."""
+
+    def __init__(self, folder: Path, utc_s: Callable[[], float] = time.time) -> None:
+        self._path = folder / "invite.json"
+        self._utc_s = utc_s
+
+    def make(self) -> str:
+        """A code that holds for a day, or until it is used. Raises `OSError`."""
+        code = "-".join("".join(secrets.choice(LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
+        document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S}
+        make_folders(self._path.parent)
+        write_atomically(self._path, json.dumps(document).encode(), mode=0o600)
+        hand_over(self._path)
+        return code
+
+    def is_valid(self, code: str) -> bool:
+        """Whether this is the code, today; False for a file that cannot be used."""
+        try:
+            document = json.loads(read_bytes(self._path, "an invitation"))
+            digest, until_s = document["digest"], document["until_s"]
+            is_ours = hmac.compare_digest(str(digest).encode(), _digest(code).encode())
+            return is_ours and self._utc_s() < float(until_s)
+        except (FileFormatError, ValueError, TypeError, KeyError, RecursionError):
+            return False
+
+    def take(self, code: str) -> bool:
+        """Whether it is the code; then nobody comes in by it again. Raises `OSError`."""
+        if not self.is_valid(code):
+            return False
+        try:
+            self._path.unlink()
+        except FileNotFoundError:  # somebody else was quicker
+            return False
+        sync(self._path.parent)
+        return True
+
+
+def _digest(code: str) -> str:
+    """Typed by hand: case, blanks and dashes do not count."""
+    letters = "".join(letter for letter in code.lower() if letter.isalnum())
+    return hashlib.sha256(letters.encode("utf-8", "surrogateescape")).hexdigest()

@@ -1,0 +1,144 @@
+"""Who may do what on the page: a file of names, roles and hashes of passwords.
+
+{"format": "edged users", "version": 1,
+ "users": [{"name": "Anna", "role": "engineer", "password_hash": "$argon2id$…", "language": "de"}]}
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Annotated, Literal
+
+from argon2 import extract_parameters
+from argon2.exceptions import InvalidHashError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from edged.errors import FileFormatError
+from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.files.statefolder import hand_over
+
+MAX_USERS = 64
+MAX_BYTES = 64 * 1024
+MAX_MEMORY_KIB, MAX_PASSES = 256 * 1024, 16
+"""Of a hash that is computed here: one that a stranger wrote must not cost the cell its memory."""
+
+RoleName = Literal["viewer", "operator", "engineer"]
+
+
+def _printable(name: str) -> str:
+    if not name.isprintable() or name != name.strip():
+        raise ValueError("expected letters that can be printed, in one line")
+    return name
+
+
+def _affordable(password_hash: str) -> str:
+    try:
+        asked = extract_parameters(password_hash)
+    except InvalidHashError:
+        raise ValueError("expected an Argon2 hash, as `edged password` makes it") from None
+    if asked.memory_cost > MAX_MEMORY_KIB or asked.time_cost > MAX_PASSES or asked.parallelism > 4:
+        raise ValueError(f"this hash costs more than {MAX_MEMORY_KIB} KiB and {MAX_PASSES} passes")
+    return password_hash
+
+
+UserName = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
+Language = Annotated[str, StringConstraints(pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]{2,8}){0,2}$")]
+"""A tag of BCP 47."""
+
+
+class User(BaseModel):
+    """Somebody with a password. language : None: as the browser has it."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    name: UserName
+    role: RoleName
+    password_hash: Annotated[str, StringConstraints(max_length=512), AfterValidator(_affordable)]
+    language: Language | None = None
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    format: Literal["edged users"] = "edged users"
+    version: Literal[1] = 1
+    users: list[User] = Field(max_length=MAX_USERS)
+
+
+class LastEngineer(Exception):
+    """A change would leave nobody who may change anything."""
+
+
+class UserFile:
+    """The users of a cell. Names are told apart as people do, whatever their case.
+
+    A file that cannot be used is nobody's: `problem` says what is wrong with it, and it is not overwritten.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._users: dict[str, User] = {}
+        self.problem = ""
+        try:
+            self._users = _read(path)
+        except FileFormatError as error:
+            self.problem = str(error)
+
+    @property
+    def users(self) -> list[User]:
+        """By name."""
+        return sorted(self._users.values(), key=lambda user: user.name.casefold())
+
+    @property
+    def has_engineer(self) -> bool:
+        """Whether anybody may set the cell up."""
+        return any(user.role == "engineer" for user in self._users.values())
+
+    def get(self, name: str) -> User | None:
+        """The user of that name."""
+        return self._users.get(name.casefold())
+
+    def put(self, user: User) -> None:
+        """Add somebody, or change them. Raises `LastEngineer`, `FileFormatError`, `OSError`."""
+        with self._lock:
+            self._keep({**self._users, user.name.casefold(): user})
+
+    def remove(self, name: str) -> None:
+        """Take somebody out. Raises as `put`."""
+        with self._lock:
+            self._keep({key: user for key, user in self._users.items() if key != name.casefold()})
+
+    def _keep(self, users: dict[str, User]) -> None:
+        if self.problem:
+            raise FileFormatError(self.problem)
+        if len(users) > MAX_USERS:
+            raise FileFormatError(f"{self._path}: more than {MAX_USERS} users")
+        if self.has_engineer and all(user.role != "engineer" for user in users.values()):
+            raise LastEngineer
+        text = _File(users=list(users.values())).model_dump_json(indent=1)
+        make_folders(self._path.parent)
+        write_atomically(self._path, text.encode(), mode=0o600)
+        hand_over(self._path)
+        self._users = users
+
+
+def _read(path: Path) -> dict[str, User]:
+    """Users by name; none where there is no file. Raises `FileFormatError`."""
+    if not path.exists():
+        return {}
+    data = read_bytes(path, "users")
+    if len(data) > MAX_BYTES:
+        raise FileFormatError(f"{path}: {len(data)} bytes are too many for users")
+    try:
+        found = _File.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        message = first["msg"].removeprefix("Value error, ")
+        raise FileFormatError(f"{path}: {place}: {message}" if place else f"{path}: {message}") from error
+    users = {user.name.casefold(): user for user in found.users}
+    if len(users) < len(found.users):
+        raise FileFormatError(f"{path}: a name comes twice")
+    return users
