@@ -14,8 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from edged.config import chosencameras
 from edged.config.configuration import Config
-from edged.config.reading import config_of, read
+from edged.config.reading import config_and_choice, read
 from edged.domain.cell import SetupSource
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import read_bytes
@@ -74,7 +75,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
     text = read(path)
     try:
-        config = config_of(text, path)
+        config, chosen = config_and_choice(text, path)
     except ConfigError as error:
         raise ConfigError(str(path), [*error.problems, *_problems_of_named_files(text, path)]) from error
     problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
@@ -89,6 +90,8 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     wrong_rig, wrong_jobs = of_rig > others and not lacks_rig, len(problems) > of_rig and not lacks_jobs
     identity = fingerprint(config, files)
     contents = {**files, "cell.toml": without_secrets(text)}
+    if chosen is not None:
+        contents[chosencameras.NAME] = chosen
     if lacking and not (others or wrong_rig or wrong_jobs):
         return UnfinishedCell(config, identity, contents, lacking[0], tuple(problems))
     if rig is None or rectification is None or problems:

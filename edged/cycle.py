@@ -168,6 +168,8 @@ class Cycle:
         for command, problem in self._commands.sort_out(setup, gone):
             self._told.announce(CommandFailed(command, problem))
         if head is not None:
+            if self._in_setup:
+                await self._cameras.put_down(self._head)  # what was tried was tried of the cameras before
             await self._head.close()
             self._head = head
         if not self._in_setup:

@@ -91,7 +91,7 @@ def head_of(
     )
 
 
-def with_changes(cameras: CamerasSection, changes: Mapping[Side, CameraChanges]) -> CamerasSection:
+def with_tried(cameras: CamerasSection, changes: Mapping[Side, CameraChanges]) -> CamerasSection:
     """The configuration with what is tried."""
     sides: dict[str, CameraSection] = {
         side: getattr(cameras, side).model_copy(update=change.stated()) for side, change in changes.items()

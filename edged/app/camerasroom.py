@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edged.app.cameras import Size, head_of, with_changes
+from edged.app.cameras import Size, head_of, with_tried
 from edged.app.cell import LoadedCell
 from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.cycle import Cycle
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
+from edged.files.atomic import write_file
 from edged.pictures.change import changed_most, changed_share
 from edged.session.cameras import CameraChanges
 from edged.session.judging import PictureJudge
@@ -32,7 +35,7 @@ OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 class CamerasRoom:
     """What the routes of the cameras ask.
 
-    loaded : the configuration that runs. world : where virtual cameras are.
+    loaded : the configuration that runs. world : where virtual cameras are. reload : the daemon's.
     """
 
     def __init__(
@@ -42,7 +45,9 @@ class CamerasRoom:
         world: VirtualWorld | None,
         notices: Notices,
         live: LivePictures,
+        reload: Callable[[], Awaitable[bool]],
     ) -> None:
+        self._reload = reload
         self._cycle = cycle
         self._loaded = loaded
         self._world = world
@@ -122,6 +127,27 @@ class CamerasRoom:
             changes[other] = CameraChanges(kept.device, kept.serial)
         await self._try(token, changes)
 
+    async def keep(self, token: str) -> None:
+        """Make what is tried the cell's: written beside its rig, and loaded.
+
+        Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
+        and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
+        """
+        self._cycle.renew_setup(token)
+        loaded, changes = self._loaded(), self._cycle.camera_changes
+        stated = {side: change.stated() for side, change in changes.items()}
+        if loaded.rig is not None and any("device" in change for change in stated.values()):
+            raise UserError(
+                "the rig was calibrated with the cameras as they are: calibrate, and activate both"
+            )
+        rig = loaded.cell.config.cell.rig
+        file = chosen_file(rig)
+        before = await asyncio.to_thread(read_chosen, rig)
+        await asyncio.to_thread(write_file, file, with_changes(before, file, stated))
+        if not await self._reload():
+            await asyncio.to_thread(_put_back, file, before)
+            raise UserError("the cell cannot be loaded with them, and is as it was: its log says why")
+
     async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
         """Wait until a hand moves before one camera, and make it this side's.
 
@@ -181,7 +207,7 @@ class CamerasRoom:
     async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
         loaded, tried = self._loaded(), self._cycle.camera_changes
-        section = with_changes(loaded.cell.config.cameras, cameras)
+        section = with_tried(loaded.cell.config.cameras, cameras)
         sizes: tuple[Size, Size] | None = None
         if loaded.rig is not None:
             left, right = loaded.rig.rig.left, loaded.rig.rig.right
@@ -192,6 +218,13 @@ class CamerasRoom:
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():
                 await self.adjust(token, side, values)
+
+
+def _put_back(file: Path, content: bytes | None) -> None:
+    if content is None:
+        file.unlink(missing_ok=True)
+    else:
+        write_file(file, content)
 
 
 def _is_at(info: CameraInfo, device: str) -> bool:

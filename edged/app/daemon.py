@@ -102,7 +102,9 @@ class Daemon:
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
         self._notices = Notices()
         self._live = LivePictures(self._cycle, self._notices)
-        self._cameras_room = CamerasRoom(self._cycle, lambda: self._loaded, world, self._notices, self._live)
+        self._cameras_room = CamerasRoom(
+            self._cycle, lambda: self._loaded, world, self._notices, self._live, self.reload
+        )
         self._servers = Servers(
             self._cycle,
             lambda: self._running,

@@ -34,6 +34,7 @@ from typing import Any
 
 from edged import __version__
 from edged.cellfiles import read_cell
+from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
@@ -122,6 +123,8 @@ def _collect(path: Path, config: Config) -> tuple[dict[str, bytes], dict[str, st
     files = {REGISTERS: render("csv").encode()}
     rig, text = _placed(path, text, "rig", config.cell.rig)
     _add(files, rig, config.cell.rig)
+    if os.path.lexists(chosen_file(config.cell.rig)):
+        _add(files, _chosen_member(rig), chosen_file(config.cell.rig))
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
     for folder in job_folders(config.cell.jobs):
         for file in sorted(folder.rglob("*")):
@@ -138,6 +141,11 @@ def _collect(path: Path, config: Config) -> tuple[dict[str, bytes], dict[str, st
     if config.cameras.folder is not None:
         left_out["cameras.folder"] = str(config.cameras.folder)
     return files, left_out
+
+
+def _chosen_member(rig: str) -> str:
+    """Of the cameras that were chosen for a rig."""
+    return chosen_file(Path(rig)).as_posix()
 
 
 def _add(files: dict[str, bytes], member: str, path: Path) -> None:
@@ -319,6 +327,9 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
     keep = _unused(output.with_name(f"{output.name}.before-restore"))
     try:
         replaced = _replaced(taken, output, named.get("cell.jobs", ""))
+        chosen = _chosen_member(named["cell.rig"]) if "cell.rig" in named else ""
+        if not _wrong_name(chosen) and os.path.lexists(output / chosen):
+            replaced.add(chosen)  # or another rig's cameras would be this one's
         _leave_others_alone(taken, output, replaced)
         private = {taken.config, named.get("zenoh.config_file", taken.config)}
         return keep if replace_files(output, taken.files, replaced, keep, private=private) else None

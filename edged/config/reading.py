@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from edged.config.cell import LimitsSection
+from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
 from edged.config.configuration import Config
 from edged.errors import ConfigError
 
@@ -75,6 +76,12 @@ def read(path: Path) -> bytes:
 
 def config_of(content: bytes, path: Path) -> Config:
     """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
+    config, _ = config_and_choice(content, path)
+    return config
+
+
+def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
+    """The same, with the cameras that were chosen for its rig: in force, and as they are written."""
     try:
         data = tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -83,10 +90,20 @@ def config_of(content: bytes, path: Path) -> Config:
         raise ConfigError(str(path), [not_toml(error, content)]) from error
     except RecursionError:
         raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
+    config = _validated(data, path, str(path))
+    chosen = read_chosen(config.cell.rig)
+    if chosen is None:
+        return config, None
+    file = chosen_file(config.cell.rig)
+    cameras = chosen_of(chosen, file).over(data.get("cameras", {}))
+    return _validated({**data, "cameras": cameras}, path, f"{path} with {file}"), chosen
+
+
+def _validated(data: dict[str, Any], path: Path, source: str) -> Config:
     try:
         return Config.model_validate(data, context={"directory": path.resolve().parent})
     except ValidationError as error:
-        raise ConfigError(str(path), [problem_of(detail, Config) for detail in error.errors()]) from error
+        raise ConfigError(source, [problem_of(detail, Config) for detail in error.errors()]) from error
 
 
 def limits_of(content: bytes) -> LimitsSection:

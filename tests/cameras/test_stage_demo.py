@@ -30,7 +30,10 @@ from edged.sim.world import SERIALS, VirtualWorld
 from edged.vision.boards.board import Chessboard, Detection
 from edged.vision.boards.detection import detect_board
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
+]
 PASSWORD = "correct horse"
 BOARD = Chessboard(11, 8, 4.0)
 
@@ -176,14 +179,29 @@ def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Pat
         exposures = [device.registers.number(g.EXPOSURE_TIME) for device in devices]
         assert [2000.0, 800.0] == exposures
 
-        unknown = await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "serial": "X"}, 422)
-        assert "'X' answers" in unknown["detail"]
         await newcomer.ask("DELETE", "setup", newcomer.token, 204)
         await until(lambda: not any(device.controlled for device in devices))
         assert [2000.0, 2000.0] == [device.registers.number(g.EXPOSURE_TIME) for device in devices]
-        newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
-        await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "serial": SERIALS[0]})
 
+    run(tmp_path, test)
+
+
+def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
+    """Exposure and exchanged cameras of a cell without a rig, written beside where its rig will be."""
+
+    async def test(newcomer: Newcomer) -> None:
+        if not (tmp_path / "rig.cameras.json").exists():
+            await newcomer.ask(
+                "PUT", "cameras/left", {**newcomer.token, "serial": SERIALS[1], "gain_db": 3.0}
+            )
+            await newcomer.ask("POST", "cameras/keep", newcomer.token, 204)
+        await newcomer.ask("DELETE", "setup", newcomer.token, 204)
+        newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
+        await newcomer.picture()
+        devices = newcomer.world._devices  # noqa: SLF001  (what the cameras themselves hold)
+        assert [0.0, 3.0] == [device.registers.number(g.GAIN) for device in devices]
+
+    run(tmp_path, test)
     run(tmp_path, test)
 
 
@@ -218,7 +236,6 @@ def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
     run(tmp_path, test)
 
 
-@pytest.mark.slow
 def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     """Without a display: the page's address and a password that is not that of another run; exit code 0."""
     ports = [str(free_port()) for _ in range(3)]

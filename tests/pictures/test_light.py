@@ -57,6 +57,7 @@ def test_noise_is_that_of_the_sensor(grey: float, gain_db: float) -> None:
     assert noise == pytest.approx(math.hypot(expected, 12**-0.5), rel=0.06)
 
 
+@pytest.mark.slow
 def test_exposure_is_advised_until_it_is_good(cell: VirtualCell) -> None:
     """From far too bright and from far too dark: following the factor ends at a good picture within five."""
     for start_us in (60.0, 12_000.0):
@@ -111,6 +112,7 @@ def test_the_camera_with_the_hand_is_found(cell: VirtualCell, waved: Side) -> No
         assert waved == changed_most(shares)
 
 
+@pytest.mark.slow
 def test_nobody_waves(cell: VirtualCell) -> None:
     """Noise, flicker and a board that is taken away in both pictures are no wave."""
     cell.show("board", _square(-12, -14, 200))

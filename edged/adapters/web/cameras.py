@@ -41,6 +41,10 @@ class Cameras(Protocol):
         """Wait for a hand before one camera, and make it this side's; which it was, whether exchanged."""
         ...
 
+    async def keep(self, token: str) -> None:
+        """Make what is tried the cell's."""
+        ...
+
     def quality(self) -> Mapping[str, Any] | None:
         """Light and focus of the last live pair that was judged."""
         ...
@@ -200,6 +204,15 @@ class CameraRoutes:
         )
         table.route(
             "POST",
+            "/cameras/keep",
+            self._keep,
+            "Make what is tried the cell's: exposure and gain; without a rig also which camera is left",
+            body=Leased,
+            audit=True,
+            needs_lease=True,
+        )
+        table.route(
+            "POST",
             "/cameras/wave",
             self._wave,
             "Wait for a hand before one camera, and make it this side's",
@@ -244,6 +257,9 @@ class CameraRoutes:
             await self._cameras.assign(body.token, side, body.serial)
         values = CameraValues(body.exposure_us, body.gain_db)
         return _settings(await self._cameras.adjust(body.token, side, values))
+
+    async def _keep(self, call: Call[Leased]) -> None:
+        await self._cameras.keep(call.body.token)
 
     async def _wave(self, call: Call[Waving]) -> Waved:
         moved, exchanged = await self._cameras.wave(call.body.token, call.body.side)

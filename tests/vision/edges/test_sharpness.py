@@ -32,6 +32,7 @@ BOARD = Scene(TABLE, (Placed(stage_board().part, at(-10, -14, 200, 0.3)),))
 PART = Scene(TABLE, (Placed(demo_part(), at(8, 0, 205)),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "psf_px, off", [(0.6, 0.04), (0.9, 0.04), (1.4, 0.04), (2.4, 0.05)], ids=lambda value: f"{value:g}"
 )

@@ -1,0 +1,97 @@
+"""Cameras as they were chosen on the page, beside the rig that was calibrated with them.
+
+The configuration is the administrator's; which camera is left, and how it is exposed, belongs to the rig, and
+is written with it: `rig.json` has `rig.cameras.json`. What it states counts before `[cameras.left]` and
+`[cameras.right]`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from edged.config.fields import Section
+from edged.domain.arrays import SIDES, Side
+from edged.errors import ConfigError
+
+MAX_BYTES = 64 * 1024
+NAME = "rig.cameras.json"
+"""In recordings, whatever the rig's file is called."""
+
+
+class ChosenCamera(Section):
+    """One camera. None: as it is configured."""
+
+    device: str | None = Field(None, min_length=1, max_length=64)
+    serial: str | None = Field(None, max_length=64)
+    exposure_us: float | None = Field(None, gt=0, le=10_000_000)
+    gain_db: float | None = Field(None, ge=-10, le=60)
+
+
+class ChosenCameras(Section):
+    """Both."""
+
+    left: ChosenCamera = ChosenCamera()
+    right: ChosenCamera = ChosenCamera()
+
+    def over(self, cameras: Mapping[str, Any]) -> dict[str, Any]:
+        """The section `cameras` of a configuration with what was chosen."""
+        merged = dict(cameras)
+        for side in SIDES:
+            before = merged.get(side, {})
+            stated = getattr(self, side).model_dump(exclude_none=True)
+            merged[side] = {**before, **stated} if isinstance(before, dict) else before
+        return merged
+
+
+def chosen_file(rig: Path) -> Path:
+    """Where the choice for a rig is.
+
+    >>> chosen_file(Path("/etc/edged/rig.json")).name
+    'rig.cameras.json'
+    """
+    return rig.with_name(f"{rig.stem}.cameras.json")
+
+
+def read_chosen(rig: Path) -> bytes | None:
+    """What is there; None: nothing was chosen. Raises `ConfigError`."""
+    file = chosen_file(rig)
+    try:
+        with file.open("rb") as opened:
+            content = opened.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(str(file), [f"{file.name}: cannot be read: {error.strerror or error}"]) from error
+    if len(content) > MAX_BYTES:
+        raise ConfigError(str(file), [f"{file.name}: larger than 64 KiB: no chosen cameras"])
+    return content
+
+
+def chosen_of(content: bytes, file: Path) -> ChosenCameras:
+    """What a file states. Raises `ConfigError`."""
+    try:
+        return ChosenCameras.model_validate(json.loads(content))
+    except (ValueError, RecursionError) as error:
+        # written by the daemon: whoever sees this has a damaged file, not a typing error
+        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "not JSON"
+        remedy = "remove it, and the cameras are as they are configured"
+        raise ConfigError(str(file), [f"{file.name}: no chosen cameras: {why}; {remedy}"]) from error
+
+
+def with_changes(before: bytes | None, file: Path, changes: Mapping[Side, Mapping[str, Any]]) -> bytes:
+    """The content of a file in which these are chosen, too. Raises `ConfigError`.
+
+    changes : keys of the configuration's `[cameras.left]` and `[cameras.right]`.
+    """
+    old = ChosenCameras() if before is None else chosen_of(before, file)
+    document = {
+        side: {**getattr(old, side).model_dump(exclude_none=True), **changes.get(side, {})} for side in SIDES
+    }
+    content = (json.dumps(document, indent=2) + "\n").encode()
+    chosen_of(content, file)
+    return content
