@@ -1,4 +1,4 @@
-"""Lines of ASCII over TCP, for robots that speak no Modbus: the same registers, said in another way.
+"""Lines of ASCII, or binary frames, for robots that speak no Modbus: the same registers, said in other ways.
 
 Responsible for: one request in a line, one answer in a line, poses as the robot's maker writes them. Not for
 what a command is, whose turn it is or how long a result is valid: each line becomes a write and reads of
@@ -8,7 +8,8 @@ what a command is, whose turn it is or how long a result is valid: each line bec
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.Answer`
 
-A line that came twice, because its answer was lost, is carried out once: the sequence is the same.
+A line that came twice, because its answer was lost, is carried out once: the sequence is the same. What
+begins with the first byte of a frame (`edged.plc.frames`) is read and answered as one.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
+from edged.plc.frames import MAGIC, REQUEST, answer_frame, read_request
 from edged.plc.handshake import Reason
 from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
@@ -91,6 +93,15 @@ def parse(line: bytes, brand: Brand) -> Request:
     return Request(sequence, command, job, transform_of(brand, shown) if shown else None, tries_all, shown)
 
 
+def parse_frame(frame: bytes, brand: Brand) -> Request:
+    """Raises ValueError for what is no request."""
+    asked = read_request(frame, brand)
+    if asked.sequence == 0:
+        raise ValueError("sequences are 1 to 65535")
+    flange = transform_of(brand, asked.flange) if asked.flange else None
+    return Request(asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
+
+
 class Robot:
     """What one connection asks, and what it was given last.
 
@@ -107,10 +118,11 @@ class Robot:
         self._located = 0
         self._given: set[int] = set()
 
-    async def answer(self, line: bytes) -> Answer:
-        """Carry one line out. Never raises for what a robot sent."""
+    async def answer(self, message: bytes) -> Answer:
+        """Carry one line, or one frame, out. Never raises for what a robot sent."""
+        read = parse_frame if message.startswith(MAGIC[:1]) else parse
         try:
-            request = parse(line, self._line.brand)
+            request = read(message, self._line.brand)
         except (ValueError, OverflowError):
             return Answer(0, LineStatus.NOT_UNDERSTOOD)
         try:
@@ -376,8 +388,9 @@ class LineServer:
         may_write = contains(self._settings.writers, peer)
         while True:
             async with asyncio.timeout(self._settings.idle_s):
-                line = await self._line_of(reader)
-            if not line.endswith(b"\n"):
+                line = await self._message_of(reader)
+            is_frame = line.startswith(MAGIC[:1])
+            if not is_frame and not line.endswith(b"\n"):
                 return
             if line == b"\r\n":
                 continue  # the robot's own end of line, after the line feed that its program sent
@@ -386,14 +399,25 @@ class LineServer:
             else:
                 self._refusals.note(address_of(peer), "it is not in modbus.writers")
                 answer = Answer(0, LineStatus.MAY_NOT_WRITE)
-            writer.write(answer.line(self._line.brand))
+            brand = self._line.brand
+            writer.write(answer_frame(answer, brand) if is_frame else answer.line(brand))
             async with asyncio.timeout(SEND_S):
                 await writer.drain()
+            if is_frame and answer.status == LineStatus.NOT_UNDERSTOOD and answer.sequence == 0:
+                return  # where the next frame begins is not known
 
     @staticmethod
-    async def _line_of(reader: asyncio.StreamReader) -> bytes:
-        """A line with its end; what came of one at the end of the connection. Raises ConnectionError."""
+    async def _message_of(reader: asyncio.StreamReader) -> bytes:
+        """A line with its end, or a whole frame; b"" or half a line at the end of the connection.
+
+        Raises ConnectionError for a line that is too long.
+        """
         try:
-            return await reader.readline()
+            first = await reader.readexactly(1)
+            if first == MAGIC[:1]:
+                return first + await reader.readexactly(REQUEST.size - 1)
+            return first if first == b"\n" else first + await reader.readline()
+        except asyncio.IncompleteReadError:
+            return b""
         except ValueError as error:
             raise ConnectionError(f"a line is longer than {MAX_LINE_BYTES} bytes") from error

@@ -1,0 +1,126 @@
+"""Binary frames of fixed length that robots may talk in instead of lines: the same requests and answers.
+
+Each begins with two bytes that no line begins with, says how long it is, and ends with a CRC-32 (of zlib and
+Ethernet) over all before it: what is torn, shifted or of another version is none. An answer names the brand
+that its pose is written for, and repeats the sequence of its request: what is old, or meant for another
+robot, cannot be taken for it. Numbers are big-endian, floats those of IEEE 754 with 32 bits.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+
+from edged.domain.events import CommandKind
+from edged.plc.lines import POSE_NAMES, Answer
+from edged.robot.orientations import Brand
+
+MAGIC = b"\xed\x46"
+VERSION = 1
+FLANGE, ALL_JOBS = 1, 2
+"""Flags of a request: FLANGE is given; every job is tried."""
+POSE_SIZE = 7
+"""Numbers that there is room for: ABB's."""
+REQUEST_ROWS = (
+    ("MAGIC", "2s"),
+    ("VERSION", "B"),
+    ("FLAGS", "B"),
+    ("LENGTH", "H"),
+    ("SEQUENCE", "H"),
+    ("COMMAND", "H"),
+    ("JOB", "H"),
+    ("FLANGE", f"{POSE_SIZE}f"),
+    ("CRC", "I"),
+)
+ANSWER_ROWS = (
+    ("MAGIC", "2s"),
+    ("VERSION", "B"),
+    ("BRAND", "B"),
+    ("LENGTH", "H"),
+    ("SEQUENCE", "H"),
+    ("STATUS", "H"),
+    ("REMAINING", "H"),
+    ("POSE", f"{POSE_SIZE}f"),
+    ("SIGMA", "3f"),
+    ("AGE", "f"),
+    ("CRC", "I"),
+)
+"""Names and types (as `struct` writes them), in their order."""
+REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
+ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
+COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, "GRASP": 100, "APPROACH": 101, "ACK": 102}
+"""What COMMAND may be: a command of the registers, or what is asked of the part that was given last."""
+BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRequest:
+    """What a frame asks. flange : its numbers as the brand writes them, () when it was not given."""
+
+    sequence: int
+    command: str
+    job: int = 0
+    flange: tuple[float, ...] = ()
+    tries_all: bool = False
+
+    def frame(self) -> bytes:
+        """As it is sent."""
+        flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0)
+        flange = self.flange + (0.0,) * (POSE_SIZE - len(self.flange))
+        head = (MAGIC, VERSION, flags, REQUEST.size, self.sequence, COMMANDS[self.command], self.job)
+        return _sealed(REQUEST.pack(*head, *flange, 0))
+
+
+def read_request(frame: bytes, brand: Brand) -> FrameRequest:
+    """Raises ValueError for what is no request.
+
+    >>> read_request(FrameRequest(7, "LOCATE", 2).frame(), Brand.KUKA).job
+    2
+    """
+    flags, sequence, number, job, *flange = _opened(frame, REQUEST)
+    command = next((name for name, code in COMMANDS.items() if code == number), None)
+    if command is None or flags & ~(FLANGE | ALL_JOBS):
+        raise ValueError(f"no such command or flag: {number}, {flags}")
+    size = len(POSE_NAMES[brand]) if flags & FLANGE else 0
+    return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS))
+
+
+def answer_frame(answer: Answer, brand: Brand) -> bytes:
+    """As it is sent."""
+    pose = answer.pose + (0.0,) * (POSE_SIZE - len(answer.pose))
+    head = (MAGIC, VERSION, BRANDS[brand], ANSWER.size, answer.sequence, int(answer.status))
+    numbers = (*pose, *answer.sigma, answer.age_s)
+    return _sealed(ANSWER.pack(*head, answer.remaining, *numbers, 0))
+
+
+def read_answer(frame: bytes, brand: Brand, sequence: int) -> Answer:
+    """The answer to the request of that sequence. Raises ValueError for anything else.
+
+    One of sequence 0 says that the request was none.
+    """
+    said, answered, status, remaining, *numbers = _opened(frame, ANSWER)
+    if said != BRANDS[brand]:
+        raise ValueError(f"the answer is written for brand {said}, expected {BRANDS[brand]}")
+    if answered != sequence and not (answered == 0 and status):
+        raise ValueError(f"an answer to {answered}, expected {sequence}")
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("a number of the answer is none")
+    x, y, z, age_s = numbers[POSE_SIZE:]
+    return Answer(answered, status, remaining, tuple(numbers[: len(POSE_NAMES[brand])]), (x, y, z), age_s)
+
+
+def _sealed(frame: bytes) -> bytes:
+    """With the CRC in place of its last four bytes."""
+    return frame[:-4] + zlib.crc32(frame[:-4]).to_bytes(4, "big")
+
+
+def _opened(frame: bytes, form: struct.Struct) -> tuple[int, ...]:
+    """What stands between the head and the CRC, the byte after the version first."""
+    if len(frame) != form.size or frame != _sealed(frame):
+        raise ValueError("a frame that is torn")
+    magic, version, byte, length, *numbers, _crc = form.unpack(frame)
+    if (magic, version, length) != (MAGIC, VERSION, form.size):
+        raise ValueError("another version, or no frame")
+    return (byte, *numbers)

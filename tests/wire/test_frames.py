@@ -1,0 +1,140 @@
+"""The socket of robots in binary frames: the same cell, the same handshake as by lines and registers."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+from livecell import GRASPS, PART_FROM_TCP, LiveCell
+from snapshots import make_target
+
+from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.plc.frames import ANSWER, FrameRequest, read_answer
+from edged.plc.lines import Answer, LineStatus
+from edged.robot.orientations import Brand, pose_of, transform_of
+
+KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
+
+
+class Robot:
+    """One that talks in frames."""
+
+    def __init__(self, port: int, brand: Brand) -> None:
+        self.brand = brand
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15)
+        self.file = self.socket.makefile("rb")
+
+    def ask(self, request: FrameRequest, piece: int = 64) -> Answer:
+        """Sent in pieces of so many bytes."""
+        frame = request.frame()
+        for at in range(0, len(frame), piece):
+            self.socket.sendall(frame[at : at + piece])
+        return self.hear(request.sequence)
+
+    def hear(self, sequence: int) -> Answer:
+        """The next answer."""
+        return read_answer(self.file.read(ANSWER.size), self.brand, sequence)
+
+    def close(self) -> None:
+        """Hang up."""
+        self.file.close()
+        self.socket.close()
+
+
+@contextmanager
+def connected(cell: LiveCell, brand: Brand = Brand.KUKA) -> Iterator[Robot]:
+    """A robot on the socket of a cell that is ready."""
+    deadline_s = time.monotonic() + 10
+    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    robot = Robot(cell.server.line_port, brand)
+    try:
+        yield robot
+    finally:
+        robot.close()
+
+
+@pytest.mark.parametrize("brand", Brand)
+def test_every_part_comes_as_the_maker_writes_it(brand: Brand) -> None:
+    """LOCATE, NEXT, the tool and from where it comes: to what 32 bits hold, however the frame is cut."""
+    with LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, brand))).pick(GRASPS) as cell:
+        cell.targets = (make_target(x_mm=10.0), make_target(x_mm=20.0))
+        with connected(cell, brand) as robot:
+            for number, (command, target) in enumerate(
+                zip(("LOCATE", "NEXT_PART"), cell.targets, strict=True), 1
+            ):
+                answer = robot.ask(FrameRequest(10 * number, command), piece=7)
+                tool = target.rig_from_part @ PART_FROM_TCP
+                grasp = robot.ask(FrameRequest(10 * number + 1, "GRASP"))
+                approach = robot.ask(FrameRequest(10 * number + 2, "APPROACH"))
+                assert (0, 0, 0, 2 - number) == (
+                    answer.status,
+                    grasp.status,
+                    approach.status,
+                    answer.remaining,
+                )
+                for one, pose in ((answer, target.rig_from_part), (grasp, tool)):
+                    given = transform_of(brand, one.pose)
+                    np.testing.assert_allclose(given[:3, 3], pose[:3, 3], atol=1.2e-3)
+                    np.testing.assert_allclose(given[:3, :3], pose[:3, :3], atol=5e-5)
+                assert 0 <= answer.age_s < 15
+            assert 0 == robot.ask(FrameRequest(20, "ACK")).status
+            assert LineStatus.NOT_VALID == robot.ask(FrameRequest(30, "GRASP")).status
+            assert 1 == cell.head.captures
+
+
+def test_a_flange_is_read_and_a_frame_that_came_twice_runs_once() -> None:
+    """With the robot's own numbers; the same sequence again is the same command."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        flange = pose_of(Brand.KUKA, make_target(x_mm=300.0).rig_from_part)
+        asked = FrameRequest(7, "LOCATE", 2, flange)
+        first, again = robot.ask(asked), robot.ask(asked)
+        assert (0, 0, first.pose) == (first.status, again.status, again.pose)
+        assert 1 == cell.head.captures
+
+
+def test_two_frames_at_once_have_two_answers_in_their_order() -> None:
+    """And lines are understood on the same connection."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        robot.socket.sendall(
+            FrameRequest(1, "LOCATE").frame() + b"2,LOCATE,0\n" + FrameRequest(3, "ACK").frame()
+        )
+        assert 0 == robot.hear(1).status
+        assert b"2,0,0," == robot.file.readline()[:6]
+        assert 0 == robot.hear(3).status
+
+
+def test_what_is_no_frame_is_refused_and_hung_up_on() -> None:
+    """Where the next would begin is not known. The one half of a frame that came is never carried out."""
+    good = FrameRequest(7, "LOCATE").frame()
+    generator = random.Random(5)
+    with LiveCell(KUKA) as cell:
+        for _ in range(40):
+            torn = bytearray(good)
+            torn[generator.randrange(1, len(torn))] ^= generator.randrange(1, 256)
+            with connected(cell) as robot:
+                robot.socket.sendall(bytes(torn) + good)
+                assert LineStatus.NOT_UNDERSTOOD == robot.hear(7).status
+                with suppress(ConnectionResetError):
+                    assert b"" == robot.file.read(1)
+        with connected(cell) as robot:
+            robot.socket.sendall(good[:-1])
+            robot.socket.shutdown(socket.SHUT_WR)
+            assert b"" == robot.file.read(1)
+        assert 0 == cell.head.captures
+        with connected(cell) as robot:
+            assert 0 == robot.ask(FrameRequest(8, "LOCATE")).status
+
+
+def test_who_may_not_write_is_told_so_in_a_frame() -> None:
+    """Status 115; nothing runs."""
+    with LiveCell(dataclasses.replace(KUKA, writers=())) as cell, connected(cell) as robot:
+        assert LineStatus.MAY_NOT_WRITE == robot.ask(FrameRequest(7, "LOCATE")).status
+        assert 0 == cell.head.captures
