@@ -277,17 +277,20 @@ class _Counted(asyncio.Protocol):
 
 
 class Rate:
-    """So many a second, and as many at once."""
+    """So many a second, and as many at once, or `burst`."""
 
-    def __init__(self, per_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, per_s: float, clock_s: Callable[[], float] = time.monotonic, *, burst: float | None = None
+    ) -> None:
         self._per_s = per_s
+        self._most = per_s if burst is None else burst
         self._clock_s = clock_s
-        self._left, self._seen_s = per_s, clock_s()
+        self._left, self._seen_s = self._most, clock_s()
 
     def take(self) -> bool:
         """Whether one more is within the rate."""
         now_s = self._clock_s()
-        self._left = min(self._per_s, self._left + (now_s - self._seen_s) * self._per_s)
+        self._left = min(self._most, self._left + (now_s - self._seen_s) * self._per_s)
         self._seen_s = now_s
         if self._left < 1:
             return False

@@ -12,17 +12,18 @@ from typing import Any
 
 import aiohttp
 import pytest
+from argon2 import PasswordHasher
 from scriptedhead import Ear, Head, make_setup
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
 from edged.cycle import Cycle
 from edged.files.users import RoleName, User, UserFile
-from edged.passwords import hash_password
 from edged.robot.orientations import Convention
 
 PASSWORD = "correct horse"
-HASH = hash_password(PASSWORD)
+HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
+"""Cheap to check: many tests log in."""
 USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
 """All with the same password."""
 
@@ -38,7 +39,9 @@ class Cell:
         ear: Ear,
         session: aiohttp.ClientSession,
         asleep_s: list[float],
+        state: Path,
     ) -> None:
+        self.state = state
         self.web = web
         self.asleep_s = asleep_s
         self.cycle, self.head, self.ear, self.session = cycle, head, ear, session
@@ -127,7 +130,7 @@ async def running(
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            yield Cell(cycle, web, head, ear, session, asleep_s)
+            yield Cell(cycle, web, head, ear, session, asleep_s, state)
     finally:
         cycle.stop()
         await task

@@ -122,6 +122,20 @@ def password() -> None:
     raise typer.Exit(command())
 
 
+@app.command()
+def audit(
+    config: Annotated[Path, typer.Argument(help="configuration file of the cell")],
+    last: Annotated[int, typer.Option(help="print so many records at most", min=0)] = 50,
+    as_json: JsonOption = False,
+) -> None:
+    """Show who did what on the page, and whether that is all. 0: the chain holds; 1: it was changed."""
+    from rich.console import Console
+
+    from edged.commands.audit import audit as command
+
+    raise typer.Exit(command(config, Console(soft_wrap=True), as_json=as_json, last=last))
+
+
 web = typer.Typer(help="Users of the page on which a cell is set up.", no_args_is_help=True)
 app.add_typer(web, name="web")
 

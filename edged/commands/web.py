@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import getpass
 from pathlib import Path
 
 from edged.config.reading import load
 from edged.errors import UserError
+from edged.files.audit import AuditFile, Deed
 from edged.files.invite import VALID_S, Invite
 from edged.files.statefolder import state_folder
 
@@ -20,6 +23,8 @@ def invite(config: Path) -> int:
         code = Invite(folder).make()
     except OSError as error:
         raise UserError(f"{folder}: the code cannot be kept: {error.strerror or error}") from error
+    with contextlib.suppress(OSError):  # the code is made: a disc without room must not keep it
+        AuditFile(folder).add(Deed(getpass.getuser(), "", "", "make", "invitation", "ok"))
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
     print(f"{code}   for {scheme}://{host}:{web.port}/invite, once, within {VALID_S / 3600:.0f} hours")
     return 0

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import json
 import logging
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
 from typing import Any
 
 from aiohttp import web
@@ -51,8 +51,8 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
 """What the rooms raise, as it is answered; the first that fits."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
-Note = Callable[[Route, Visitor, web.Request, Any, str], None]
-"""Told of each request to an audited route: its body, if it was one, and its outcome, "ok" or a code."""
+Note = Callable[[Route, Call[Any], str], Awaitable[None]]
+"""Told of each request to an audited route, with its outcome, "ok" or a code; the body may be none yet."""
 
 
 class Gate:
@@ -67,14 +67,14 @@ class Gate:
         table: RouteTable,
         commissioner: Commissioner,
         visitor_of: Callable[[web.Request], Visitor | None],
-        note: Note | None = None,
+        note: Note,
         active: Callable[[str], None] = lambda _session: None,
     ) -> None:
         self._active = active
         self._table = table
         self._commissioner = commissioner
         self._visitor_of = visitor_of
-        self._note = note or _log
+        self._note = note
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the table's routes."""
@@ -84,16 +84,16 @@ class Gate:
     def _serving(self, route: Route) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
         async def serve(request: web.Request) -> web.StreamResponse:
             visitor = self._visitor_of(request) or Visitor("", Role.VIEWER, request.remote or "")
-            body: Any = None
+            call: Call[Any] = Call(visitor, None, request)
             outcome = "broken_off"
             try:
                 check_visitor(route, visitor, request)
                 if route.changes and not route.is_by_itself:
                     self._active(visitor.session)
-                body = await _body(route, request)
+                call = replace(call, body=await _body(route, request))
                 if route.needs_lease:
-                    self._commissioner.renew_setup(body.token)
-                response = _response(route, await route.handler(Call(visitor, body, request)))
+                    self._commissioner.renew_setup(call.body.token)
+                response = _response(route, await route.handler(call))
                 outcome = "ok"
             except (Problem, TooManyAttempts, EdgedError, OSError) as error:
                 problem = _problem(error)
@@ -101,7 +101,7 @@ class Gate:
                 response = problem.response()
             finally:
                 if route.audit:
-                    self._note(route, visitor, request, body, outcome)
+                    await self._note(route, call, outcome)
             return response
 
         return serve
@@ -199,14 +199,3 @@ def _problem(error: Problem | TooManyAttempts | EdgedError | OSError) -> Problem
         if isinstance(error, kind):
             return Problem(status, code, str(error))
     raise error
-
-
-def _log(route: Route, visitor: Visitor, request: web.Request, _body: Any, outcome: str) -> None:
-    log.info(
-        "%s %s by %s at %s: %s",
-        route.method,
-        json.dumps(request.path),
-        visitor.name or "nobody",
-        visitor.address,
-        outcome,
-    )

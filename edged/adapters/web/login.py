@@ -10,6 +10,7 @@ from aiohttp import web
 from pydantic import TypeAdapter, ValidationError
 
 from edged.adapters.web.access import Access
+from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.people import MIN_LENGTH, Password
 from edged.errors import FileFormatError
 from edged.files.users import UserName
@@ -30,8 +31,9 @@ class LoginForms:
     users : whether there are any, besides the page's password. secure : served over TLS.
     """
 
-    def __init__(self, cell: str, access: Access, *, users: bool, secure: bool) -> None:
+    def __init__(self, cell: str, access: Access, auditor: Auditor, *, users: bool, secure: bool) -> None:
         self._access = access
+        self._auditor = auditor
         self._secure = secure
         self._users = users
         self._login = render("login.html", __package__, cell=cell, users=users, one=not access.is_open)
@@ -59,6 +61,8 @@ class LoginForms:
         address = request.remote or ""
         cookie = await self._access.log_in(address, password, name) if is_known else None
         to = request.query.get("to", "")
+        if self._users:
+            await self._auditor.note_login(request, name, "log in", "password" if cookie is None else "ok")
         if cookie is None:
             log.warning("status page: wrong password from %s", request.remote)
             raise web.HTTPSeeOther("/login?wrong" + (f"&to={to}" if to in NEXT else ""))
@@ -78,6 +82,8 @@ class LoginForms:
         except (FileFormatError, OSError) as error:
             log.error("%s cannot be made an engineer: %s", name, error)  # noqa: TRY400  (it says where)
             raise web.HTTPInternalServerError(text=f"{error}\n") from error
+        outcome = "code" if cookie is None else "ok"
+        await self._auditor.note_login(request, name, "come in by a code", outcome)
         if cookie is None:
             log.warning("status page: wrong invitation from %s", request.remote)
             raise web.HTTPSeeOther("/invite?wrong")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from typing import Annotated
 
 from pydantic import Field, StringConstraints
@@ -145,6 +146,7 @@ class People:
             raise Problem(409, "exists", f"there is a user {body.name} already", field="name")
         password_hash = await self._access.hash(body.password)
         user = User(name=body.name, role=body.role, password_hash=password_hash, language=body.language)
+        call.trail.object, call.trail.after = user.name, _digest(user)
         await self._put(user)
         return _now(user)
 
@@ -155,13 +157,17 @@ class People:
         name = self._user(call.part("name")).name
         if call.body.password is not None:
             changes["password_hash"] = await self._access.hash(call.body.password)
-        await self._put(self._user(name).model_copy(update=changes))
+        before = self._user(name)
+        user = before.model_copy(update=changes)
+        call.trail.before, call.trail.after = _digest(before), _digest(user)
+        await self._put(user)
         if call.body.password is not None:
             own = name == call.visitor.name
             self._access.end_sessions(name, but=call.visitor.session if own else "")
 
     async def _remove(self, call: Call[None]) -> None:
-        name = self._user(call.part("name")).name
+        user = self._user(call.part("name"))
+        name, call.trail.before = user.name, _digest(user)
         try:
             await asyncio.to_thread(self._users.remove, name)
         except LastEngineer:
@@ -184,6 +190,11 @@ class People:
 
 def _last_engineer(name: str) -> Problem:
     return Problem(409, "last_engineer", f"{name} is the only engineer: make another one first")
+
+
+def _digest(user: User) -> str:
+    """For the audit: it does not tell the role or the password."""
+    return hashlib.sha256(user.model_dump_json().encode()).hexdigest()
 
 
 def _now(user: User) -> UserNow:

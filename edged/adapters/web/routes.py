@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Awaitable, Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Generic, TypeVar
 
 from aiohttp import web
@@ -90,6 +90,19 @@ class Answer(BaseModel):
 B = TypeVar("B")
 
 
+@dataclass(slots=True)
+class Trail:
+    """What the audit says of a request besides its path, body and outcome; handlers fill in what they know.
+
+    object : what was made. before, after : hash of what was changed. reason : else that of the body.
+    """
+
+    object: str = ""
+    before: str | None = None
+    after: str | None = None
+    reason: str | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Call(Generic[B]):
     """A request that has passed every check of its route."""
@@ -97,6 +110,7 @@ class Call(Generic[B]):
     visitor: Visitor
     body: B
     request: web.Request
+    trail: Trail = field(default_factory=Trail)
 
     def part(self, name: str) -> str:
         """A parameter of the path."""

@@ -22,6 +22,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import modules, read_assets, type_of
+from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import COOKIE, LoginForms
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
@@ -39,6 +40,7 @@ from edged.domain.events import Event
 from edged.domain.measurement import Nearest
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
+from edged.files.audit import AuditFile
 from edged.files.invite import Invite
 from edged.files.users import UserFile
 from edged.logs import LogLimit
@@ -127,6 +129,7 @@ class WebPublisher:
         state = settings.state if is_set_up else None
         self._users = None if state is None else UserFile(state / "users.json")
         self._invite = None if state is None else Invite(state)
+        self._auditor = Auditor(None if state is None else AuditFile(state))
         self._access = Access(settings.password_hash, clock_s, users=self._users, invite=self._invite)
         self._manual_folder = manual
         self._manual: Manual | None = None
@@ -156,7 +159,9 @@ class WebPublisher:
         app = web.Application(middlewares=[self._guard], client_max_size=MAX_FORM_BYTES)
         app.router.add_get("/", self._index)
         secure = settings.certificate is not None
-        forms = LoginForms(self._cell, self._access, users=self._users is not None, secure=secure)
+        forms = LoginForms(
+            self._cell, self._access, self._auditor, users=self._users is not None, secure=secure
+        )
         forms.add_to(app.router)
         app.router.add_get("/events", self._events)
         app.router.add_get("/status.json", self._status)
@@ -219,6 +224,7 @@ class WebPublisher:
         overview.add_to(table)
         if self._users is not None:
             People(self._access, self._users).add_to(table)
+        self._auditor.add_to(table)
         live = self._live or LivePictures(commissioner, self._notices)
         self._sockets = Sockets(
             live, self._notices, self._drawer, self._visitor, overview.now, self._access.note_activity
@@ -226,7 +232,7 @@ class WebPublisher:
         self._sockets.add_to(table)
         for add_to in self._rooms:
             add_to(table)
-        return Gate(table, commissioner, self._visitor, active=self._access.note_activity)
+        return Gate(table, commissioner, self._visitor, self._auditor.note, active=self._access.note_activity)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
@@ -248,6 +254,7 @@ class WebPublisher:
             self._runner = None
         if door is not None:
             await door.close()
+        await self._auditor.close()
         await asyncio.to_thread(self._drawer.shutdown, wait=True, cancel_futures=True)
 
     # --- every connection --------------------------------------------------------------------

@@ -132,6 +132,7 @@ class SetupRoutes:
         name = call.body.name or call.visitor.name
         token = await self._commissioner.enter_setup(name, take_over=call.body.take_over)
         self._holder = call.visitor.session
+        call.trail.reason = f"{name}, also from somebody else" if call.body.take_over else name
         log.info("setup: %s at %s has the cell", name, call.visitor.address)
         return Lease(token=token)
 
@@ -144,6 +145,7 @@ class SetupRoutes:
             log.info("setup: given back from %s", call.visitor.address)
         else:
             name = call.body.name or call.visitor.name
+            call.trail.reason = f"{name}, for whoever had it"
             self._commissioner.end_setup(name)
             log.info("setup: ended by %s at %s", name, call.visitor.address)
         self._holder = ""

@@ -1,0 +1,135 @@
+"""The audit of what is done over the page: kept in its file, mirrored to the journal, read by engineers."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from aiohttp import web
+from pydantic import Field
+
+from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, RouteTable
+from edged.door import Rate
+from edged.files.audit import AuditFile, Deed
+from edged.logs import LogLimit, fields
+
+log = logging.getLogger(__name__)
+
+REFUSED_PER_S, REFUSED_BURST = 0.1, 20.0
+"""What is refused more often is in the journal alone: who only may look must not fill the disc."""
+MAX_RECORDS = 500
+WAIT_S = 5.0
+
+
+class Asked(Body):
+    """Which records."""
+
+    after: int = Field(0, ge=0, description="those that follow this number")
+    most: int = Field(100, ge=1, le=MAX_RECORDS)
+
+
+class Record(Answer):
+    """What somebody did, or tried to."""
+
+    number: int
+    time: str
+    user: str
+    role: str
+    address: str
+    verb: str
+    object: str
+    outcome: str
+    before: str | None
+    after: str | None
+    reason: str | None
+    hash: str
+
+
+class AuditNow(Answer):
+    """problem : null for a chain that holds; else why it does not, and nothing after that is told."""
+
+    records: list[Record]
+    count: int
+    problem: str | None
+    torn_bytes: int
+
+
+class Auditor:
+    """Notes deeds, one after another, in a thread of its own. file : None: the journal alone."""
+
+    def __init__(self, file: AuditFile | None) -> None:
+        self._file = file
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="audit")
+        self._refused = Rate(REFUSED_PER_S, burst=REFUSED_BURST)
+        self._limit = LogLimit(__name__)
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add the route."""
+        if self._file is not None:
+            table.route("GET", "/audit", self._read, "Who did what", body=Asked, answer=AuditNow)
+
+    async def note(self, route: Route, call: Call[Any], outcome: str) -> None:
+        """A request to a route; on the disc when this returns, if that is possible at all."""
+        trail = call.trail
+        reason = trail.reason or getattr(call.body, "reason", None) or getattr(call.body, "note", None)
+        place = call.request.path.removeprefix(f"{BASE}/")
+        await self.add(
+            Deed(
+                user=call.visitor.name,
+                role=call.visitor.role.word,
+                address=call.visitor.address,
+                verb=route.method,
+                object=f"{place}/{trail.object}" if trail.object else place,
+                outcome=outcome,
+                before=trail.before,
+                after=trail.after,
+                reason=reason if isinstance(reason, str) else None,
+            )
+        )
+
+    async def note_login(self, request: web.Request, name: str, verb: str, outcome: str) -> None:
+        """Somebody came in, or tried to."""
+        await self.add(Deed(name, "", request.remote or "", verb, "page", outcome))
+
+    async def add(self, deed: Deed) -> None:
+        """Keep a deed, and mirror it."""
+        if deed.outcome != "ok" and not self._refused.take():
+            self._limit.warning("audit: %s", _text(deed))
+            return
+        kept = asyncio.get_running_loop().run_in_executor(self._thread, self._keep, deed)
+        # the deed is done: whoever hangs up, it is noted
+        await asyncio.wait({kept}, timeout=WAIT_S)
+
+    async def close(self) -> None:
+        """Everything is on the disc."""
+        await asyncio.to_thread(self._thread.shutdown, wait=True)
+
+    def _keep(self, deed: Deed) -> None:
+        number, digest = 0, ""
+        if self._file is not None:
+            try:
+                record = self._file.add(deed)
+                number, digest = int(record["number"]), str(record["hash"])
+            except OSError as error:
+                log.error("the audit cannot be kept: %s", error)  # noqa: TRY400  (it says where)
+        log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
+
+    async def _read(self, call: Call[Asked]) -> AuditNow:
+        if self._file is None:
+            raise LookupError("the route is not there without a file")
+        verdict = await asyncio.to_thread(self._file.verify)
+        after, most = call.body.after, call.body.most
+        return AuditNow(
+            records=[Record.model_validate(record) for record in verdict.records[after : after + most]],
+            count=len(verdict.records),
+            problem=verdict.problem or None,
+            torn_bytes=verdict.torn_bytes,
+        )
+
+
+def _text(deed: Deed) -> str:
+    who = f"{deed.user or 'nobody'} at {deed.address}"
+    why = f" ({deed.reason})" if deed.reason else ""
+    return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"

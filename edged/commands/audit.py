@@ -1,0 +1,47 @@
+"""`edged audit`: who did what to the cell, and whether that is all of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from edged.files.audit import LINES, AuditFile
+from edged.files.statefolder import state_folder
+
+
+def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
+    """Verify the chain, and print the last records. 0: it holds; 1: it does not.
+
+    Raises `FileFormatError` when it cannot be read.
+    """
+    folder = state_folder(config)
+    verdict = AuditFile(folder).verify()
+    shown = verdict.records[-last:] if last else ()
+    if as_json:
+        document = {
+            "records": list(shown),
+            "count": len(verdict.records),
+            "problem": verdict.problem or None,
+            "torn_bytes": verdict.torn_bytes,
+        }
+        print(json.dumps(document))
+        return 1 if verdict.problem else 0
+    for record in shown:
+        why = f" ({record['reason']})" if record["reason"] else ""
+        who = f"{record['user'] or 'nobody'} {record['role']}".strip()
+        said = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
+        console.print(
+            f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}",
+            markup=False,
+            highlight=False,
+        )
+    if verdict.torn_bytes:
+        console.print(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished")
+    if verdict.problem:
+        console.print(f"{folder / LINES}: {verdict.problem}", markup=False, highlight=False)
+        return 1
+    digest = verdict.records[-1]["hash"] if verdict.records else "none"
+    console.print(f"{len(verdict.records)} records, the chain holds; last hash {digest}", highlight=False)
+    return 0

@@ -1,0 +1,88 @@
+"""What the audit says of what is done over the page, and who may read it."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from webcell import PASSWORD, Cell, run
+
+from edged.adapters.web.auditing import REFUSED_BURST
+
+
+def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
+    """Also what is refused; with the hashes of what was changed; the same in the journal."""
+    caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
+
+    async def test(cell: Cell) -> None:
+        assert not await cell.comes_in("Anna", "guess")
+        await cell.log_in("Otto")
+        await cell.ask("POST", "/api/v1/setup", {})
+        await cell.log_in()
+        _, entered = await cell.ask("POST", "/api/v1/setup", {})
+        await cell.ask("PUT", "/api/v1/setup/lease", entered)
+        await cell.ask("POST", "/api/v1/users", {"name": "Erna", "role": "viewer", "password": PASSWORD})
+        await cell.ask("PUT", "/api/v1/users/Erna", {"role": "operator"})
+        await cell.ask("DELETE", "/api/v1/users/Erna", None)
+        await cell.ask("DELETE", "/api/v1/users/Erna", None)
+        await cell.ask("DELETE", "/api/v1/setup", entered)
+
+        status, told = await cell.ask("GET", "/api/v1/audit", None)
+        assert (200, None, 0) == (status, told["problem"], told["torn_bytes"])
+        records = told["records"]
+        assert [
+            ("Anna", "log in", "page", "password"),
+            ("Otto", "log in", "page", "ok"),
+            ("Otto", "POST", "setup", "role"),
+            ("Anna", "log in", "page", "ok"),
+            ("Anna", "POST", "setup", "ok"),
+            ("Anna", "POST", "users/Erna", "ok"),
+            ("Anna", "PUT", "users/Erna", "ok"),
+            ("Anna", "DELETE", "users/Erna", "ok"),
+            ("Anna", "DELETE", "users/Erna", "no_user"),
+            ("Anna", "DELETE", "setup", "ok"),
+        ] == [(one["user"], one["verb"], one["object"], one["outcome"]) for one in records]
+        made, changed, removed = records[5:8]
+        assert made["before"] is None
+        assert made["after"] == changed["before"]
+        assert changed["after"] == removed["before"]
+        assert changed["before"] != changed["after"]
+        assert {"127.0.0.1"} == {one["address"] for one in records}
+        assert [one["hash"] for one in records] == [
+            record.edged["audit_hash"] for record in caplog.records if hasattr(record, "edged")
+        ]
+        _, some = await cell.ask("GET", "/api/v1/audit?after=3&most=2", None)
+        assert ([4, 5], 10) == ([one["number"] for one in some["records"]], some["count"])
+        assert PASSWORD not in str(told)
+
+    run(test)
+
+
+def test_who_only_may_look_does_not_fill_the_disc() -> None:
+    """What is refused again and again is in the journal alone; what is done is noted all the same."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in("Vera")
+        for _ in range(2 * int(REFUSED_BURST)):
+            assert 403 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
+        await cell.log_in()
+        _, told = await cell.ask("GET", "/api/v1/audit", None)
+        assert REFUSED_BURST <= told["count"] <= REFUSED_BURST + 5
+        assert ("log in", "ok") == (told["records"][-1]["verb"], told["records"][-1]["outcome"])
+
+    run(test)
+
+
+def test_an_audit_that_cannot_be_kept_is_in_the_journal(caplog: pytest.LogCaptureFixture) -> None:
+    """What was done is done, and said there with the reason."""
+    caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
+
+    async def test(cell: Cell) -> None:
+        (cell.state / "audit.jsonl").mkdir()
+        await cell.log_in()
+        assert 201 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
+        said = [record.getMessage() for record in caplog.records]
+        assert any("cannot be kept" in line for line in said)
+        assert any("POST 'setup' by Anna" in line for line in said)
+
+    run(test)
