@@ -10,7 +10,8 @@ import typer
 BrandOption = Annotated[
     str,
     typer.Option(
-        "--brand", help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki, doosan, mitsubishi, epson"
+        "--brand",
+        help="ur, kuka, fanuc, yaskawa, abb, staubli, kawasaki, doosan, mitsubishi, epson, denso, techman",
     ),
 ]
 RigOption = Annotated[Path, typer.Option("--rig", help="calibrated rig, written by `edged calibrate`")]

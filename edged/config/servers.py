@@ -28,7 +28,18 @@ class SocketSection(Section):
 
     port: Port = Field(1503, description="TCP port; the address is that of the Modbus server")
     brand: Literal[
-        "ur", "kuka", "fanuc", "yaskawa", "abb", "staubli", "kawasaki", "doosan", "mitsubishi", "epson"
+        "ur",
+        "kuka",
+        "fanuc",
+        "yaskawa",
+        "abb",
+        "staubli",
+        "kawasaki",
+        "doosan",
+        "mitsubishi",
+        "epson",
+        "denso",
+        "techman",
     ] = Field(description="how the robot's maker writes poses: convention and units")
     allow_simulated: bool = Field(False, description="give poses of a virtual cell, too")
 

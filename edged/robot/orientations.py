@@ -8,7 +8,9 @@ Sources: J. J. Craig, "Introduction to Robotics", appendix B (angle sets); the p
 the makers for which set, which order and which name: KUKA KSS ("ABC"), FANUC ("WPR"), Yaskawa ("Rx Ry
 Rz"), Stäubli VAL 3 ("rx ry rz"), Kawasaki AS ("OAT"), ABB RAPID (`OrientZYX`, `orient`), Universal Robots
 URScript ("pose"), Doosan DRL (`posx`), Mitsubishi MELFA ("ABC": about fixed x, y, z), Epson SPEL+ ("UVW": U
-about z, V about the new y, W about the new x).
+about z, V about the new y, W about the new x), Denso RC8 ("Position Data", ID 1939: turned by RZ, RY, RX in
+this order; read as about z, the new y, the new x, as Yaskawa's manual says the same of its own). Techman TM
+("Rx Ry Rz": from memory, no manual was at hand).
 """
 
 from __future__ import annotations
@@ -149,6 +151,8 @@ class Brand(enum.StrEnum):
     DOOSAN = "doosan"
     MITSUBISHI = "mitsubishi"
     EPSON = "epson"
+    DENSO = "denso"
+    TECHMAN = "techman"
 
 
 POSE_FIELDS: dict[Brand, str] = {
@@ -162,6 +166,8 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.DOOSAN: "x y z in mm, a b c (ZYZ) in degrees",
     Brand.MITSUBISHI: "X Y Z in mm, A B C in degrees",
     Brand.EPSON: "X Y Z in mm, U V W in degrees",
+    Brand.DENSO: "X Y Z in mm, RX RY RZ in degrees",
+    Brand.TECHMAN: "X Y Z in mm, Rx Ry Rz in degrees",
 }
 """What a pose consists of; for messages."""
 
@@ -227,6 +233,8 @@ _CONVENTIONS = {
     Brand.DOOSAN: Convention.KAWASAKI_OAT,
     Brand.MITSUBISHI: Convention.FIXED_XYZ,
     Brand.EPSON: Convention.KUKA_ABC,
+    Brand.DENSO: Convention.FIXED_XYZ,
+    Brand.TECHMAN: Convention.FIXED_XYZ,
 }
 """Of the brands that write three angles."""
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
@@ -240,6 +248,8 @@ _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.DOOSAN: (1.0, math.pi / 180, matrix_oat),
     Brand.MITSUBISHI: (1.0, math.pi / 180, matrix_fixed_xyz),
     Brand.EPSON: (1.0, math.pi / 180, matrix_zyx),
+    Brand.DENSO: (1.0, math.pi / 180, matrix_fixed_xyz),
+    Brand.TECHMAN: (1.0, math.pi / 180, matrix_fixed_xyz),
 }
 
 

@@ -311,6 +311,8 @@ def test_brands_agree_with_an_independent_library() -> None:
         (Brand.DOOSAN, "ZYZ"),
         (Brand.MITSUBISHI, "xyz"),
         (Brand.EPSON, "ZYX"),
+        (Brand.DENSO, "xyz"),
+        (Brand.TECHMAN, "xyz"),
     ):
         expected = Rotation.from_euler(sequence, angles, degrees=True).as_matrix()
         assert np.allclose(transform_of(brand, (1, 2, 3, *angles))[:3, :3], expected), brand
