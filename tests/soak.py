@@ -4,8 +4,8 @@ Time does not pass, it jumps: the event loop moves its clock to the next timer a
 do. So a day takes a minute or two, every instant in it can be looked at, and a seed repeats it exactly.
 
 Two PLCs, one of which writes the same registers every 20 ms for ever, a robot that talks in lines of text and
-registers the rig now and then, a careless third client and triggers as they come over Zenoh use the cell at
-once, while it is stopped, killed, and reloaded section by section.
+registers the rig now and then, a client of OPC UA, a careless third client and triggers as they come over
+Zenoh use the cell at once, while it is stopped, killed, and reloaded section by section.
 
 Checked at every look of an independent observer, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
@@ -23,6 +23,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import functools
+import itertools
 import math
 import random
 import selectors
@@ -34,12 +35,15 @@ from typing import Any
 
 import numpy as np
 import structured_text
+from asyncua import ua
 from snapshots import make_target
 
+from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.lines import Robot
 from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings
+from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
 from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle
 from edged.domain.events import (
@@ -73,6 +77,11 @@ WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
 WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
 """What is worked on, each once in twenty minutes: a defect of two quick reloads shows within an hour."""
+OPCUA = 1_000_000
+OPCUA_COMMAND, OPCUA_PICTURE, OPCUA_FORGET = (
+    vars(OpcUaPublisher)[name] for name in ("_command", "_picture", "_forget")
+)
+"""What its methods do on the cell's loop: there is no server thread in virtual time."""
 LUCK = ("camera", "clock", "restart", "reload", "reload", "reloads")
 SECTIONS = (
     "cell",
@@ -155,7 +164,8 @@ class WatchedRegisters(CellRegisters):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
                 self.written[sequence] = self._exposed_for_s
-                line = self._world.lines.get(self._writer)
+                is_opcua = 1_000_000 <= self._writer < 10_000_000  # as it numbers its clients
+                line = self._world.lines.get(OPCUA if is_opcua else self._writer)
                 self._world.book.expect(
                     line is not None and line.means(sequence), f"{sequence} of {self._writer} ran unasked"
                 )
@@ -390,19 +400,24 @@ class World:
         self.new_head()
         self.cycle = Cycle(self.head, self.setup(), self.utc_ns, registrar=Registrar(self))
         self.trigger = Trigger(self)
+        settings = OpcUaSettings("cell1", anonymous=True)
+        self.opcua = OpcUaPublisher(settings, lambda: None if self.is_down else self.served, tuple)
         self.serve()
         self.task = self.loop.create_task(self.cycle.run())
         self.is_down = False
         self.book.counts["starts"] += 1
 
     def serve(self) -> None:
-        """Start the Modbus server."""
+        """Start the Modbus server; that of OPC UA serves its registers, and stays."""
         self.cell = WatchedRegisters(self.settings, self.cycle, self.loop.time, world=self)
+        self.served = ModbusPublisher(self.settings, self.cycle, clock_s=self.loop.time)
+        vars(self.served)["_cell"] = self.cell
         self.publish()
 
     def publish(self) -> None:
         """Tell the cycle who publishes."""
-        self.cycle.set_publishers([_Announcer(self.cell.take), _Announcer(self.trigger.announce)])
+        heard = (self.cell.take, self.trigger.announce, self.opcua.announce)
+        self.cycle.set_publishers([_Announcer(announce) for announce in heard])
 
     async def reboot(self) -> None:
         """Stop the daemon, or kill it, wait, start it again: nothing of the old one is left."""
@@ -416,7 +431,7 @@ class World:
             await asyncio.wait({self.task})
             self.book.forget(self.cell)
         self.is_down = True
-        self.kept += [self.cell, self.trigger]
+        self.kept += [self.cell, self.trigger, self.opcua]
         await asyncio.sleep(self.dice.choice((0.0, 0.01, self.dice.uniform(0.5, 5.0))))
         self.boot()
 
@@ -565,7 +580,7 @@ class Soak:
     async def _run(self, seconds: float) -> None:
         self.world = World(self.loop, self.dice, self.book)
         self.end_s = self.loop.time() + seconds
-        people = [self._plc, self._cyclic, self._robot, self._careless, self._zenoh]
+        people = [self._plc, self._cyclic, self._robot, self._opcua, self._careless, self._zenoh]
         people += [self._observe, self._bad_luck]
         if self._block_s:
             people.append(self._block)
@@ -781,6 +796,43 @@ class Soak:
         self.book.expect(
             answer.age_s <= VALIDITY_S + 0.06, f"line {number} with an age of {answer.age_s:.3f} s"
         )
+
+    async def _opcua(self) -> None:
+        """Methods as a client of OPC UA calls them; what is shown to it then is of its own job."""
+        line = Line(self.world, OPCUA, 0)
+        for number in itertools.count():
+            await asyncio.sleep(self.dice.expovariate(1 / 15.0))
+            world, session = self.world, ua.NodeId(number, 2)
+            if not self._going:
+                return
+            if world.is_down:
+                continue
+            opcua, served, asked_s = world.opcua, world.served, self.loop.time()
+            kind, job = (
+                self.dice.choice((CommandKind.LOCATE, CommandKind.VERIFY)),
+                self.dice.choice((0, 1, 2)),
+            )
+            world.lines[OPCUA], line.intent = line, Any16()
+            asked = {"COMMAND": kind, "JOB": job, "TIMEOUT": 2000}
+            sequence, error, before = await OPCUA_COMMAND(opcua, session, asked)
+            line.intent = set()
+            while not error and not world.is_down and world.served is served:
+                await asyncio.sleep(0.05)
+                status = reg.decode(reg.STATUS, world.cell.read(reg.STATUS.address, reg.STATUS.words))
+                if status["CMD_SEQ_ECHO"] != sequence or status["DONE_SEQ"] == sequence:
+                    break
+            if world.is_down or world.served is not served:
+                continue
+            after = OPCUA_PICTURE(opcua)
+            mine = (before.values["START_EPOCH"], sequence)
+            if not error and after.result is not None and (after.result.epoch, after.result.sequence) == mine:
+                self.book.counts["results over OPC UA"] += 1
+                if int(after.values["FLAGS"]) & reg.Flag.VALID:
+                    place = after.result.snapshot.targets[0].rig_from_part[:3, 3] * 1000
+                    found = dict(zip("XYZ", (round(um) for um in place.tolist()), strict=True))
+                    self._pick(kind, job, {**found, "JOB": after.result.snapshot.job_number}, asked_s)
+                    self.book.counts["parts picked over OPC UA"] += 1
+            OPCUA_FORGET(opcua, session)
 
     async def _careless(self) -> None:
         """A third client: reads, tries to write, floods the queue, starts a heartbeat and forgets it."""

@@ -167,12 +167,14 @@ async def bench_full_house(folder: Path, count: int) -> None:
     )
 
 
-def show_triggers(where: str, times_ms: npt.NDArray[np.float64], cell: BenchCell) -> None:
+def show_triggers(
+    where: str, times_ms: npt.NDArray[np.float64], cell: BenchCell, what: str = "trigger to RESULT_VALID"
+) -> None:
     """Times of all triggers, those of the cycles, and what is left without them and without the capture."""
     timings = [snapshot.timing_ms for snapshot in cell.listener.snapshots]
     total_ms, capture_ms = (np.array([one[stage] for one in timings]) for stage in ("total", "capture"))
     for name, values in (
-        ("trigger to RESULT_VALID", times_ms),
+        (what, times_ms),
         ("... minus the capture", times_ms - capture_ms),
         ("cycle without capture", total_ms - capture_ms),
         ("without the cycle", times_ms - total_ms),

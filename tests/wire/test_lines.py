@@ -233,6 +233,7 @@ def test_another_robots_number_is_not_answered_for_this_one() -> None:
         time.sleep(0.05)
         assert 0 == other.ask("7,LOCATE,0")[1]
         assert 2 == cell.head.captures
+        time.sleep(0.05)
         assert LineStatus.NO_FURTHER == one.ask("7,NEXT")[1]
 
 

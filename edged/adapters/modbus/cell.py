@@ -6,6 +6,7 @@ the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import struct
 from collections.abc import Callable, Sequence
@@ -109,6 +110,20 @@ class CellRegisters:
         self._place(reg.REGISTRATION, reg.registration_values(Registration(), 0, self._epoch))
         self.clients = 0
         self.changed: Callable[[], None] = lambda: None  # told of each write and event
+        self._waiting: list[asyncio.Future[None]] = []
+
+    def change(self) -> asyncio.Future[None]:
+        """Done with the next write or event; time that passes is none."""
+        waiting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append(waiting)
+        return waiting
+
+    def _tell(self) -> None:
+        self.changed()
+        told, self._waiting = self._waiting, []
+        for waiting in told:
+            if not waiting.done():
+                waiting.set_result(None)
 
     # --- reading -----------------------------------------------------------------------------
 
@@ -286,7 +301,7 @@ class CellRegisters:
             self._trigger(client, now_s, reg.Option(options), shown)
         if options & reg.Option.RELEASE:
             self._step(hs.Released(client), now_s)
-        self.changed()
+        self._tell()
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
         """Write bits of OPTIONS; no other word of the map is made of bits that a client may write."""
@@ -303,7 +318,7 @@ class CellRegisters:
             self._command[_offset("AUTO_LOCK")] = 0
             self._lock(None)
         self._step(hs.Released(client, gone=True), self._clock_s())
-        self.changed()
+        self._tell()
 
     def _trigger(self, client: int, now_s: float, options: reg.Option, shown: tuple[float, ...]) -> None:
         code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
@@ -395,7 +410,7 @@ class CellRegisters:
                     self._step(hs.Resumed(), now_s)
             case _:
                 pass
-        self.changed()
+        self._tell()
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
         ticket = self._ticket(event.command)
@@ -459,6 +474,10 @@ class ClientView:
     def write(self, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()) -> None:
         """Write as this client."""
         self._cell.write(self._client, address, words, shown=shown)
+
+    def change(self) -> asyncio.Future[None]:
+        """Done with the next write or event."""
+        return self._cell.change()
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:
         """Write bits as this client."""

@@ -42,7 +42,8 @@ from edged.vision.geometry.rigid import transform
 MAX_CLIENTS = 8
 TIMEOUT_S = 10.0
 """Of a command; then the cell answers NACK, TIMEOUT."""
-POLL_S = 0.005
+LOOK_S = 0.05
+"""Waiting for the end of a command, look so often whether it came by time alone."""
 READ = ("GRASP", "APPROACH")
 """What is asked of the part that was given last: no commands."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
@@ -217,6 +218,7 @@ class Robot:
         sequence = self._sequence
         end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
         while asyncio.get_running_loop().time() < end_s:
+            changed = self._view.change()
             status = self._read(reg.STATUS)
             if status["CMD_SEQ_ECHO"] != sequence:
                 raise _Refused(LineStatus.TAKEN_OVER)
@@ -226,7 +228,7 @@ class Robot:
                     raise _Refused(int(status["NACK_REASON"]))
                 if bits & reg.StatusBit.ACK:
                     return
-            await asyncio.sleep(POLL_S)
+            await asyncio.wait({changed}, timeout=LOOK_S)
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: Request, sequence: int) -> list[int]:
