@@ -438,6 +438,11 @@ class Cycle:
         return self._in_setup
 
     @property
+    def setup_by(self) -> str:
+        """Who has the cell; "" when nobody looks after it."""
+        return self._desk.name
+
+    @property
     def setup_locked(self) -> bool:
         """The plant forbids SETUP (AUTO_LOCK)."""
         return self._desk.locked

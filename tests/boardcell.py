@@ -53,7 +53,7 @@ class BoardCell:
     def __init__(self, folder: Path) -> None:
         self.world = BoardWorld()
         self.config, self.rig = folder / "cell.toml", folder / "rig.json"
-        self.state = folder / ".cell.cell"
+        self.state = state_folder(self.config)
         self.port = free_port()
         (folder / "jobs").mkdir()
         self.config.write_text(
@@ -63,7 +63,7 @@ class BoardCell:
             f'[web]\nport = {self.port}\npassword_hash = "{HASH}"\ncommissioning = true\n'
         )
         anna = User(name="Anna", role="engineer", password_hash=HASH)
-        UserFile(state_folder(self.config) / "users.json").put(anna)
+        UserFile(self.state / "users.json").put(anna)
         self.session: aiohttp.ClientSession
         self.daemon: Daemon
 
@@ -85,7 +85,7 @@ class BoardCell:
 
     async def until(self, path: str, condition: Callable[[Any], object]) -> Any:
         """The first answer that fulfils a condition."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while True:
                 _, document = await self.ask("GET", path)
                 if condition(document):

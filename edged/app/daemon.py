@@ -150,6 +150,10 @@ class Daemon:
         A configuration with mistakes, files that cannot be read, or ports that cannot be opened leave
         everything as it was.
         """
+        return not await self._read_again()
+
+    async def _read_again(self) -> str:
+        """The same; returns why it was refused, or ""."""
         async with self._reloading:
             self._notifier.reloading()
             try:
@@ -163,7 +167,7 @@ class Daemon:
                 # the message names file, section and option: a traceback says no more
                 log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
                 self._notifier.reloaded(refused=str(error))
-                return False
+                return str(error) or type(error).__name__
             except Exception:
                 self._notifier.reloaded(refused="a bug, see the log")
                 raise
@@ -178,7 +182,7 @@ class Daemon:
                 extra=fields(fingerprint=fingerprint_),
             )
             self._warn_of_exposed_secrets()
-            return True
+            return ""
 
     async def _take_registration(self, base: LoadedCell, solved: Registered) -> Setup:
         """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
@@ -219,7 +223,7 @@ class Daemon:
 
         if self._workshop is None:
             self._workshop = Workshop(
-                self._path, self._cycle, lambda: self._running, self._notices, self._live
+                self._path, self._cycle, lambda: self._running, self._notices, self._live, self._read_again
             )
         return (CameraRoutes(self._cameras_room).add_to, *self._workshop.rooms(), *self._more_rooms)
 

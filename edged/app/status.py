@@ -132,11 +132,15 @@ def overview(running: Running) -> Overview:
             drift.rows_px,
             drift.length_percent,
         )
-    lines = loaded.cell.missing if isinstance(loaded.cell, UnfinishedCell) else ()
-    lacking = {line.partition(":")[0] for line in lines}
+    missing = loaded.cell.missing if isinstance(loaded.cell, UnfinishedCell) else ()
+    lacking = {line.partition(":")[0] for line in missing}
     modbus = running.servers.get("modbus")
     return Overview(
-        missing=tuple(name for name in ("rig", "jobs") if f"cell.{name}" in lacking),
+        missing=tuple(
+            name
+            for name, lines in (("rig", {"cell.rig"}), ("jobs", {"cell.jobs", "cell.job"}))
+            if lines & lacking
+        ),
         rig=rig,
         plc_owner=modbus.owner if isinstance(modbus, ModbusPublisher) else "",
         auto_lock=running.cycle.setup_locked,

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+import asyncio
+import json
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edged.app.status import Running
+from edged.capture.tasks import cancel_and_await
+from edged.commissioning.shelf import Shelf
 from edged.cycle import Cycle
+from edged.files.statefolder import state_folder
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
+from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import FUNCTIONS, Calibrations
 from edged.workshop.tasks import Tasks
 from edged.workshop.worker import Worker
@@ -19,16 +24,19 @@ if TYPE_CHECKING:
     from edged.adapters.web.routes import RouteTable
 
 
-def state_folder(config: Path) -> Path:
-    """Of what the page makes: in the service's state directory; without a service manager beside the file."""
-    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    return Path(state) / "cell" if state else config.resolve().parent / f".{config.stem}.cell"
+def _calibration_id(running: Running) -> str:
+    """Of the rig that is there, also while the cell lacks jobs to measure by; or ""."""
+    loaded = running.loaded
+    if loaded.rig is not None:
+        return loaded.setup.calibration_id
+    rig = loaded.cell.contents.get("rig.json")
+    return "" if rig is None else str(json.loads(rig)["calibration_id"])
 
 
 class Workshop:
     """Built for the first page that may set the cell up; outlives its reloads.
 
-    running : the cell, as it is then.
+    running : the cell, as it is then. reload : reads the configuration again; why it was refused, or "".
     """
 
     def __init__(
@@ -38,7 +46,10 @@ class Workshop:
         running: Callable[[], Running],
         notices: Notices,
         live: LivePictures,
+        reload: Callable[[], Awaitable[str]],
     ) -> None:
+        self._cycle = cycle
+        self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
         self._worker = Worker(FUNCTIONS, lambda: 2 if cycle.in_setup else 1)
@@ -50,19 +61,40 @@ class Workshop:
             notices,
             cycle.capture,
             lambda: running().loaded.cell.config.cell.rig,
-            lambda identity: identity == running().loaded.setup.calibration_id,
+            lambda identity: identity == _calibration_id(running()),
         )
+        self._activation = Activation(
+            Shelf(folder / "releases"), config.resolve(), self._cell_now, cycle.renew_setup, reload
+        )
+        self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)
 
     def rooms(self) -> Sequence[Callable[[RouteTable], None]]:
         """What adds the routes of all this."""
         from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
+        from edged.workshop.releaseroutes import ReleaseRoutes
 
-        return [CalibrationRoutes(self._calibrations, self._tasks).add_to]
+        return [
+            CalibrationRoutes(self._calibrations, self._tasks).add_to,
+            ReleaseRoutes(self._calibrations, self._activation).add_to,
+        ]
+
+    def _cell_now(self) -> CellNow:
+        loaded = self._running().loaded
+        changes = self._cycle.camera_changes
+        return CellNow(
+            rig=loaded.cell.config.cell.rig,
+            fingerprint=loaded.setup.fingerprint,
+            is_complete=loaded.rig is not None,
+            cameras={side: {**one.stated()} for side, one in changes.items() if one.stated()},
+            locked=self._cycle.setup_locked,
+            holder=self._cycle.setup_by,
+        )
 
     async def close(self) -> None:
         """End the worker process; drafts are on disc."""
         self._stop()
+        await cancel_and_await(self._finishing)
         await self._calibrations.close()
         await self._tasks.close()
         await self._worker.close()

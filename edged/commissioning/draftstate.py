@@ -67,7 +67,7 @@ class DraftState(Kept):
     boards: Annotated[tuple[Text, ...], Field(max_length=8)]
     mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
     goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    lens: Literal["division", "brown"] = "division"
+    lens: Literal["division", "brown"] = "brown"
     auto: bool = False
     operations: Annotated[tuple[Operation, ...], Field(max_length=4 * MOST_VIEWS)] = ()
     done: Annotated[int, Field(ge=0)] = 0

@@ -27,13 +27,13 @@ import tempfile
 import tomllib
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from edged import __version__
-from edged.cellfiles import read_cell
+from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
 from edged.errors import FileFormatError, UserError
@@ -81,10 +81,21 @@ class Made:
     holds_password: bool
 
 
-def make(config: Path) -> Made:
-    """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`."""
-    cell = read_cell(config, elsewhere=True)
-    files, left_out = _collect(config, cell.config)
+@dataclass(frozen=True, slots=True, eq=False)
+class RigFiles:
+    """A rig's file, and that of the cameras that were chosen for it; None: they are as configured."""
+
+    rig: bytes
+    cameras: bytes | None
+
+
+def make(config: Path, rig: RigFiles | None = None) -> Made:
+    """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
+
+    rig : instead of the configuration's; then there need not be jobs yet.
+    """
+    cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
+    files, left_out = _collect(config, cell.config, rig)
     taken = Backup(
         datetime.now(UTC).replace(microsecond=0),
         __version__,
@@ -94,13 +105,27 @@ def make(config: Path) -> Made:
         files,
         left_out,
     )
+    if rig is not None:
+        taken = replace(taken, fingerprint=_restored(taken).fingerprint)
     data = pack(taken)
-    with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
-        replace_folder(Path(place) / "cell", unpack(data, config.name).files)
-        found = read_cell(Path(place) / "cell" / config.name, elsewhere=True).fingerprint
-    if found != taken.fingerprint:
+    if _restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     return Made(taken, data, bool(cell.config.password_hashes()))
+
+
+def _restored(taken: Backup) -> CellFiles | UnfinishedCell:
+    """The cell in a backup, as it is read where it is restored. Raises `UserError`."""
+    with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
+        replace_folder(Path(place) / "cell", taken.files)
+        return read_any_cell(Path(place) / "cell" / taken.config, elsewhere=True)
+
+
+def rig_in(taken: Backup) -> RigFiles:
+    """The rig in a backup. Raises `FileFormatError` when there is none."""
+    name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
+    if name not in taken.files:
+        raise FileFormatError(f"{taken.config} of the backup: cell.rig: {name!r} is not in it")
+    return RigFiles(taken.files[name], taken.files.get(_chosen_member(name)))
 
 
 def read(archive: Path) -> Backup:
@@ -116,17 +141,20 @@ def fits_map(taken: Backup) -> bool:
 # --- what belongs to a cell -------------------------------------------------------------------
 
 
-def _collect(path: Path, config: Config) -> tuple[dict[str, bytes], dict[str, str]]:
+def _collect(
+    path: Path, config: Config, rig: RigFiles | None = None
+) -> tuple[dict[str, bytes], dict[str, str]]:
     """Members by name, and what is left out."""
     path = path.resolve()
     text = read_bytes(path, "a configuration").decode()
     files = {REGISTERS: render("csv").encode()}
-    rig, text = _placed(path, text, "rig", config.cell.rig)
-    _add(files, rig, config.cell.rig)
-    if os.path.lexists(chosen_file(config.cell.rig)):
-        _add(files, _chosen_member(rig), chosen_file(config.cell.rig))
+    member, text = _placed(path, text, "rig", config.cell.rig)
+    chosen = chosen_file(config.cell.rig)
+    _add(files, member, config.cell.rig, None if rig is None else rig.rig)
+    if os.path.lexists(chosen) if rig is None else rig.cameras is not None:
+        _add(files, _chosen_member(member), chosen, None if rig is None else rig.cameras)
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
-    for folder in job_folders(config.cell.jobs):
+    for folder in job_folders(config.cell.jobs) if config.cell.jobs.is_dir() else []:
         for file in sorted(folder.rglob("*")):
             member = f"{jobs}/{folder.name}/{file.relative_to(folder).as_posix()}"
             if file.is_file() and not any(part.startswith(".") for part in PurePosixPath(member).parts):
@@ -148,11 +176,11 @@ def _chosen_member(rig: str) -> str:
     return chosen_file(Path(rig)).as_posix()
 
 
-def _add(files: dict[str, bytes], member: str, path: Path) -> None:
+def _add(files: dict[str, bytes], member: str, path: Path, data: bytes | None = None) -> None:
     problem = _wrong_name(member)
     if problem or member in files or member == MANIFEST:
         raise UserError(f"{path}: cannot be {member!r} in a backup: {problem or 'the name is taken'}")
-    files[member] = read_bytes(path, "a file of a backup")
+    files[member] = read_bytes(path, "a file of a backup") if data is None else data
 
 
 def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:

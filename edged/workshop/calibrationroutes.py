@@ -33,7 +33,7 @@ class Beginning(Body):
     recognise: bool = False
     mm: Annotated[float, Field(gt=0, le=1e4, description="pitch of a board that is recognised")] | None = None
     goal_um: Goal | None = None
-    lens: LensModel = "division"
+    lens: LensModel = "brown"
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Beginning:

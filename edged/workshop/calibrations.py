@@ -185,6 +185,10 @@ class Calibrations:
         """Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
         return (await self._opened(identity)).draft
 
+    async def tell(self, identity: str) -> None:
+        """Tell every page how a draft is now: whether it is active is not its own doing."""
+        self._tell(await self._opened(identity))
+
     # --- live pairs ------------------------------------------------------------------------------
 
     def offer(self, _number: int, pair: FramePair) -> None:

@@ -18,7 +18,7 @@ from boardpairs import RIG, SPEC, pairs
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
-from edged.files.rig import rig_of
+from edged.files.rig import load_rig, rig_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
@@ -30,7 +30,7 @@ def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell
     cell = BoardCell(folder)
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(120), cell.running():
             await test(cell)
 
     asyncio.run(bounded())
@@ -41,7 +41,9 @@ async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
     """Path of a draft with that many views, and the token."""
     _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
     token = {"token": entered["token"]}
-    status, draft = await cell.ask("POST", "/calibrations", {"boards": [SPEC], "goal_um": 5.0})
+    status, draft = await cell.ask(
+        "POST", "/calibrations", {"boards": [SPEC], "goal_um": 5.0, "lens": "division"}
+    )
     assert (201, [SPEC], []) == (status, draft["boards"], draft["views"])
     place = f"/calibrations/{draft['id']}"
     for number in range(count):
@@ -53,10 +55,10 @@ async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
 
 @pytest.mark.slow
 def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
-    """Over HTTP: suggestions on the way, a solution with its report, and points where they truly are."""
+    """Over HTTP: suggestions, a solution with its report, its activation, and points where they truly are."""
 
     async def test(cell: BoardCell) -> None:
-        place, _ = await with_views(cell, 6)
+        place, token = await with_views(cell, 6)
         draft = await cell.until(place, lambda draft: not draft["guiding"])
         assert draft["sigma_um"]["z"] > 0
         assert 3 == len(draft["suggestions"])
@@ -77,8 +79,23 @@ def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
             assert solved["calibration_id"] in await answer.text()
         async with cell.session.get(draft["views"][0]["thumbnails"]["left"]) as answer:
             assert (200, b"\xff\xd8") == (answer.status, (await answer.read())[:2])
+        note = {"note": "first board"}
+        assert (409, "setup_refused") == await refused(cell, "POST", f"{place}/activate", note)
+        status, release = await cell.ask("POST", f"{place}/activate", {**note, "token": token})
+        assert (200, 1, True) == (status, release["number"], release["active"])
+        assert solved["calibration_id"] == release["rig"]
+        _, now = await cell.ask("GET", "/cell")
+        assert (["jobs"], release["rig"]) == (now["missing"], load_rig(cell.rig).calibration_id)
+        _, draft = await cell.ask("GET", place)
+        assert draft["active"]
+        _, listed = await cell.ask("GET", "/releases")
+        assert [release] == listed["releases"]
+        again = {"reason": "once more", "token": token}
+        assert (422, "input") == await refused(cell, "POST", "/releases/1/activate", again)
+        assert (404, "unknown") == await refused(cell, "POST", "/releases/2/activate", again)
 
     cell = run(tmp_path, test)
+    assert cell.rig.read_bytes() == next((cell.state / "drafts").glob("*/rig-*.json")).read_bytes()
 
     pictures = next((cell.state / "drafts").glob("*/pictures"))
     calibrate(pictures, SPEC, tmp_path / "by_command.json", "division", None, Console(file=io.StringIO()))
@@ -140,7 +157,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     cell = BoardCell(tmp_path)
 
     async def first() -> Any:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(120), cell.running():
             place, _ = await with_views(cell, 3)
             await cell.ask("DELETE", f"{place}/views/view_002", {})
             _, draft = await cell.ask("POST", f"{place}/undo", {})
@@ -148,7 +165,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
             return await cell.until(place, lambda draft: not draft["guiding"])
 
     async def second(before: Any) -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(120), cell.running():
             place = f"/calibrations/{before['id']}"
             after = await cell.until(place, lambda draft: not draft["guiding"])
             for key in ("revision", "boards", "views", "sigma_um", "suggestion", "can_redo"):

@@ -1,0 +1,176 @@
+"""The releases of a cell: each an archive as `edged backup` makes it, and who made it, when, and why.
+
+    0007.tar.gz     the cell, proven to load; its owner's alone, as every backup
+    0007.json       written after it: an archive without is no release
+
+What was ever active stays; of the others the last ones.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from edged.commissioning.draftstate import Kept, Text
+from edged.commissioning.releases import Backup, Made, read
+from edged.config.reading import problem_of
+from edged.errors import FileFormatError
+from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
+
+KEPT = 50
+"""The last ones, beside those that were ever active: one has some ten kB, and a few hundred for each job."""
+UNDERWAY = "activating"
+"""Holds the number of a release while several files are exchanged for it."""
+_FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
+Number = Annotated[int, Field(ge=1, le=999_999)]
+
+
+class Release(Kept):
+    """What is known of one. parent : the release that was active before.  rig : its calibration id.
+
+    activated : each time.
+    """
+
+    format: Literal["edged-release"] = "edged-release"
+    version: Literal[1] = 1
+    number: Number
+    created: Text
+    author: Text
+    note: Text
+    parent: Number | None
+    fingerprint: Text
+    rig: Text
+    jobs: tuple[Text, ...]
+    activated: tuple[Text, ...] = ()
+
+
+class Shelf:
+    """Releases in a folder. Whatever writes raises `OSError` where the disc refuses."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def add(
+        self,
+        made: Made,
+        *,
+        rig: str,
+        author: str,
+        note: str,
+        parent: int | None,
+        now: datetime,
+    ) -> Release:
+        """Keep a cell. rig : its calibration id."""
+        taken = [int(found[1]) for found in map(_FILE.fullmatch, self._names()) if found is not None]
+        release = Release(
+            number=max(taken, default=0) + 1,
+            created=_text(now),
+            author=author,
+            note=note,
+            parent=parent,
+            fingerprint=made.backup.fingerprint,
+            rig=rig,
+            jobs=tuple(_jobs(made.backup)),
+        )
+        make_folders(self._folder)
+        write_atomically(self._archive(release.number), made.archive, mode=0o600)
+        self._write(release)
+        return release
+
+    def note_active(self, number: int, now: datetime) -> Release:
+        """It becomes active: from now on it stays, whatever comes of it. Raises `KeyError`."""
+        release = self.get(number)
+        release = release.model_copy(update={"activated": (*release.activated, _text(now))})
+        self._write(release)
+        return release
+
+    @property
+    def underway(self) -> int | None:
+        """The release that was being activated when the daemon ended."""
+        try:
+            text = (self._folder / UNDERWAY).read_text(encoding="ascii")
+        except (OSError, ValueError):
+            return None
+        return int(text) if re.fullmatch("[0-9]{1,6}", text.strip()) else None
+
+    def note_underway(self, number: int | None) -> None:
+        """One is being activated; None: none any more."""
+        if number is not None:
+            write_atomically(self._folder / UNDERWAY, f"{number}\n".encode())
+        elif (self._folder / UNDERWAY).exists():
+            (self._folder / UNDERWAY).unlink()
+            sync(self._folder)
+
+    def restore(self, release: Release) -> None:
+        """Let be known of it what was known before."""
+        self._write(release)
+
+    def forget(self, number: int) -> None:
+        """Take one away; nothing to do for one that is not there."""
+        # what is a release only with it goes first
+        for file in (self._about(number), self._archive(number)):
+            file.unlink(missing_ok=True)
+            if self._folder.is_dir():
+                sync(self._folder)
+
+    def prune(self) -> None:
+        """Take away what is old and never was active."""
+        never = [release for release in self.all() if not release.activated]
+        for release in never[KEPT:]:
+            self.forget(release.number)
+
+    def all(self) -> list[Release]:
+        """The youngest first; without those whose files are damaged."""
+        found = []
+        for name in self._names():
+            match = _FILE.fullmatch(name)
+            if match is None or match[2] != "json":
+                continue
+            try:
+                found.append(self.get(int(match[1])))
+            except (KeyError, FileFormatError):
+                continue
+        return sorted(found, key=lambda release: -release.number)
+
+    def get(self, number: int) -> Release:
+        """What is known of one. Raises `KeyError` when there is none, `FileFormatError` for a damaged one."""
+        file = self._about(number)
+        if not file.is_file() or not self._archive(number).is_file():
+            raise KeyError(number)
+        try:
+            release = Release.model_validate_json(read_bytes(file, "a release"))
+        except ValidationError as error:
+            raise FileFormatError(f"{file}: {problem_of(error.errors()[0], Release)}") from error
+        if release.number != number:
+            raise FileFormatError(f"{file}: number: is {release.number}, the file's is {number}")
+        return release
+
+    def open(self, number: int) -> Backup:
+        """The cell in it, every checksum checked. Raises `KeyError`, `FileFormatError`."""
+        self.get(number)
+        return read(self._archive(number))
+
+    def _names(self) -> list[str]:
+        return [file.name for file in self._folder.iterdir()] if self._folder.is_dir() else []
+
+    def _write(self, release: Release) -> None:
+        write_atomically(self._about(release.number), release.model_dump_json(indent=1).encode())
+
+    def _about(self, number: int) -> Path:
+        return self._folder / f"{number:04}.json"
+
+    def _archive(self, number: int) -> Path:
+        return self._folder / f"{number:04}.tar.gz"
+
+
+def _jobs(cell: Backup) -> list[str]:
+    """Folders of its jobs."""
+    return sorted({Path(name).parent.name for name in cell.files if name.endswith("/job.toml")})
+
+
+def _text(time: datetime) -> str:
+    return time.isoformat(timespec="seconds")

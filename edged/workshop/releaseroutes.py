@@ -1,0 +1,111 @@
+"""The routes by which a draft becomes what the cell runs by, and by which it goes back to a release."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, StringConstraints
+
+from edged.adapters.web.routes import Answer, Body, Call, RouteTable, Token
+from edged.adapters.web.visitors import Role
+from edged.commissioning.shelf import Release
+from edged.workshop.activating import Activation
+from edged.workshop.calibrationroutes import DRAFT, known
+from edged.workshop.calibrations import Calibrations
+
+
+def _of_one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected letters that can be printed, in one line")
+    return text
+
+
+Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_of_one_line)]
+
+
+class Activating(Body):
+    """Why; and the token, while somebody has the cell."""
+
+    token: Token | None = None
+    note: Reason
+
+
+class Returning(Body):
+    """The same, of an older release."""
+
+    token: Token | None = None
+    reason: Reason
+
+
+class ReleaseDocument(Answer):
+    """A release. active : the cell runs by it. rig : its calibration id."""
+
+    number: int
+    created: str
+    author: str
+    note: str
+    parent: int | None
+    fingerprint: str
+    rig: str
+    jobs: list[str]
+    active: bool
+    was_active: bool
+
+
+class ReleaseList(Answer):
+    """The youngest first."""
+
+    releases: list[ReleaseDocument]
+
+
+class ReleaseRoutes:
+    """The routes."""
+
+    def __init__(self, calibrations: Calibrations, activation: Activation) -> None:
+        self._calibrations = calibrations
+        self._activation = activation
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add them."""
+        table.route(
+            "POST",
+            f"{DRAFT}/activate",
+            self._activate,
+            "Let the cell run by what the draft was solved to",
+            body=Activating,
+            answer=ReleaseDocument,
+            audit=True,
+        )
+        table.route("GET", "/releases", self._list, "All releases", role=Role.VIEWER, answer=ReleaseList)
+        table.route(
+            "POST",
+            "/releases/{number:[0-9]{1,6}}/activate",
+            self._return,
+            "Let the cell run by rig and cameras of a release again; jobs and settings stay",
+            body=Returning,
+            answer=ReleaseDocument,
+            audit=True,
+        )
+
+    async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
+        self._activation.check(call.body.token)
+        _, rig = await known(self._calibrations.solution(call.part("id")))
+        release = await self._activation.activate(rig, call.visitor.name, call.body.note)
+        await self._calibrations.tell(call.part("id"))
+        return _document(release, is_active=True)
+
+    async def _return(self, call: Call[Returning]) -> ReleaseDocument:
+        self._activation.check(call.body.token)
+        number, body = int(call.part("number")), call.body
+        back = self._activation.activate_again(number, call.visitor.name, body.reason)
+        return _document(await known(back), is_active=True)
+
+    async def _list(self, _call: Call[None]) -> ReleaseList:
+        releases, active = await self._activation.listed()
+        return ReleaseList(releases=[_document(one, is_active=one.number == active) for one in releases])
+
+
+def _document(release: Release, *, is_active: bool) -> ReleaseDocument:
+    fields = release.model_dump(exclude={"format", "version", "activated"})
+    was_active = bool(release.activated) or is_active
+    return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)

@@ -1,0 +1,267 @@
+"""Another rig for a running cell is a release; whatever goes wrong leaves the one before, byte for byte."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import random
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from powercuts import Record, cut
+from smallcell import SmallCell
+
+from edged.cellfiles import read_cell
+from edged.commissioning.shelf import Release, Shelf
+from edged.errors import FileFormatError, SetupRefused, UserError
+from edged.files.atomic import replace_folder
+from edged.files.rig import load_rig, rig_text
+from edged.workshop import activating
+from edged.workshop.activating import Activation, CellNow
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a complete cell."""
+    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """Content by relative path."""
+    found = (file for file in folder.rglob("*") if file.is_file())
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in found}
+
+
+class RunningCell:
+    """A cell in a folder; what it runs by follows its files when it reloads."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config, self.rig = folder / "cell.toml", folder / "rig.json"
+        self.shelf = Shelf(folder / "state" / "releases")
+        self.now = CellNow(self.rig, read_cell(self.config).fingerprint, True, {}, False, "")
+        self.refuses = ""
+        self.activation = Activation(self.shelf, self.config, lambda: self.now, self._renew, self._reload)
+
+    def files(self) -> dict[str, bytes]:
+        """All of it, the shelf apart."""
+        found = files_in(self.config.parent).items()
+        return {name: data for name, data in found if not name.startswith("state/")}
+
+    def wider(self, factor: float) -> bytes:
+        """The rig with another baseline."""
+        rig = load_rig(self.rig)
+        moved = rig.right_from_left.copy()
+        moved[:3, 3] *= factor
+        return rig_text(replace(rig, right_from_left=moved, calibration_id=f"cal-{factor}"))
+
+    def _renew(self, token: str) -> None:
+        if token != "theirs":
+            raise SetupRefused("SETUP has ended")
+
+    async def _reload(self) -> str:
+        if not self.refuses:
+            self.now = replace(self.now, fingerprint=read_cell(self.config).fingerprint)
+        return self.refuses
+
+
+@pytest.fixture
+def cell(template: Path, tmp_path: Path) -> RunningCell:
+    """Of one's own."""
+    shutil.copytree(template, tmp_path / "cell")
+    return RunningCell(tmp_path / "cell")
+
+
+def activate(cell: RunningCell, rig: bytes) -> Release:
+    """As Anna."""
+
+    async def asked() -> Release:
+        return await cell.activation.activate(rig, "Anna", "new board")
+
+    return asyncio.run(asked())
+
+
+def activate_again(cell: RunningCell, number: int) -> Release:
+    """As Ben."""
+
+    async def asked() -> Release:
+        return await cell.activation.activate_again(number, "Ben", "that was better")
+
+    return asyncio.run(asked())
+
+
+def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: RunningCell) -> None:
+    """The cell as it was found is a release, too: there is a way back from the first one."""
+    before, rig = cell.now.fingerprint, cell.wider(1.001)
+
+    release = activate(cell, rig)
+
+    assert rig == cell.rig.read_bytes()
+    assert (2, "Anna", "new board", 1) == (release.number, release.author, release.note, release.parent)
+    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    found = cell.shelf.get(1)
+    assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
+    assert 2 == cell.activation.active
+    with pytest.raises(UserError, match="runs by this rig already"):
+        activate(cell, rig)
+
+
+def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
+    """It is the older release again, not a new one; and forth again, too."""
+    before, old = cell.now.fingerprint, cell.rig.read_bytes()
+    activate(cell, cell.wider(1.001))
+
+    back = activate_again(cell, 1)
+
+    assert (1, before, old) == (back.number, cell.now.fingerprint, cell.rig.read_bytes())
+    assert 1 == cell.activation.active
+    assert 2 == len(cell.shelf.get(1).activated)
+    assert 2 == activate_again(cell, 2).number
+    with pytest.raises(KeyError):
+        activate_again(cell, 7)
+
+
+def test_an_older_rig_under_newer_jobs_is_a_release_of_its_own(cell: RunningCell) -> None:
+    """Jobs and settings stay as they are: the cell that comes of it never was there before."""
+    activate(cell, cell.wider(1.001))
+    job = cell.config.parent / "jobs" / "flange" / "job.toml"
+    job.write_text(job.read_text() + "\n# taught again\n")
+    cell.now = replace(cell.now, fingerprint=read_cell(cell.config).fingerprint)
+    assert None is cell.activation.active
+
+    release = activate_again(cell, 1)
+
+    assert "the rig of release 1: that was better" == release.note
+    assert "# taught again" in job.read_text()
+    assert cell.shelf.get(1).rig == load_rig(cell.rig).calibration_id
+
+
+def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
+    """Files byte for byte, no release that never was, and the reason is said."""
+    files = cell.files()
+    cell.refuses = "modbus.port: in use"
+
+    with pytest.raises(UserError, match=r"runs on as before: modbus\.port: in use"):
+        activate(cell, cell.wider(1.001))
+
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+    cell.refuses = ""
+    assert 2 == activate(cell, cell.wider(1.001)).number
+    cell.refuses = "no"
+    files = cell.files()
+    with pytest.raises(UserError):
+        activate_again(cell, 1)
+    assert files == cell.files()
+    assert 1 == len(cell.shelf.get(1).activated)
+
+
+def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
+    """There was none before it, and there is none after it."""
+    rig = cell.wider(1.001)
+    cell.rig.unlink()
+    cell.now, cell.refuses = replace(cell.now, fingerprint="", is_complete=False), "no"
+
+    with pytest.raises(UserError):
+        activate(cell, rig)
+
+    assert not cell.rig.exists()
+    assert [] == cell.shelf.all()
+
+
+def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
+    cell: RunningCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As under systemd, where /etc is read-only for the daemon; nothing has changed."""
+    files = cell.files()
+
+    def read_only(path: Path, data: bytes) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(activating, "write_atomically", read_only)
+    with pytest.raises(FileFormatError, match=r"rig\.json: .*Read-only.*let cell\.rig of .*state/rig\.json"):
+        activate(cell, cell.wider(1.001))
+
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+
+
+def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
+    """It is read before anything is written."""
+    files = cell.files()
+    with pytest.raises(FileFormatError, match="the new rig: not a rig file"):
+        activate(cell, b"{}")
+    assert files == cell.files()
+    assert [] == cell.shelf.all()
+
+
+def test_the_plant_forbids_it(cell: RunningCell) -> None:
+    """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
+    cell.activation.check(None)
+    cell.now = replace(cell.now, holder="Ben")
+    with pytest.raises(SetupRefused, match="Ben has the cell"):
+        cell.activation.check(None)
+    with pytest.raises(SetupRefused, match="SETUP has ended"):
+        cell.activation.check("stale")
+    cell.activation.check("theirs")
+    cell.now = replace(cell.now, locked=True)
+    with pytest.raises(SetupRefused, match="AUTO_LOCK"):
+        cell.activation.check("theirs")
+    files = cell.files()
+    with pytest.raises(SetupRefused, match="AUTO_LOCK"):
+        activate(cell, cell.wider(1.001))
+    assert files == cell.files()
+
+
+def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
+    """And go with it again: they are of one release."""
+    cell.now = replace(cell.now, cameras={"left": {"exposure_us": 1234.0}})
+
+    activate(cell, cell.wider(1.001))
+
+    chosen = cell.config.parent / "rig.cameras.json"
+    assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
+    cell.now = replace(cell.now, cameras={})
+    before = cell.files()
+    cell.refuses = "no"
+    with pytest.raises(UserError):
+        activate_again(cell, 1)
+    assert before == cell.files()
+    cell.refuses = ""
+    activate_again(cell, 1)
+    assert not chosen.exists()
+    activate_again(cell, 2)
+    assert before == cell.files()
+
+
+@pytest.mark.parametrize("cameras", [{}, {"left": {"device": "other"}}], ids=["rig", "rig and cameras"])
+def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
+    template: Path, tmp_path: Path, cameras: dict
+) -> None:
+    """At any call: the cell loads; by the new one there are releases of both. Rig and cameras are of one."""
+    root = tmp_path / "real"
+    root.mkdir()
+    record = Record(root)
+    with record.watching():
+        replace_folder(root / "cell", files_in(template))
+        cell = RunningCell(root / "cell")
+        cell.now = replace(cell.now, cameras=cameras)
+        start = len(record.calls)
+        before = cell.now.fingerprint
+        after = activate(cell, cell.wider(1.001)).fingerprint
+    dice, found = random.Random(1), set()
+    for number in range(40):
+        disk = tmp_path / f"cut{number}"
+        cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
+        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        fingerprint = read_cell(disk / "cell" / "cell.toml").fingerprint
+        shelf = Shelf(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in shelf.all() if one.activated}
+        assert fingerprint == before or (fingerprint == after and {before, after} <= active)
+        assert shelf.underway is None
+        assert all(one.fingerprint == shelf.open(one.number).fingerprint for one in shelf.all())
+        found.add(fingerprint)
+        shutil.rmtree(disk)
+    assert {before, after} == found
