@@ -28,23 +28,11 @@ USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "op
 """All with the same password."""
 
 
-class Cell:
-    """A cycle with its page, and a browser."""
+class BrowserSession:
+    """A browser that logs in and asks."""
 
-    def __init__(
-        self,
-        cycle: Cycle,
-        web: WebPublisher,
-        head: Head,
-        ear: Ear,
-        session: aiohttp.ClientSession,
-        asleep_s: list[float],
-        state: Path,
-    ) -> None:
-        self.state = state
-        self.web = web
-        self.asleep_s = asleep_s
-        self.cycle, self.head, self.ear, self.session = cycle, head, ear, session
+    def __init__(self, session: aiohttp.ClientSession) -> None:
+        self.session = session
         self.origin = str(session._base_url).rstrip("/")  # noqa: SLF001  (what the browser would send)
 
     async def ask(self, method: str, path: str, document: Any, **headers: str) -> tuple[int, Any]:
@@ -57,6 +45,12 @@ class Cell:
         """With the form; "" with the page's password alone, which makes a viewer."""
         assert await self.comes_in(name)
 
+    async def comes_in(self, name: str, password: str = PASSWORD) -> bool:
+        """Whether somebody can log in."""
+        form = {"name": name, "password": password}
+        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
+            return answer.headers["Location"] == "/"
+
     def cookies(self) -> dict[str, str]:
         """Of the session that is used now."""
         return {cookie.key: cookie.value for cookie in self.session.cookie_jar}
@@ -66,15 +60,27 @@ class Cell:
         self.session.cookie_jar.clear()
         self.session.cookie_jar.update_cookies(cookies, URL(self.origin))
 
+
+class Cell(BrowserSession):
+    """A cycle with its page, and a browser."""
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        web: WebPublisher,
+        head: Head,
+        ear: Ear,
+        session: aiohttp.ClientSession,
+        asleep_s: list[float],
+        state: Path,
+    ) -> None:
+        super().__init__(session)
+        self.cycle, self.web, self.head, self.ear, self.state = cycle, web, head, ear, state
+        self.asleep_s = asleep_s
+
     def sleep(self, seconds: float) -> None:
         """Nobody does anything for so long."""
         self.asleep_s[0] += seconds
-
-    async def comes_in(self, name: str, password: str = PASSWORD) -> bool:
-        """Whether somebody can log in."""
-        form = {"name": name, "password": password}
-        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
-            return answer.headers["Location"] == "/"
 
 
 def run(
