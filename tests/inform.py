@@ -48,6 +48,7 @@ class Controller:
         self.command = [str(program), str(memory), str(link.port), str(link.piece)]
         self.task: subprocess.Popen[bytes] | None = None
         self.positions: dict[int, np.ndarray] = {}
+        self.moves: list[np.ndarray] = []
         self.here = np.arange(6)
         self.lines = self._read(job)
         self._settled = -1
@@ -89,18 +90,26 @@ class Controller:
         """CALL JOB:EDGED."""
         self.task = self.task or self._switch_on()
         self._sent = int(self.memory[SENT])
+        self.run(self.lines)
+
+    def run(self, lines: list[str]) -> None:
+        """Instructions up to END."""
         at = 0
-        while (line := self.lines[at]) != "END":
+        while (line := lines[at]) != "END":
             at += 1
-            if line.startswith("*"):
+            if line.startswith(("*", "NOP", 'MSG "')):
                 continue
             if found := re.match(r"JUMP (\*[A-Z]{1,8})(?: IF (\w+)(=|<|>=|<>)(\w+))?$", line):
                 if not found[2] or self._holds(*found.groups()[1:]):
-                    at = self.lines.index(found[1])
+                    at = lines.index(found[1])
             elif found := re.match(r"SET (I\d{3}) (\w+)$", line):
                 self.put(found[1], self.number(found[2]))
             elif found := re.match(r"INC (I\d{3})$", line):
                 self.put(found[1], self.number(found[1]) + 1)
+            elif line == "CALL JOB:EDGED":
+                self.call()
+            elif found := re.match(r"MOVL P(\d{3}) V=\d+\.\d$", line):
+                self.moves.append(self.positions[int(found[1])])
             elif line == "TIMER T=0.010":
                 self._pause(0.01)
             elif found := re.match(r"GETS PX(\d{3}) \$PX001$", line):

@@ -64,6 +64,8 @@ class _Syntax(Syntax):
             return Call(found[1], found[2] or "")
         if found := re.match(r"(TCP_[A-Z]+|TWAIT) (.+)$", line):
             return Call(found[1], found[2])
+        if found := re.match(r"(BREAK|LAPPRO|PRINT)(?: (.+))?$", line):
+            return Call(found[1], found[2] or "")
         if found := re.match(r"UTIMER (\"\w+\") = (.+)$", line):
             return Call("SET_UTIMER", f"{found[1]}, {found[2]}")
         found = re.match(r"(?:POINT )?(\$?\w+(?:\[\w+\])?) = (.+)$", line)

@@ -77,6 +77,8 @@ class _Syntax(Syntax):
             return Return(found[1] or "")
         if found := re.match(r"WAIT SEC (\S+)$", line):
             return Call("WAIT_SEC", found[1])
+        if found := re.match(rf"LIN ({NAME})$", line):
+            return Call("LIN", found[1])
         if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*)=(.+)$", line):
             return Assign(found[1], found[2])
         found = re.match(rf"({NAME})\((.*)\)$", line)

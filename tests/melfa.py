@@ -14,7 +14,7 @@ from typing import Any
 
 from robotexpressions import Compiler
 from robotlink import Link
-from robotvalues import Types, Variable, single
+from robotvalues import Record, Types, Variable, single
 
 NAME = r"[MCP][A-Za-z0-9_]{0,15}[%$]?"
 
@@ -115,7 +115,7 @@ class Slot:
             assert isinstance(holds, bool)
             if holds:
                 self._statement(found[2])
-        elif found := re.match(r"(GoTo|GoSub) (\*L[A-Z0-9]+)$", line):
+        elif found := re.match(r"(GoTo|GoSub) (\*[A-Z0-9]+)$", line):
             if found[1] == "GoSub":
                 self.returns.append(self.at)
             self.at = self.labels[found[2]]
@@ -129,6 +129,12 @@ class Slot:
         elif found := re.match(r"FPrm (.+)$", line):
             for name, value in zip(found[1].split(","), self.controller.arguments, strict=True):
                 self.named(name).set(value)
+        elif found := re.match(r'CallP "EDGED",([\d,]+)$', line):
+            self.controller.call(*map(float, found[1].split(",")))
+        elif found := re.match(r"(?:Mov|Mvs) (\w+)(?:,(-?\d+))?$", line):
+            self.controller.moves.append((self.named(found[1]).get(), float(found[2] or 0)))
+        elif re.match(r"Error 9\d{3}$", line):
+            self.runs = False
         elif found := re.match(r"(XRun|XStp|XRst|XClr) 2(?:,(\"\w+\"),1)?$", line):
             self.controller.slot_do(found[1], found[2])
         elif found := re.match(r"Input #1,(.+)$", line):
@@ -182,6 +188,7 @@ class Controller:
         self.shared["P_CURR"] = here
         self.arguments: tuple[float, ...] = ()
         self.slots: dict[int, Slot] = {}
+        self.moves: list[tuple[Record, float]] = []
         self.stopped = False
         self.timers = {1: 0.0, 2: 0.0}
         self.is_open = False
@@ -195,6 +202,12 @@ class Controller:
             "Chr$": lambda value: chr(int(value)),
             "Rad": math.radians,
         }
+
+    def run(self, source: str) -> None:
+        """A program that calls EDGED."""
+        slot = Slot(self, source)
+        while slot.runs:
+            assert slot.step()
 
     def call(self, *arguments: float) -> None:
         """CallP "EDGED"."""

@@ -94,8 +94,12 @@ class _Syntax(Syntax):
             return Call(found[1].split()[0], "")
         if found := re.match(r"(WaitNet|Print|Read) #201, (.+)$", line):
             return Call(found[1], found[2])
-        if found := re.match(r"(TmReset|Wait) (.+)$", line):
-            return Call(found[1], found[2])
+        if found := re.match(r"(TmReset|Wait|Print) (.+)$", line):
+            return Call({"Print": "Show"}.get(found[1], found[1]), found[2])
+        if found := re.match(r"Go (P\d+) \+Z\((\d+)\)$", line):
+            return Call("Go", f"{found[1]}, {found[2]}")
+        if found := re.match(r"(Edged[A-Z]\w*)(?: (\w.*))?$", line):
+            return Call(found[1], found[2] or "")
         found = re.match(r"(\w+\$?(?:\[\w+\])?) = (.+)$", line)
         assert found is not None, f"no statement: {line}"
         return Assign(found[1], found[2])

@@ -60,7 +60,7 @@ class _Syntax(Syntax):
             return Call(found[1], found[2])
         if found := re.match(r"(\w+(?:\[[^\]]+\]|\.\w+)?)=(?!=)(.+)$", line):
             return Assign(found[1], found[2])
-        found = re.match(r"(clearBuffer|delay)\((.*)\)$", line)
+        found = re.match(r"([a-z]\w*)\((.*)\)$", line, re.IGNORECASE)
         assert found is not None, f"no statement: {line}"
         return Call(found[1], found[2])
 
