@@ -16,6 +16,7 @@ from typing import Any
 import aiohttp
 
 AXE = Path(__file__).parent / "data" / "axe" / "axe.min.js"
+REST_MS = 40
 START_S, PATIENCE_S = 30.0, 20.0
 
 
@@ -80,7 +81,8 @@ class Browser:
     async def _wait_for(self, expression: str) -> None:
         await self.value(
             f"""new Promise((done, failed) => {{
-              const late = setTimeout(() => failed(new Error("never true")), {1e3 * PATIENCE_S});
+              const shown = () => document.body.innerText;
+              const late = setTimeout(() => failed(new Error("never true: " + shown())), {1e3 * PATIENCE_S});
               const look = () => {{
                 if (!({expression})) return setTimeout(look, 20);
                 clearTimeout(late);
@@ -117,11 +119,20 @@ class Browser:
         await self.ask("Emulation.setTouchEmulationEnabled", enabled=False)
 
     async def middle(self, selector: str) -> tuple[float, float]:
-        """Of an element, scrolled into view."""
+        """Of an element, scrolled into view, when what is around it has come to rest."""
         x, y = await self.value(
-            f"""(() => {{ const e = document.querySelector({json.dumps(selector)});
-            e.scrollIntoView({{block: "center", inline: "center"}}); const b = e.getBoundingClientRect();
-            return [b.x + b.width / 2, b.y + b.height / 2]; }})()"""
+            f"""(async () => {{
+              const middle = () => {{
+                const e = document.querySelector({json.dumps(selector)});
+                e.scrollIntoView({{block: "center", inline: "center"}});
+                const b = e.getBoundingClientRect();
+                return [b.x + b.width / 2, b.y + b.height / 2];
+              }};
+              for (let now = middle(), last = null; ; [last, now] = [now, middle()]) {{
+                if (last && last.every((value, i) => value === now[i])) return now;
+                await new Promise((done) => setTimeout(done, {REST_MS}));
+              }}
+            }})()"""
         )
         return float(x), float(y)
 

@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 from browser import Browser, browser
 from scriptedhead import Ear, until
+from setuppage import DIALOG, LEASE, SMALL_TARGETS, STATE, TOO_WIDE, UNTRANSLATED, log_in, take
 from webcell import PASSWORD, Cell, running
 
 from edged.domain.cell import CellPhase
@@ -17,25 +18,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
 ]
-
-STATE = 'document.querySelector("#state").textContent.trim()'
-LEASE = 'document.querySelector(".lease").textContent'
-DIALOG = 'document.querySelector("dialog[open]")'
-TOO_WIDE = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
-SMALL_TARGETS = """[...document.querySelectorAll("button, a, select, input, summary")]
-  .filter((e) => e.checkVisibility() && !e.matches(".skip"))
-  .map((e) => e.closest("label") ?? e)
-  .filter((e) => e.getBoundingClientRect().height < 47.5).map((e) => e.outerHTML.slice(0, 80))"""
-UNTRANSLATED = """(() => {
-  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  const found = [];
-  for (let node; (node = texts.nextNode()); ) {
-    const [text, isData] = [node.textContent, node.parentElement.closest("[translate=no], script, noscript")];
-    if (/\\p{L}{2}/u.test(text) && !text.includes("⟦") && !isData) found.push(text);
-  }
-  for (const e of document.querySelectorAll("[aria-label]"))
-    if (!e.getAttribute("aria-label").includes("⟦")) found.push(e.getAttribute("aria-label"));
-  return found; })()"""
 
 
 def on_the_page(
@@ -48,27 +30,11 @@ def on_the_page(
 
     async def bounded() -> None:
         async with asyncio.timeout(60), running(Ear(), True) as cell, browser() as page:
-            await page.open(f"{cell.origin}/setup", width, height)
-            await page.until('document.querySelector("#password")')
-            await page.type("#name", "Anna")
-            await page.type("#password", PASSWORD)
-            await page.click("button")
-            await page.until('!document.querySelector("#password")')
-            page.complaints.clear()  # of the form: that it was typed into before it had the focus
-            await page.open(f"{cell.origin}{place}", width, height)
-            await page.until('document.querySelector("main h1")')
+            await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
             await test(page, cell)
             assert [] == page.complaints
 
     asyncio.run(bounded())
-
-
-async def take(page: Browser) -> None:
-    """With the button, and its question answered."""
-    await page.click(".lease .primary")
-    await page.until(DIALOG)
-    await page.click("dialog[open] .primary")
-    await page.until('document.querySelector(".lease.mine")')
 
 
 def test_somebody_takes_the_cell_and_gives_it_back() -> None:

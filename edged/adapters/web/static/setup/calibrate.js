@@ -1,7 +1,7 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
 import { html, useEffect, useRef, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { draft, holds, look, task, token } from "./live.js";
+import { draft, holds, look, mayTake, offers, sign, task, token } from "./live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
 import { Dialog, NumberField, say, Shape } from "./pieces.js";
@@ -21,7 +21,7 @@ const change = (method, path, body = {}) =>
 // The newest that is not in use yet: what somebody began goes on, here or on another screen.
 async function find() {
   const { calibrations } = await ask("GET", "calibrations");
-  const begun = calibrations.find(({ active }) => !active);
+  const begun = calibrations.find(({ active, trouble }) => !active && !trouble);
   draft.value = begun ? await ask("GET", `calibrations/${begun.id}`) : null;
 }
 
@@ -57,7 +57,7 @@ function Board() {
       <${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal} onValue=${setGoal} name="goal" />
     </div>
     <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>
-    <div class="actions"><button type="button" class="primary" disabled=${mm === null} onClick=${begin}>${t("board-begin")}</button></div>
+    <div class="actions"><button type="button" class="primary" disabled=${mm === null || !mayTake.value} onClick=${begin}>${t("board-begin")}</button></div>
   </section>`;
 }
 
@@ -131,6 +131,7 @@ function Capture() {
     if (views.length > count.current) {
       const { used, why: code, name } = views[views.length - 1];
       say(used ? t("view-taken", { name: short(name) }) : t("view-refused", { name: short(name), why: why(code) }));
+      sign(); // whoever holds the board touches no screen
       setFlashing(true);
       setTimeout(() => setFlashing(false), 300);
       if (hasSound) beep();
@@ -174,7 +175,7 @@ function Progress({ id, onDone }) {
   }, [state?.state]);
   return html`<div class="task">
     <label class="meter"><span>${t("solve-running")} ${state?.text && html`<span class="muted" translate=${false}>${state.text}</span>`}</span><progress max="1" value=${state?.done ?? undefined}></progress></label>
-    <div class="actions"><button type="button" onClick=${() => attempt(() => ask("DELETE", `tasks/${id}`))}>${t("solve-cancel")}</button></div>
+    <div class="actions"><button type="button" onClick=${() => attempt(() => ask("DELETE", `tasks/${id}`, {}))}>${t("solve-cancel")}</button></div>
   </div>`;
 }
 
@@ -200,7 +201,7 @@ function Solve() {
     ${running
       ? html`<${Progress} id=${running} onDone=${done} />`
       : html`<p>${t("solve-what", { used })}</p>
-          <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < FEW} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
+          <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < FEW || !mayTake.value} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
     ${ended?.state === "failed" && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("solve-failed")} <span translate=${false}>${ended.problem?.detail ?? ended.problem ?? ""}</span></p>`}
     ${ended?.state === "cancelled" && html`<p>${t("solve-cancelled")}</p>`}
     ${solved && !running && html`<${Solved} ...${solved} />`}
@@ -227,7 +228,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
     </dl>
     <div class="actions">
       <a class="button" href="/api/v1/${place()}/report" target="_blank" rel="noopener">${t("solved-report")}</a>
-      <button type="button" class="primary" onClick=${() => setAsked(true)}>${t("activate")}</button>
+      ${offers("calibrations/{id}/activate") && html`<button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("activate")}</button>`}
     </div>
     ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("activated", { number: release.number })}</p>`}
     <${Dialog} title=${t("activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
@@ -239,15 +240,17 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
 
 export function Calibrate() {
   useEffect(() => {
-    if (!draft.value) attempt(find);
+    if (!draft.value || draft.value.active) attempt(find);
   }, []);
   if (!draft.value) return html`<h1>${t("calibrate-title")}</h1><p class="lead">${t("calibrate-what")}</p><${Pair} /><${Board} />`;
   const { boards: specs } = draft.value;
   return html`<h1>${t("calibrate-title")}</h1>
     <p class="lead">${specs.length ? html`${t("calibrate-board")} <span translate=${false}>${specs.join(", ")}</span>` : t("calibrate-looking")}</p>
     <${Figure} />
+    <div class="row"><${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${draft.value.goal_um} disabled=${!mayTake.value} onValue=${(goal_um) => change("PUT", "", { goal_um })} name="goal" /></div>
     <${Pair} over=${boards} below=${(side) => html`<${Seen} side=${side} />`} />
     <${Capture} />
     <${Filmstrip} change=${change} why=${why} />
-    <${Solve} />`;
+    <${Solve} />
+    <div class="actions"><button type="button" disabled=${!mayTake.value} onClick=${() => (draft.value = null)}>${t("calibrate-new")}</button></div>`;
 }

@@ -2,6 +2,7 @@
 import { html, useEffect, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
 import { cameras, holds, lookAtCameras, SIDES, token } from "./live.js";
+import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { say, Shape } from "./pieces.js";
 import { has, number, t } from "./texts.js";
@@ -79,5 +80,6 @@ export function Cameras() {
       <div class="actions"><button type="button" onClick=${lookAtCameras}>${t("cameras-again")}</button></div>
     </section>
     <${Wave} />
+    <${Keep} />
     <${Test} />`;
 }

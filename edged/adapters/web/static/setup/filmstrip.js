@@ -1,6 +1,6 @@
 // Every view that was taken, with what it says of itself; each can be left out, and that undone.
 import { html, useEffect, useRef } from "../vendor/ui.js";
-import { draft, SIDES } from "./live.js";
+import { draft, mayTake, SIDES } from "./live.js";
 import { say, Shape } from "./pieces.js";
 import { number, t } from "./texts.js";
 
@@ -26,10 +26,10 @@ export function Filmstrip({ change, why }) {
             <span class="name"><${Shape} is=${used ? "tick" : "gap"} /> ${t("view", { name: short(name) })}</span>
             <span class="muted">${used ? t("view-rms", { rms: number(rms_px, 3) }) : why(code)}</span>
             <span class="muted">${used && Number.isFinite(heldout_px) ? t("view-heldout", { heldout: number(heldout_px, 3) }) : ""}</span>
-            ${used && html`<button type="button" aria-label=${t("view-remove-name", { name: short(name) })} onClick=${() => remove(name)}>${t("view-remove")}</button>`}
+            ${used && html`<button type="button" disabled=${!mayTake.value} aria-label=${t("view-remove-name", { name: short(name) })} onClick=${() => remove(name)}>${t("view-remove")}</button>`}
           </li>`,
       )}
     </ul>
-    <div class="actions"><button type="button" disabled=${can_undo === false} onClick=${step("undo")}>${t("undo")}</button><button type="button" disabled=${can_redo === false} onClick=${step("redo")}>${t("redo")}</button></div>
+    <div class="actions"><button type="button" disabled=${!can_undo || !mayTake.value} onClick=${step("undo")}>${t("undo")}</button><button type="button" disabled=${!can_redo || !mayTake.value} onClick=${step("redo")}>${t("redo")}</button></div>
   </section>`;
 }

@@ -1,7 +1,8 @@
 // Exposure, gain and focus of both lenses, while one looks at what they cost.
 import { html, signal, useEffect } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { cameras, holds, lookAtCameras, quality, rawSize, SIDES, token } from "./live.js";
+import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, token } from "./live.js";
+import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { NumberField, Shape, Slider } from "./pieces.js";
 import { number, t } from "./texts.js";
@@ -25,9 +26,7 @@ async function set(side, values) {
     const asked = wanted[side];
     wanted[side] = null;
     const read = await attempt(() => ask("PUT", `cameras/${side}`, { token: token.value, ...asked }));
-    if (!read) continue;
-    const { settings } = cameras.value;
-    cameras.value = { ...cameras.value, settings: { ...settings, [side]: { ...settings[side], ...read } } };
+    if (read) keepSettings(side, read);
   }
   isAsking[side] = false;
 }
@@ -85,10 +84,10 @@ function Quality({ side }) {
   const figures = quality.value?.[side];
   if (!figures) return html`<p class="muted">${t("light-no-figures")}</p>`;
   return html`<div class="quality">
-    <h3>${t("light-head")}</h3>
+    <h2>${t("light-head")}</h2>
     <${Advice} side=${side} advice=${figures.advice} />
     <p class="muted">${t("light-figures", { clipped: percent(figures.clipped_share), dark: percent(figures.dark_share), noise: number(figures.noise_grey, 1), contrast: number(figures.contrast_grey) })}</p>
-    <h3>${t("focus-title")}</h3>
+    <h2>${t("focus-title")}</h2>
     <${Focus} side=${side} figures=${figures} />
   </div>`;
 }
@@ -98,7 +97,7 @@ function fields(side) {
   const map = quality.value?.[side]?.edge_spread_px.map ?? [];
   const { width, height } = rawSize(side);
   const at = (i, count, size) => ((i + 0.5) * size) / count;
-  return html`<g class="fields" style=${{ fontSize: `${width / 26}px` }}>
+  return html`<g class="fields" style=${{ fontSize: `${width / 34}px` }}>
     ${map.flatMap((row, y) => row.map((px, x) => Number.isFinite(px) && html`<text x=${at(x, row.length, width)} y=${at(y, map.length, height)}>${number(px, 2)}</text>`))}
   </g>`;
 }
@@ -123,5 +122,6 @@ export function Light() {
     <div class="actions">
       <button type="button" disabled=${!holds.value || !cameras.value?.settings?.left} onClick=${copy}>${t("light-copy")}</button>
       <button type="button" onClick=${() => (best.value = {})}>${t("focus-reset")}</button>
-    </div>`;
+    </div>
+    <${Keep} />`;
 }

@@ -78,12 +78,20 @@ export async function look() {
   cell.value = await ask("GET", "cell");
 }
 
-// Only who has the cell also learns what the cameras are set to.
-const camerasPlace = () => (holds.value ? `cameras?token=${encodeURIComponent(token.value)}` : "cameras");
-export const lookAtCameras = () =>
-  attempt(async () => {
-    cameras.value = await ask("GET", camerasPlace());
-  });
+// Only who has the cell also learns what the cameras are set to. A search takes a second: what was set meanwhile is newer.
+let settings = 0;
+async function search() {
+  const before = settings;
+  const found = await ask("GET", holds.value ? `cameras?token=${encodeURIComponent(token.value)}` : "cameras");
+  cameras.value = before === settings ? found : { ...found, settings: cameras.value.settings };
+}
+export const lookAtCameras = () => attempt(search);
+export function keepSettings(side, read) {
+  settings += 1;
+  const { configured, settings: known } = cameras.value;
+  const tried = { ...configured[side], tried: { ...configured[side].tried, ...read } };
+  cameras.value = { ...cameras.value, configured: { ...configured, [side]: tried }, settings: { ...known, [side]: { ...known[side], ...read } } };
+}
 
 // --- the socket ---
 
@@ -151,6 +159,24 @@ async function see(data) {
 }
 
 const say = (message) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+
+// Signs of a person, not of the page: without one for ten minutes an engineer may only look.
+const SIGN_MS = 60_000;
+let signed = -SIGN_MS;
+export function sign() {
+  if (performance.now() - signed < SIGN_MS) return;
+  signed = performance.now();
+  say({ active: true });
+}
+export const wake = (password) =>
+  attempt(async () => {
+    await ask("POST", "me/wake", { password });
+    me.value = await ask("GET", "me");
+  });
+effect(() => {
+  if (trouble.value?.code === "idle") ask("GET", "me").then((told) => (me.value = told), () => {});
+});
+
 const tellLive = () => say(isLiveWanted.value && holds.value ? { live: true, token: token.value } : { live: false });
 
 export async function start() {
@@ -159,8 +185,9 @@ export async function start() {
   await look();
   if (token.value) await renew();
   open();
-  if (offers("cameras")) ask("GET", camerasPlace()).then((found) => (cameras.value = found), () => {}); // its page says what went wrong
+  if (offers("cameras")) search().catch(() => {}); // their page says what went wrong
   setInterval(renew, LEASE_MS);
+  for (const name of ["pointerdown", "keydown"]) addEventListener(name, sign, { passive: true });
   addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());
   effect(() => {
     void isLiveWanted.value;

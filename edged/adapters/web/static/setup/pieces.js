@@ -42,6 +42,7 @@ export function NumberField({ label, unit, value, digits = 1, low = -Infinity, h
 
 // A range on a scale of its own: exposure times span decades. Moves are told at most every EVERY_MS, the last one always.
 const EVERY_MS = 200;
+const SETTLED_MS = 600; // until a camera has answered: the slider must not jump back meanwhile
 export function Slider({ label, value, low, high, isLogarithmic, onValue, disabled, describe }) {
   const STEPS = 500;
   const to = (x) => (isLogarithmic ? Math.log(x / low) / Math.log(high / low) : (x - low) / (high - low)) * STEPS;
@@ -72,7 +73,7 @@ export function Slider({ label, value, low, high, isLogarithmic, onValue, disabl
     value=${dragged ?? Math.round(to(value))}
     disabled=${disabled}
     onInput=${move}
-    onChange=${() => setDragged(null)}
+    onChange=${() => setTimeout(() => setDragged(null), SETTLED_MS)}
   />`;
 }
 

@@ -1,15 +1,16 @@
 // What stands around every page: whose cell it is, what state it is in, where one is, and what went wrong.
 import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
-import { sentence, trouble } from "./api.js";
-import { cell, end, holds, isConnected, leave, mayTake, me, take } from "./live.js";
+import { ask, attempt, sentence, trouble } from "./api.js";
+import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./live.js";
 import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
 import { Stage } from "./stage.js";
-import { isBuilt, State, STEPS } from "./steps.js";
+import { isBuilt, PAGES, State, STEPS } from "./steps.js";
 import { choose, language, LANGUAGES, t } from "./texts.js";
 
-const here = signal("");
+const hash = () => location.hash.replace(/^#\//, "");
+const here = signal(hash());
 const follow = () => {
-  here.value = location.hash.replace(/^#\//, "");
+  here.value = hash();
 };
 
 const STATES = { READY: ["good", "tick"], BUSY: ["idle", "busy"], SETUP: ["warn", "hand"], FAULT: ["bad", "gap"] };
@@ -26,15 +27,21 @@ function PlcChip() {
   return html`<${Chip} kind="plain" shape="plant">${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}<//>`;
 }
 
+// Kept here, and with the user: it is spoken wherever they log in.
+async function speakFrom(tag) {
+  await choose(tag);
+  if (me.value.name) await attempt(() => ask("PUT", "me", { language: tag }));
+}
+
 function Head() {
   return html`<header>
     <p class="cell" translate=${false}>${cell.value.name}</p>
     <${StateChip} />
     <${PlcChip} />
     ${!isConnected.value && html`<${Chip} kind="bad" shape="gap" role="alert">${t("connection-lost")}<//>`}
-    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current="true">${t("nav-setup")}</a><a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
+    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current=${here.value !== "system"}>${t("nav-setup")}</a>${isBuilt(PAGES.at(-1)) && html`<a href="#/system" aria-current=${here.value === "system"}>${t("nav-system")}</a>`}<a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
     <label class="language"><span class="unseen">${t("language")}</span>
-      <select onChange=${(event) => choose(event.currentTarget.value)}>${Object.entries(LANGUAGES).map(([tag, name]) => html`<option value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}>${name}</option>`)}</select></label>
+      <select onChange=${(event) => speakFrom(event.currentTarget.value)}>${Object.entries(LANGUAGES).map(([tag, name]) => html`<option value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}>${name}</option>`)}</select></label>
     <form method="post" action="/logout" class="user"><span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button></form>
   </header>`;
 }
@@ -52,11 +59,26 @@ function Steps() {
   const at = STEPS.findIndex(({ id }) => id === here.value);
   return html`<nav class="path" aria-label=${t("steps")}>
     <div class="wide">${list}</div>
-    <details ref=${menu}><summary>${t("step-of", { number: at + 1, count: STEPS.length })} ${t(`step-${here.value}`)}</summary>${list}</details>
+    <details ref=${menu}><summary>${at < 0 ? t("steps") : html`${t("step-of", { number: at + 1, count: STEPS.length })} ${t(`step-${here.value}`)}`}</summary>${list}</details>
   </nav>`;
 }
 
 // Who has the cell, and what one can do about it.
+function Wake() {
+  const [password, setPassword] = useState("");
+  const submit = async (event) => {
+    event.preventDefault();
+    await wake(password);
+    setPassword("");
+  };
+  return html`<form class="wake" onSubmit=${submit}>
+    <p><${Shape} is="doubt" /> ${t("idle", { name: me.value.name })}</p>
+    <input type="text" autocomplete="username" value=${me.value.name} readonly hidden />
+    <label class="field"><span>${t("password")}</span><input type="password" autocomplete="current-password" value=${password} onInput=${(event) => setPassword(event.currentTarget.value)} /></label>
+    <button class="primary" disabled=${!password}>${t("idle-wake")}</button>
+  </form>`;
+}
+
 function Lease() {
   const [isAsked, setAsked] = useState("");
   const { setup, plc, state } = cell.value;
@@ -82,6 +104,7 @@ function Lease() {
   return html`<aside class="lease ${holds.value ? "mine" : ""}" aria-label=${t("lease")}>
     <p><${Shape} is=${holds.value ? "hand" : "none"} /> ${text}</p>
     <div class="actions">${buttons}</div>
+    ${me.value.idle && html`<${Wake} />`}
     ${question("take", () => take(false))} ${question("over", () => take(true))} ${question("leave", leave)} ${question("end", end)}
   </aside>`;
 }
@@ -97,11 +120,10 @@ function Trouble() {
 export function Shell() {
   const main = useRef(null);
   useEffect(() => {
-    follow();
     addEventListener("hashchange", follow);
     return () => removeEventListener("hashchange", follow);
   }, []);
-  const step = STEPS.find((one) => isBuilt(one) && one.id === here.value) ?? STEPS[0];
+  const step = PAGES.find((one) => isBuilt(one) && one.id === here.value) ?? STEPS[0];
   useEffect(() => {
     if (step.id !== here.value) history.replaceState(null, "", `#/${step.id}`);
     follow();

@@ -5,6 +5,7 @@ import { Cameras } from "./cameras.js";
 import { Light } from "./light.js";
 import { cameras, cell, draft, isConnected, offers, quality, SIDES } from "./live.js";
 import { Shape } from "./pieces.js";
+import { System } from "./system.js";
 import { t } from "./texts.js";
 import { Welcome } from "./welcome.js";
 
@@ -41,6 +42,8 @@ export const STEPS = [
   { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
+// Not a step: what runs, and what ran before.
+export const PAGES = [...STEPS, { id: "system", page: System, needs: "releases", state: () => "none" }];
 export const isBuilt = ({ page, needs }) => page && (!needs || offers(needs));
 export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));
 

@@ -58,6 +58,8 @@ export function number(value, digits = 0) {
 }
 export const sign = (value, digits) => `${value < 0 ? "−" : "+"}${number(Math.abs(value), digits)}`;
 
+export const moment = (iso) => new Intl.DateTimeFormat(language.value, { dateStyle: "medium", timeStyle: "short" }).format(new Date(iso));
+
 // As people type it: 0,5 and 0.5 are the same; NaN for everything else, also for 1.000,5.
 export function parseNumber(text) {
   const plain = text.trim().replace("−", "-").replace(",", ".");

@@ -1,0 +1,88 @@
+"""Cameras, light and focus on the page that sets a cell up: what is seen, heard, typed and dragged."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from browser import browser
+from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from stagecell import PASSWORD, Newcomer, run
+
+from edged.adapters.aravis import aravis_missing
+from edged.commands.stage import USER
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+
+TILES = '[...document.querySelectorAll(".tile")].map((tile) => tile.innerText.replaceAll("\\n", " "))'
+PICTURE = 'document.querySelector(".view canvas:not([hidden])")'
+STRIPED = """(() => { const canvas = document.querySelector(".stripes");
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let red = 0;
+  for (let i = 0; i < data.length; i += 4) red += data[i] > 200 && data[i + 1] < 50 && data[i + 3] > 200;
+  return red; })()"""
+LEFT_EXPOSURE = "document.querySelector('[name=left-exposure_us]').value"
+RIGHT_EXPOSURE = "document.querySelector('[name=right-exposure_us]').value"
+SLIDER = """document.querySelector("[aria-label='Settings of the left camera'] [type=range]")"""
+
+
+def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path: Path) -> None:
+    """From two cameras on the wire to light and focus; axe finds nothing, and all fits a phone."""
+
+    async def test(newcomer: Newcomer) -> None:
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await press(page, "Take over")
+            await page.until('document.querySelector("dialog[open]")')
+            await page.click("dialog[open] .primary")
+            await page.until('document.querySelector(".lease.mine")')
+
+            await go(page, "cameras")
+            await page.until(f"{TILES}.length === 2")
+            assert "EDGED-VIRTUAL-L" in (await page.value(TILES))[0]
+            assert "left camera" in (await page.value(TILES))[0]
+            await page.until(PICTURE)
+            await newcomer.ask("PUT", "stage", {"waving": "right"})
+            await press(page, "I wave now")
+            await page.until(said("left and right have been exchanged"))
+            await page.until(f'{TILES}[0].includes("right camera")')
+            await newcomer.ask("PUT", "stage", {"waving": "none", "showing": "board", "still": True})
+            await press(page, "Take a test pair")
+            await page.until(said("ms between the two exposures"))
+            await page.until('[...document.querySelectorAll(".pair img")].every((image) => image.complete)')
+            assert [] == await page.violations()
+            assert [] == await page.value(SMALL_TARGETS)
+
+            await go(page, "light")
+            await page.until(said("px wide"))
+            await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
+            await page.type("[name=left-exposure_us]", "0,5")
+            await page.until(said("A number from 10 to 1000000 µs"))
+            await page.type("[name=left-exposure_us]", "60000,0")
+            await page.until(f"{LEFT_EXPOSURE} === '60000'")
+            await page.until(said("Set 24000 µs"))  # of what was read back
+            await page.until(f"{STRIPED} > 100")
+            await page.until(said("Something is clipped"))
+            await press(page, "Same settings for the right camera")
+            await page.until(f"{RIGHT_EXPOSURE} === '60000'")
+            await page.value(
+                "document.querySelector('[aria-label=\"Settings of the left camera\"] [type=range]').focus()"
+            )
+            await page.ask("Input.dispatchKeyEvent", type="keyDown", key="Home", windowsVirtualKeyCode=36)
+            await page.until(f"{LEFT_EXPOSURE} === '10'")
+            assert [] == await page.violations()
+            assert [] == await page.value(SMALL_TARGETS)
+
+            for step in ("cameras", "light"):
+                await page.open(f"{newcomer.origin}/setup?pseudo#/{step}", 360, 740)
+                await page.until(PICTURE)
+                assert [] == await page.value(UNTRANSLATED), step
+                assert 0 == await page.value(TOO_WIDE), step
+            assert [] == page.complaints
+
+    run(tmp_path, test)

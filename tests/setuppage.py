@@ -1,0 +1,67 @@
+"""What tests do on the pages that set a cell up, and look for on each of them."""
+
+from __future__ import annotations
+
+from browser import Browser
+
+STATE = 'document.querySelector("#state").textContent.trim()'
+LEASE = 'document.querySelector(".lease").textContent'
+DIALOG = 'document.querySelector("dialog[open]")'
+TOO_WIDE = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
+SMALL_TARGETS = """[...document.querySelectorAll("button, a, select, input, summary")]
+  .filter((e) => e.checkVisibility() && !e.matches(".skip"))
+  .map((e) => e.closest("label") ?? e)
+  .filter((e) => e.getBoundingClientRect().height < 47.5).map((e) => e.outerHTML.slice(0, 80))"""
+UNTRANSLATED = """(() => {
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [];
+  for (let node; (node = texts.nextNode()); ) {
+    const [text, isData] = [node.textContent, node.parentElement.closest("[translate=no], script, noscript")];
+    if (/\\p{L}{2}/u.test(text) && !text.includes("⟦") && !isData) found.push(text);
+  }
+  for (const e of document.querySelectorAll("[aria-label]"))
+    if (!e.getAttribute("aria-label").includes("⟦")) found.push(e.getAttribute("aria-label"));
+  return found; })()"""
+
+
+async def log_in(
+    page: Browser, origin: str, name: str, password: str, place: str, size: tuple[int, int]
+) -> None:
+    """By the form, to which the page leads whoever comes without; then to a place of the page."""
+    await page.open(f"{origin}/setup", *size)
+    await page.until('document.querySelector("#password")')
+    await page.type("#name", name)
+    await page.type("#password", password)
+    await page.click("button")
+    await page.until('!document.querySelector("#password")')
+    page.complaints.clear()  # of the form: that it was typed into before it had the focus
+    await page.open(f"{origin}{place}", *size)
+    await page.until('document.querySelector("main h1")')
+
+
+async def take(page: Browser) -> None:
+    """With the button, and its question answered."""
+    await page.click(".lease .primary")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await page.until('document.querySelector(".lease.mine")')
+
+
+async def go(page: Browser, step: str) -> None:
+    """To a step, by its link."""
+    await page.value(f"""location.hash = "#/{step}" """)
+    await page.until(f"""location.hash === "#/{step}" && document.querySelector("main h1")""")
+
+
+async def press(page: Browser, text: str) -> None:
+    """A button, by what stands on it, when it can be pressed."""
+    found = f"""[...document.querySelectorAll("button")].find((b) => b.textContent.trim() === {text!r})"""
+    await page.until(f"{found}?.disabled === false")
+    await page.value("""document.querySelector("[data-pressed]")?.removeAttribute("data-pressed"), 0""")
+    await page.value(f"""{found}.setAttribute("data-pressed", "")""")
+    await page.click("[data-pressed]")
+
+
+def said(text: str) -> str:
+    """Whether the page says something."""
+    return f"document.body.innerText.includes({text!r})"
