@@ -23,6 +23,8 @@ SHORTEST_S = 0.4
 MEAN_MM_S, MEAN_RAD_S = 120.0, math.radians(60.0)
 REMEMBERED_S = 60.0
 """Movements that ended longer ago are one pose: nobody asks for times before."""
+SAME_MM, SAME_RAD = 10.0, math.radians(6.0)
+"""A place that differs by less is the same one, drawn a little better."""
 CALMING_S = 0.3
 """A hand that is laid down shakes less and less for so long."""
 WAVES = 4
@@ -37,12 +39,15 @@ class Skill:
 
     tremor_mm : standard deviation of its place along each axis; tremor_rad : about each axis.
     miss_mm, miss_rad : it ends up to so far away, in a random direction; uniform in the ball.
+    corrected : the share of its misses that remains each time it is asked for nearly the same place again: a
+    person sees where the board is and where it should be.
     """
 
     tremor_mm: float = 0.05
     tremor_rad: float = math.radians(0.03)
     miss_mm: float = 10.0
     miss_rad: float = math.radians(6.0)
+    corrected: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +72,8 @@ class Hand:
     def __init__(self, rig_from_hand: FloatArray, *, seed: int = 0, skill: Skill | None = None) -> None:
         self.skill = skill or Skill()
         self._seed = seed
-        self._asked = 0
+        self._asked = self._again = 0
+        self._goal: FloatArray | None = None
         self._base = np.array(rig_from_hand, dtype=np.float64)
         self._movements: list[_Movement] = []
         self._calm: tuple[int, float, float] = (0, 1.0, 1.0)  # since, tremor's share before and after
@@ -82,8 +88,11 @@ class Hand:
             self._asked += 1
             rng = np.random.default_rng((self._seed, 8, self._asked))
             goal = np.array(rig_from_hand, dtype=np.float64)
-            goal[:3, 3] += self.skill.miss_mm * _in_ball(rng)
-            goal[:3, :3] = rotation_matrix(self.skill.miss_rad * _in_ball(rng)) @ goal[:3, :3]
+            self._again = self._again + 1 if self._is_same(goal) else 0
+            self._goal = goal.copy()
+            remains = self.skill.corrected**self._again
+            goal[:3, 3] += remains * self.skill.miss_mm * _in_ball(rng)
+            goal[:3, :3] = rotation_matrix(remains * self.skill.miss_rad * _in_ball(rng)) @ goal[:3, :3]
             self._forget(at_ns)
             last = self._steady(None)
             shift_mm = goal[:3, 3] - last[:3, 3]
@@ -119,6 +128,13 @@ class Hand:
         tremor = share * math.sqrt(2.0 / WAVES) * waves.sum(axis=1)
         shaken = rotation_matrix(self.skill.tremor_rad * tremor[3:]) @ steady[:3, :3]
         return transform(shaken, steady[:3, 3] + self.skill.tremor_mm * tremor[:3])
+
+    def _is_same(self, goal: FloatArray) -> bool:
+        """Whether nearly this was asked for before."""
+        if self._goal is None:
+            return False
+        turn = float(np.linalg.norm(rotation_vector(goal[:3, :3] @ self._goal[:3, :3].T)))
+        return bool(np.linalg.norm(goal[:3, 3] - self._goal[:3, 3]) < SAME_MM and turn < SAME_RAD)
 
     def _steady(self, at_ns: int | None) -> FloatArray:
         """Without tremor; None: where all movements end."""

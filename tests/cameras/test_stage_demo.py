@@ -61,6 +61,23 @@ def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
     run(tmp_path, test)
 
 
+def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
+    """Each route of the cameras and of the stage, without a log-in."""
+
+    async def test(newcomer: Newcomer) -> None:
+        document = await newcomer.ask("GET", "openapi.json")
+        asked = []
+        async with aiohttp.ClientSession(newcomer.origin) as stranger:
+            for path, methods in document["paths"].items():
+                for method in methods if path.split("/")[3] in ("cameras", "stage") else ():
+                    asked.append((method, path))
+                    async with stranger.request(method, path.replace("{side}", "left"), json={}) as answer:
+                        assert 401 == answer.status, asked[-1]
+        assert 10 == len(asked)
+
+    run(tmp_path, test)
+
+
 def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
     """By the packets of two cameras: who is which, what they take, a hand that is waved, and all undone."""
 

@@ -103,6 +103,22 @@ def test_a_hand_misses_by_its_skill_and_repeats_by_its_seed() -> None:
     assert 5.0 < np.median(misses_mm)
 
 
+def test_who_is_asked_again_comes_nearer() -> None:
+    """A person sees the drawing and the board: half of the miss each time, at one place."""
+    misses = []
+    for seed in range(40):
+        hand = Hand(at(0, 0, 200), seed=seed)
+        hand.rest(True, 0)
+        for k in range(4):
+            hand.move(at(20, 5, 210 + 0.1 * k), k * 5 * S)
+        hand.move(at(-20, 5, 210), 20 * S)
+        misses.append([np.linalg.norm(hand.pose(k * 5 * S + 5 * S)[:3, 3] - (20, 5, 210)) for k in range(4)])
+        misses[-1].append(np.linalg.norm(hand.pose(25 * S)[:3, 3] - (-20, 5, 210)))
+    most = np.max(misses, axis=0)
+    np.testing.assert_array_less(most, (10.01, 5.2, 2.8, 1.6, 10.01))
+    assert most[4] > 8.0
+
+
 # --- what is shown -----------------------------------------------------------------------------------
 
 
