@@ -16,7 +16,7 @@ from argon2 import PasswordHasher
 from scriptedhead import Ear, Head, make_setup
 from yarl import URL
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings
+from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
 from edged.cycle import Cycle
 from edged.files.users import RoleName, User, UserFile
 from edged.robot.orientations import Convention
@@ -77,6 +77,7 @@ class Cell(BrowserSession):
         super().__init__(session)
         self.cycle, self.web, self.head, self.ear, self.state = cycle, web, head, ear, state
         self.asleep_s = asleep_s
+        self.plant = Overview()
 
     def sleep(self, seconds: float) -> None:
         """Nobody does anything for so long."""
@@ -111,6 +112,7 @@ async def running(
         (state / "users.json").write_text("{")
     for name, role in (users or {}).items():
         UserFile(state / "users.json").put(User(name=name, role=role, password_hash=HASH))
+    seen = list[Cell]()
     head = Head()
     cycle = Cycle(head, make_setup())
     sources = Sources(
@@ -120,6 +122,7 @@ async def running(
         registers=list,
         metrics=bytes,
         convention=lambda: Convention.FIXED_XYZ,
+        overview=lambda: seen[0].plant if seen else Overview(),
     )
     settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
     asleep_s = [0.0]
@@ -136,7 +139,9 @@ async def running(
     try:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            yield Cell(cycle, web, head, ear, session, asleep_s, state)
+            cell = Cell(cycle, web, head, ear, session, asleep_s, state)
+            seen.append(cell)
+            yield cell
     finally:
         cycle.stop()
         await task

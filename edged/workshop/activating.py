@@ -61,6 +61,11 @@ class Activation:
         self._turn = asyncio.Lock()
 
     @property
+    def fingerprint(self) -> str:
+        """Of what the cell runs by."""
+        return self._running().fingerprint
+
+    @property
     def active(self) -> int | None:
         """The release that the cell runs by; None for one that was changed by hand since."""
         fingerprint = self._running().fingerprint

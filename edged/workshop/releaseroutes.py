@@ -90,15 +90,19 @@ class ReleaseRoutes:
     async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
         self._activation.check(call.body.token)
         _, rig = await known(self._calibrations.solution(call.part("id")))
+        call.trail.before = self._activation.fingerprint
         release = await self._activation.activate(rig, call.visitor.name, call.body.note)
+        call.trail.after = release.fingerprint
         await self._calibrations.tell(call.part("id"))
         return _document(release, is_active=True)
 
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
         self._activation.check(call.body.token)
         number, body = int(call.part("number")), call.body
-        back = self._activation.activate_again(number, call.visitor.name, body.reason)
-        return _document(await known(back), is_active=True)
+        call.trail.before = self._activation.fingerprint
+        release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
+        call.trail.after = release.fingerprint
+        return _document(release, is_active=True)
 
     async def _list(self, _call: Call[None]) -> ReleaseList:
         releases, active = await self._activation.listed()

@@ -239,5 +239,11 @@ def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixtur
         assert not await cell.comes_in("Anna")
         await cell.log_in("")
         assert ("", "viewer") == await me(cell)
+        code = Invite(cell.state).make()
+        form = {"code": code, "name": "Erna", "password": NEW, "again": NEW}
+        async with cell.session.post("/invite", data=form, allow_redirects=False) as answer:
+            assert 500 == answer.status
+            assert "users.json" in await answer.text()
+        assert Invite(cell.state).take(code)
 
     run(test, users=None)

@@ -13,7 +13,8 @@ import pytest
 from scriptedhead import until
 from webcell import Cell, run
 
-from edged.adapters.web import sockets
+from edged.adapters.web import Overview, sockets
+from edged.adapters.web.access import IDLE_S
 
 PLACE = "/api/v1/ws"
 
@@ -138,6 +139,53 @@ def test_live_without_the_cell_is_refused() -> None:
             refused = await tab.hear("live", on=False)
             assert "setup_refused" == refused["code"]
         assert 0 == cell.head.captures
+        await tab.socket.close()
+
+    run(test)
+
+
+def test_only_an_engineer_lets_cameras_run() -> None:
+    """Who may look is told so, and so is an engineer of whom there was no sign; a finger is one."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        _, entered = await cell.ask("POST", "/api/v1/setup", {})
+        await cell.log_in("Vera")
+        tab = await opened(cell)
+        await tab.socket.send_json({"live": True, **entered})
+        assert "role" == (await tab.hear("live", on=False))["code"]
+        await tab.socket.close()
+        await cell.log_in()
+        tab = await opened(cell)
+        cell.sleep(0.6 * IDLE_S)
+        await tab.socket.send_json({"active": True})
+        await tab.socket.send_json({"live": True, **entered})
+        await tab.look()
+        await tab.socket.send_json({"live": False})
+        await tab.hear("live", on=False)
+        cell.sleep(0.6 * IDLE_S)
+        await tab.socket.send_json({"live": True, **entered})
+        await tab.hear("live", on=True)
+        await tab.socket.send_json({"live": False})
+        await tab.hear("live", on=False)
+        cell.sleep(IDLE_S)
+        await tab.socket.send_json({"live": True, **entered})
+        assert "idle" == (await tab.hear("live", on=False))["code"]
+        await tab.socket.close()
+
+    run(test)
+
+
+def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
+    monkeypatch.setattr("edged.cycle.IDLE_CHECK_S", 0.05)
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        tab = await opened(cell)
+        assert not (await tab.hear("cell", state="READY"))["plc"]["auto_lock"]
+        cell.plant = Overview(auto_lock=True, plc_owner="10.0.0.5")
+        assert {"owner": "10.0.0.5", "auto_lock": True} == (await tab.hear("cell"))["plc"]
         await tab.socket.close()
 
     run(test)

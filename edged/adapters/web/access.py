@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 from edged.adapters.web.visitors import Role, Visitor
+from edged.errors import FileFormatError
 from edged.files.invite import Invite
 from edged.files.users import User, UserFile
 from edged.passwords import hash_password, is_password
@@ -138,6 +139,8 @@ class Access:
         users, invite = self._users, self._invite
         if users is None or invite is None:
             return None
+        if users.problem:  # before the code is used up
+            raise FileFormatError(users.problem)
         if not await self._guarded(address, partial(invite.take, code)):
             return None
         user = User(name=name, role="engineer", password_hash=await self.hash(password))

@@ -36,7 +36,7 @@ from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, foremost
 from edged.adapters.web.visitors import Visitor
 from edged.domain.arrays import Side
-from edged.domain.events import Event
+from edged.domain.events import Event, Idle
 from edged.domain.measurement import Nearest
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
@@ -236,10 +236,12 @@ class WebPublisher:
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
-        if self._page.take(event):
+        is_new = self._page.take(event)
+        if is_new:
             self._viewers.wake()
-            if self._sockets is not None:
-                self._sockets.cell_changed()
+        # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event
+        if self._sockets is not None and (is_new or isinstance(event, Idle)):
+            self._sockets.cell_changed()
 
     async def close(self) -> None:
         """End every viewer and leave nothing behind."""

@@ -236,14 +236,19 @@ class Sockets:
         if said.live is False:
             self._live.unwant(tab)
         if said.live:
+            if visitor.role < Role.ENGINEER:
+                code, why = ("idle", "say your password again") if visitor.is_idle else ("role", "")
+                self._refuse(tab, code, why or "only an engineer may")
+                return
             try:
-                if visitor.role < Role.ENGINEER:
-                    raise SetupRefused("only an engineer may, who is not idle")
                 self._live.want(tab, said.token or "")
             except SetupRefused as error:
-                refused = {"type": "live", "on": self._live.is_on, "code": "setup_refused"}
-                tab.notes["live", None] = json.dumps({**refused, "detail": str(error)})
-                tab.wake.set()
+                self._refuse(tab, "setup_refused", str(error))
+
+    def _refuse(self, tab: _Tab, code: str, detail: str) -> None:
+        refused = {"type": "live", "on": self._live.is_on, "code": code, "detail": detail}
+        tab.notes["live", None] = json.dumps(refused)
+        tab.wake.set()
 
     async def _tell(self, tab: _Tab) -> None:
         """Send what is new, as fast as it is read."""
