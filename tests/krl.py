@@ -61,7 +61,7 @@ HEAD = re.compile(
 )
 LOCAL = re.compile(rf"DECL (?P<type>\w+) (?P<name>{NAME})(?P<array>\[(?P<size>\d*)\])?$")
 DATA = re.compile(
-    rf"DECL (?:GLOBAL )?(?P<type>INT|REAL|FRAME) (?P<name>{NAME})"
+    rf"DECL (?:GLOBAL )?(?P<type>INT|REAL|FRAME|CHAR) (?P<name>{NAME})"
     r"(?:\[(?P<size>\d+)\])?(?:=(?P<initial>\S+))?$"
 )
 
@@ -89,16 +89,15 @@ class _Syntax(Syntax):
 class _Krl(Program):
     """KRL: `TEXT[]` is the whole array, and a string is written into it."""
 
-    def execute(self, body: list[Any]) -> None:
+    def statement(self, one: Any) -> None:
         """Strings are assigned as a whole; everything else as in the other languages."""
-        for one in body:
-            if isinstance(one, Assign) and one.target.endswith("[]"):
-                array, text = self.place(one.target), self.evaluate(one.value).get()
-                assert len(text) <= len(array.elements), one
-                for place, char in zip(array.elements, text, strict=False):
-                    place.set(char)
-            else:
-                super().execute([one])
+        if isinstance(one, Assign) and one.target.endswith("[]"):
+            array, text = self.place(one.target), self.evaluate(one.value).get()
+            assert len(text) <= len(array.elements), one
+            for place, char in zip(array.elements, text, strict=False):
+                place.set(char)
+        else:
+            super().statement(one)
 
 
 def load(files: dict[str, str], controller: Controller) -> Program:

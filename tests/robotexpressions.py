@@ -135,8 +135,8 @@ class Compiler:
 
         def run() -> Value:
             one, other = left().get(), right().get()
-            numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (one, other))
-            assert numbers or type(one) is type(other), f"{one!r} against {other!r}: {self.text}"
+            kinds = {type(one), type(other)}
+            assert len(kinds) == 1 or kinds == {int, float}, f"{one!r} against {other!r}: {self.text}"
             return Value("bool", compare(one, other))
 
         return run

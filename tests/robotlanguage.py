@@ -223,24 +223,28 @@ class Program:
     def execute(self, body: list[Any]) -> None:
         """Statements, one after the other."""
         for one in body:
-            if isinstance(one, Assign):
-                self.place(one.target).set(self.evaluate(one.value).get())
-            elif isinstance(one, Call):
-                self.invoke(one.name, self._arguments(one.arguments), is_statement=True)
-            elif isinstance(one, If):
-                for condition, inner in one.branches:
-                    if not condition or self._holds(condition):
-                        self.execute(inner)
-                        break
-            elif isinstance(one, While):
-                while self._holds(one.condition):
-                    self.execute(one.body)
-            elif isinstance(one, For):
-                self._count(one)
-            elif isinstance(one, Return):
-                raise Returned(self.evaluate(one.value).get() if one.value else None)
-            else:
-                raise TypeError(f"no statement: {one!r}")
+            self.statement(one)
+
+    def statement(self, one: Any) -> None:
+        """One of them."""
+        if isinstance(one, Assign):
+            self.place(one.target).set(self.evaluate(one.value).get())
+        elif isinstance(one, If):
+            for condition, inner in one.branches:
+                if not condition or self._holds(condition):
+                    self.execute(inner)
+                    break
+        elif isinstance(one, Call):
+            self.invoke(one.name, self._arguments(one.arguments), is_statement=True)
+        elif isinstance(one, While):
+            while self._holds(one.condition):
+                self.execute(one.body)
+        elif isinstance(one, For):
+            self._count(one)
+        elif isinstance(one, Return):
+            raise Returned(self.evaluate(one.value).get() if one.value else None)
+        else:
+            raise TypeError(f"no statement: {one!r}")
 
     def _count(self, one: For) -> None:
         first, last = self.evaluate(one.first).get(), self.evaluate(one.last).get()

@@ -15,6 +15,7 @@ ALLOWED = {
     "tests/wire/test_browser.py::*": "no chromium",
     "tests/wire/test_setup_page*.py::*": "no chromium",
     "tests/cameras/test_doctor_networks.py::*": "not root|this kernel",
+    "tests/wire/test_robot_examples.py::*yaskawa*": "no C compiler",
     "tests/wire/test_robot_languages.py::*Yaskawa*": "no C compiler",
     "tests/wire/test_service.py::test_a_bad_disk_*": "this kernel",
 }

@@ -135,15 +135,14 @@ class _Spel(Program):
             self.execute(handler[:-1])
             self.execute(routine.labels[last.arguments.strip('"')])
 
-    def execute(self, body: list[Any]) -> None:
-        """Statements, one after the other."""
-        for one in body:
-            if isinstance(one, Leave):
-                raise Returned(None)
-            if isinstance(one, OnError):
-                self.places[-1] = one.label
-            else:
-                super().execute([one])
+    def statement(self, one: Any) -> None:
+        """One of them."""
+        if isinstance(one, Leave):
+            raise Returned(None)
+        if isinstance(one, OnError):
+            self.places[-1] = one.label
+        else:
+            super().statement(one)
 
 
 def load(source: str, controller: Controller) -> Program:
