@@ -106,44 +106,43 @@ async def running(
     ear: Ear, commissioning: bool, users: Mapping[str, RoleName] | None = USERS
 ) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it."""
-    folder = TemporaryDirectory()
-    state = Path(folder.name)
-    if users is None:
-        (state / "users.json").write_text("{")
-    for name, role in (users or {}).items():
-        UserFile(state / "users.json").put(User(name=name, role=role, password_hash=HASH))
-    seen = list[Cell]()
-    head = Head()
-    cycle = Cycle(head, make_setup())
-    sources = Sources(
-        rectification=lambda: pytest.fail("no cycle has made a picture"),
-        jobs=list,
-        facts=dict,
-        registers=list,
-        metrics=bytes,
-        convention=lambda: Convention.FIXED_XYZ,
-        overview=lambda: seen[0].plant if seen else Overview(),
-    )
-    settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
-    asleep_s = [0.0]
-    web = WebPublisher(
-        "cell1",
-        settings,
-        sources,
-        commissioner=cycle,
-        clock_s=lambda: time.monotonic() + asleep_s[0],
-    )
-    await web.start()
-    cycle.set_publishers([ear, web])
-    task = asyncio.create_task(cycle.run())
-    try:
-        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-        async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
-            cell = Cell(cycle, web, head, ear, session, asleep_s, state)
-            seen.append(cell)
-            yield cell
-    finally:
-        cycle.stop()
-        await task
-        await web.close()
-        folder.cleanup()
+    with TemporaryDirectory() as folder:
+        state = Path(folder)
+        if users is None:
+            (state / "users.json").write_text("{")
+        for name, role in (users or {}).items():
+            UserFile(state / "users.json").put(User(name=name, role=role, password_hash=HASH))
+        seen = list[Cell]()
+        head = Head()
+        cycle = Cycle(head, make_setup())
+        sources = Sources(
+            rectification=lambda: pytest.fail("no cycle has made a picture"),
+            jobs=list,
+            facts=dict,
+            registers=list,
+            metrics=bytes,
+            convention=lambda: Convention.FIXED_XYZ,
+            overview=lambda: seen[0].plant if seen else Overview(),
+        )
+        settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
+        asleep_s = [0.0]
+        web = WebPublisher(
+            "cell1",
+            settings,
+            sources,
+            commissioner=cycle,
+            clock_s=lambda: time.monotonic() + asleep_s[0],
+        )
+        await web.start()
+        cycle.set_publishers([ear, web])
+        task = asyncio.create_task(cycle.run())
+        try:
+            jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
+            async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
+                cell = Cell(cycle, web, head, ear, session, asleep_s, state)
+                seen.append(cell)
+                yield cell
+        finally:
+            cycle.stop()
+            await task
+            await web.close()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.files.audit import LINES, AuditFile
+from edged.files.audit import LINES, AuditFile, shown
 from edged.files.statefolder import state_folder
 
 
@@ -18,22 +18,22 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
     """
     folder = state_folder(config)
     verdict = AuditFile(folder).verify()
-    shown = verdict.records[-last:] if last else ()
+    records = verdict.records[-last:] if last else ()
     if as_json:
         document = {
-            "records": list(shown),
+            "records": list(records),
             "count": len(verdict.records),
             "problem": verdict.problem or None,
             "torn_bytes": verdict.torn_bytes,
         }
         print(json.dumps(document))
         return 1 if verdict.problem else 0
-    for record in shown:
+    for record in records:
         why = f" ({record['reason']})" if record["reason"] else ""
         who = f"{record['user'] or 'nobody'} {record['role']}".strip()
         said = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
         console.print(
-            f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}",
+            shown(f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}"),
             markup=False,
             highlight=False,
         )

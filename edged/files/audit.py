@@ -137,6 +137,11 @@ class AuditFile:
         return Verdict(tuple(records), problem or _ends(records, head, has_head=has_head), len(torn))
 
 
+def shown(text: str) -> str:
+    """A text that a stranger chose, a wrong name for example, as it may be printed."""
+    return "".join(letter if letter.isprintable() else "�" for letter in text)
+
+
 def _chain(lines: list[bytes]) -> tuple[list[dict[str, Any]], str]:
     """Records up to the first that does not fit, and why it does not."""
     records: list[dict[str, Any]] = []

@@ -30,11 +30,12 @@ def test_the_chain_is_printed_and_verified(
     assert (0, True) == ((first := asked())[0], "0 records" in first[1])
     for outcome in ("role", "ok"):
         AuditFile(lines.parent).add(
-            Deed("[red]Anna", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")
+            Deed("[red]Anna\x1b[2J", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")
         )
     code, said = asked()
     assert 0 == code
-    assert "[red]Anna engineer at 10.0.0.7  POST setup: role (a board)" in said
+    assert "\x1b" not in said
+    assert "[red]Anna�[2J engineer at 10.0.0.7  POST setup: role (a board)" in said
     assert "2 records, the chain holds" in said
     code, said = asked("--json", "--last", "1")
     document = json.loads(said)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 
 import pytest
+from scriptedhead import until
 from webcell import PASSWORD, Cell, run
 
 from edged.adapters.web.auditing import REFUSED_BURST
+from edged.domain.cell import CellPhase
 
 
 def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
@@ -54,6 +56,27 @@ def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptur
         _, some = await cell.ask("GET", "/api/v1/audit?after=3&most=2", None)
         assert ([4, 5], 10) == ([one["number"] for one in some["records"]], some["count"])
         assert PASSWORD not in str(told)
+
+    run(test)
+
+
+def test_setup_that_the_plant_ends_is_noted() -> None:
+    """And that which a person ends is noted once, as theirs."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        for ends in (lambda: cell.cycle.lock_setup(True), None):
+            _, entered = await cell.ask("POST", "/api/v1/setup", {})
+            if ends is None:
+                await cell.ask("DELETE", "/api/v1/setup", entered)
+            else:
+                ends()
+            await until(lambda: cell.ear.state() is CellPhase.READY)
+            cell.cycle.lock_setup(False)
+        _, told = await cell.ask("GET", "/api/v1/audit", None)
+        deeds = [(one["user"], one["verb"], one["object"]) for one in told["records"]]
+        anna = [("Anna", "POST", "setup"), ("Anna", "DELETE", "setup")]
+        assert [("Anna", "log in", "page"), anna[0], ("", "end", "setup"), *anna] == deeds
 
     run(test)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from argon2 import PasswordHasher
 from webcell import HASH, PASSWORD, Cell, run
 
 from edged.adapters.web.access import IDLE_S, Access
@@ -15,6 +16,12 @@ from edged.files.invite import Invite
 from edged.files.users import User, UserFile
 
 NEW = "battery staple"
+
+
+@pytest.fixture(autouse=True)
+def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
+    monkeypatch.setattr("edged.passwords.HASHER", PasswordHasher(time_cost=1, memory_cost=512, parallelism=1))
 
 
 async def me(cell: Cell) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from aiohttp import web
@@ -12,7 +12,7 @@ from pydantic import Field
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, RouteTable
 from edged.door import Rate
-from edged.files.audit import AuditFile, Deed
+from edged.files.audit import AuditFile, Deed, shown
 from edged.logs import LogLimit, fields
 
 log = logging.getLogger(__name__)
@@ -64,6 +64,7 @@ class Auditor:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="audit")
         self._refused = Rate(REFUSED_PER_S, burst=REFUSED_BURST)
         self._limit = LogLimit(__name__)
+        self._is_closed = False
 
     def add_to(self, table: RouteTable) -> None:
         """Add the route."""
@@ -94,16 +95,25 @@ class Auditor:
         await self.add(Deed(name, "", request.remote or "", verb, "page", outcome))
 
     async def add(self, deed: Deed) -> None:
-        """Keep a deed, and mirror it."""
+        """Keep a deed, and mirror it; on the disc when this returns."""
         if deed.outcome != "ok" and not self._refused.take():
             self._limit.warning("audit: %s", _text(deed))
             return
-        kept = asyncio.get_running_loop().run_in_executor(self._thread, self._keep, deed)
         # the deed is done: whoever hangs up, it is noted
-        await asyncio.wait({kept}, timeout=WAIT_S)
+        await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
+
+    def post(self, deed: Deed) -> Future[None]:
+        """The same, of what nobody waits for; after the end it is in the journal alone."""
+        if self._is_closed:
+            log.info("audit: %s", _text(deed))
+            done = Future[None]()
+            done.set_result(None)
+            return done
+        return self._thread.submit(self._keep, deed)
 
     async def close(self) -> None:
         """Everything is on the disc."""
+        self._is_closed = True
         await asyncio.to_thread(self._thread.shutdown, wait=True)
 
     def _keep(self, deed: Deed) -> None:
@@ -130,6 +140,6 @@ class Auditor:
 
 
 def _text(deed: Deed) -> str:
-    who = f"{deed.user or 'nobody'} at {deed.address}"
-    why = f" ({deed.reason})" if deed.reason else ""
+    who = f"{shown(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
+    why = f" ({shown(deed.reason)})" if deed.reason else ""
     return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"

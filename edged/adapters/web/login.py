@@ -13,7 +13,8 @@ from edged.adapters.web.access import Access
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.people import MIN_LENGTH, Password
 from edged.errors import FileFormatError
-from edged.files.users import UserName
+from edged.files.invite import Invite
+from edged.files.users import UserFile, UserName
 from edged.report.page import render
 
 log = logging.getLogger(__name__)
@@ -100,6 +101,19 @@ class LoginForms:
         answer = web.HTTPSeeOther(to)
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="Strict", secure=self._secure, path="/")
         return answer
+
+
+def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
+    """In the log: that their file cannot be used, or how the first engineer comes in."""
+    if users.problem:
+        log.error("nobody can log in by name: %s", users.problem)
+    elif not users.has_engineer:
+        try:
+            code = invite.make()
+        except OSError as error:
+            log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
+            return
+        log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
 
 
 async def _fields(request: web.Request) -> dict[str, str]:

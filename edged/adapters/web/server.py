@@ -24,7 +24,7 @@ from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import modules, read_assets, type_of
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.gate import Gate
-from edged.adapters.web.login import COOKIE, LoginForms
+from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
@@ -36,11 +36,12 @@ from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, foremost
 from edged.adapters.web.visitors import Visitor
 from edged.domain.arrays import Side
+from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
 from edged.domain.measurement import Nearest
 from edged.door import Door, Guest, Rate
 from edged.errors import ListenError
-from edged.files.audit import AuditFile
+from edged.files.audit import AuditFile, Deed
 from edged.files.invite import Invite
 from edged.files.users import UserFile
 from edged.logs import LogLimit
@@ -52,8 +53,8 @@ from edged.session.notices import Notices
 
 log = logging.getLogger(__name__)
 
-MAX_GUESTS = 64
-"""Connections at a time; a browser has six, a scraper one."""
+MAX_GUESTS = 96
+"""Connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third of them."""
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
 HANDSHAKES_PER_S = 50.0
@@ -121,6 +122,7 @@ class WebPublisher:
         self._live = live
         self._rooms = rooms
         self._sockets: Sockets | None = None
+        self._taking: SetupRoutes | None = None
         self._settings = settings
         self._context = context
         self._commissioner = commissioner
@@ -198,26 +200,13 @@ class WebPublisher:
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
         place = f"{'https' if context is not None else 'http'}://{host}:{self.port}"
         log.info("status page: %s", place)
-        self._tell_of_users(place)
-
-    def _tell_of_users(self, place: str) -> None:
-        """That their file cannot be used; how the first engineer comes in."""
-        if self._users is None or self._invite is None:
-            return
-        if self._users.problem:
-            log.error("nobody can log in by name: %s", self._users.problem)
-        elif not self._users.has_engineer:
-            try:
-                code = self._invite.make()
-            except OSError as error:
-                log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
-                return
-            log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
+        if self._users is not None and self._invite is not None:
+            tell_of_users(self._users, self._invite, place)
 
     def _api(self, commissioner: Commissioner) -> Gate:
         """What sets the cell up: the routes that every cell has, and those of the rooms."""
         table = RouteTable()
-        setup = SetupRoutes(commissioner, self._drawer)
+        self._taking = setup = SetupRoutes(commissioner, self._drawer)
         setup.add_to(table)
         asked = self._sources.overview
         overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder)
@@ -239,6 +228,8 @@ class WebPublisher:
         is_new = self._page.take(event)
         if is_new:
             self._viewers.wake()
+        if self._taking is not None and isinstance(event, CellState) and self._taking.ended_by(event):
+            self._auditor.post(Deed("", "", "", "end", "setup", "ok", reason="by the plant (AUTO_LOCK)"))
         # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event
         if self._sockets is not None and (is_new or isinstance(event, Idle)):
             self._sockets.cell_changed()

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Leased, Name, Problem, RouteTable, Token
 from edged.adapters.web.visitors import Role
 from edged.domain.arrays import Image
+from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.frames import FramePair
 from edged.ports import Commissioner
 
@@ -22,6 +23,8 @@ log = logging.getLogger(__name__)
 
 KEPT = 4
 """Pairs that can be fetched after they were taken."""
+ENDED = {CellPhase.READY, CellPhase.FAULT, CellPhase.SETUP}
+"""What a cell is that goes on without the person; one that stops is still theirs."""
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
@@ -72,11 +75,20 @@ class SetupRoutes:
         self._pairs: OrderedDict[int, FramePair] = OrderedDict()
         self._count = 0
         self._holder = ""
+        self._is_taken = False
 
     @property
     def holder(self) -> str:
         """The session that took the cell last; "" when nobody did."""
         return self._holder
+
+    def ended_by(self, state: CellState) -> bool:
+        """Whether SETUP of a person has ended that nobody ended here: by the plant."""
+        was_taken, self._is_taken = self._is_taken, state.setup is SetupSource.PERSON
+        is_over = was_taken and not self._is_taken and self._holder != "" and state.state in ENDED
+        if is_over:
+            self._holder = ""
+        return is_over
 
     def add_to(self, table: RouteTable) -> None:
         """Add the routes."""
