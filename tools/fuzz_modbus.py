@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Throw hostile Modbus frames at a cell, over TCP and over a serial line, and see what is left of it.
+"""Throw hostile frames at a cell, of Modbus clients and of robots, and see what is left of it.
 
 Run it with the project's Python: `.venv/bin/python tools/fuzz_modbus.py --frames 1000000`. The cell runs in a
 process of its own with a serial line on a pseudo terminal. Sent are random bytes, mutated requests of every
 function, thousands of pipelined ones, connections that dribble, that say nothing, that are torn down or never
-read; a thousand connects at once. Meanwhile a good client reads the result block and checks every answer.
-Exit code 1 if the good client was ever not served, or memory, log or descriptors have grown.
+read; a thousand connects at once. To the socket of robots go requests in lines and in binary frames, whole,
+mutated, torn and without an end. Meanwhile a good client reads the result block and a good robot asks; both
+check every answer. Exit code 1 if one was ever not served, or memory, log or descriptors have grown.
 """
 
 from __future__ import annotations
@@ -33,22 +34,24 @@ GOOD_CLIENT = "127.0.0.9"  # has reserved connections, as a PLC should
 IDLE_S = 3.0
 MAX_CLIENTS = 32
 RTU_SHARE = 0.01  # of the frames; a serial line needs a silence after each
+ROBOTS = 6  # that say nothing at a time: with the good one and the flooding one they are all that come in
 FLAT_BYTES, FLAT_LOG_BYTES, FLAT_FILES = 6 << 20, 64 << 10, 2
 SERVER = """
 import logging, sys, time
 from ipaddress import ip_address
 logging.basicConfig(level=logging.INFO)
-from edged.adapters.modbus import ModbusSettings, SerialSettings
+from edged.adapters.modbus import LineSettings, ModbusSettings, SerialSettings
+from edged.robot.orientations import Brand
 from livecell import LiveCell
 serial = SerialSettings(sys.argv[1], parity="none", gap_s=0.004)
 from snapshots import make_target
 from livecell import GRASPS
 settings = ModbusSettings(port=0, serial=serial, idle_s=float(sys.argv[2]), max_clients=int(sys.argv[3]),
-                          reserved={ip_address(sys.argv[4]): 2})
+                          line=LineSettings(0, Brand.KUKA), reserved={ip_address(sys.argv[4]): 2})
 cell = LiveCell(settings, period_s=0.05).pick(GRASPS)
 cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
 with cell:
-    print(cell.port, flush=True)
+    print(cell.port, cell.server.line_port, flush=True)
     sys.stdin.read()
 """
 
@@ -73,11 +76,12 @@ class Server:
                 env={**os.environ, "PYTHONPATH": sys.path[0]},
             )
         assert self.process.stdout is not None
-        self.port = int(self.process.stdout.readline())
+        self.port, self.robots_port = map(int, self.process.stdout.readline().split())
 
-    def connect(self, source: str = "127.0.0.1") -> socket.socket:
+    def connect(self, source: str = "127.0.0.1", port: int | None = None) -> socket.socket:
         """A connection of a client."""
-        line = socket.create_connection(("127.0.0.1", self.port), timeout=10, source_address=(source, 0))
+        place = ("127.0.0.1", port or self.port)
+        line = socket.create_connection(place, timeout=10, source_address=(source, 0))
         line.setblocking(False)
         return line
 
@@ -136,6 +140,52 @@ class GoodClient(threading.Thread):
                 self.times_ms.append((time.monotonic() - start_s) * 1e3)
 
 
+class GoodRobot(threading.Thread):
+    """Asks every 20 ms where the tool takes the part, in lines and in frames by turns."""
+
+    def __init__(self, server: Server) -> None:
+        super().__init__()
+        self._line = server.connect(GOOD_CLIENT, server.robots_port)
+        self._line.settimeout(10)
+        self.answers = 0
+        self.problems: list[str] = []
+        self.done = threading.Event()
+
+    def run(self) -> None:
+        """Until `done`, or until it is not served."""
+        from edged.plc.frames import ANSWER, FrameRequest, read_answer
+        from edged.robot.orientations import Brand
+
+        with self._line, self._line.makefile("rb") as file:
+            while not self.done.wait(0.02):
+                sequence = self.answers % 65535 + 1
+                try:
+                    if sequence % 2:
+                        self._line.sendall(f"{sequence},GRASP\n".encode())
+                        fields = file.readline().split(b",")
+                        if len(fields) != 13 or int(fields[0]) != sequence:
+                            raise ValueError(f"an answer of {len(fields)} fields")
+                    else:
+                        self._line.sendall(FrameRequest(sequence, "GRASP").frame())
+                        read_answer(file.read(ANSWER.size), Brand.KUKA, sequence)
+                except (OSError, ValueError) as error:
+                    self.problems.append(f"the robot was not served: {error!r}")
+                    return
+                self.answers += 1
+
+
+def robots_requests() -> list[bytes]:
+    """Good requests of robots, in lines and in frames."""
+    from edged.plc.frames import COMMANDS, FrameRequest
+
+    said = [FrameRequest(i, name, i % 3) for i, name in enumerate(COMMANDS, 1)]
+    flange = (512.0, -88.0, 611.0, 12.4, 3.0, 178.3)
+    lines = [f"{one.sequence},{one.command},{one.job}" for one in said]
+    lines += [f"7,LOCATE,0,{','.join(map(str, flange))}", "8,LOCATE,*", "9,NEXT"]
+    frames = [one.frame() for one in (*said, FrameRequest(90, "LOCATE", 0, flange, tries_all=True))]
+    return [*(line.encode() + b"\n" for line in lines), *frames]
+
+
 def requests() -> list[bytes]:
     """Good request PDUs of every function, the handshake among them."""
     return [
@@ -160,6 +210,7 @@ class Fuzzer:
     def __init__(self, server: Server, dice: random.Random) -> None:
         self.server, self.dice = server, dice
         self.requests = requests()
+        self.robots_requests = robots_requests()
         self.sent: Counter[str] = Counter()
         self.idle: list[socket.socket] = []
 
@@ -199,6 +250,23 @@ class Fuzzer:
             if line is not None:
                 self._push(line, self.dice.randbytes(self.dice.randrange(1, 600)), reads=True)
 
+    def robots(self, messages: int) -> None:
+        """The socket of robots: whole, mutated, torn, endless, in one connection after the other."""
+        dice, end = self.dice, self.sent["robots"] + messages
+        while self.sent["robots"] < end:
+            with self._connected(self.server.robots_port) as line:
+                self.sent["robots"] += 1
+                reads = dice.random() > 0.1
+                for _ in range(dice.randrange(1, 20)):
+                    data = bytearray(dice.choice(self.robots_requests))
+                    for _ in range(dice.choice((0, 0, 1, 3))):
+                        data[dice.randrange(len(data))] = dice.randrange(256)
+                    if dice.random() < 0.1:
+                        data = data[: dice.randrange(len(data))] + dice.randbytes(dice.randrange(300))
+                    self.sent["robots"] += 1
+                    if line is None or not self._push(line, bytes(data), reads):
+                        break
+
     def torn(self, count: int) -> None:
         """Connections that are reset in the middle of a frame."""
         for _ in range(count):
@@ -217,6 +285,10 @@ class Fuzzer:
             self.sent["silent"] += 1
             with contextlib.suppress(OSError):
                 self.idle.append(self.server.connect())
+        for _ in range(min(count, ROBOTS)):
+            self.sent["silent"] += 1
+            with contextlib.suppress(OSError):
+                self.idle.append(self.server.connect(port=self.server.robots_port))
 
     def dribble(self) -> None:
         """One byte more on every connection that is still there."""
@@ -241,9 +313,9 @@ class Fuzzer:
                 os.read(self.server.master, 65536)
 
     @contextlib.contextmanager
-    def _connected(self):
+    def _connected(self, port: int | None = None):
         try:
-            line = self.server.connect()
+            line = self.server.connect(port=port)
         except OSError:  # the backlog is full, or it was closed while we connected
             yield None
             return
@@ -287,6 +359,7 @@ def attack(fuzzer: Fuzzer, frames: int) -> None:
             fuzzer.noise()
             fuzzer.dribble()
         fuzzer.torn(5)
+        fuzzer.robots(2000)
         fuzzer.serial(int(10_000 * RTU_SHARE))
     fuzzer.silent(0)
 
@@ -313,7 +386,9 @@ def main(frames: int, seed: int) -> int:
     with tempfile.TemporaryDirectory() as folder:
         server = Server(Path(folder))
         good = GoodClient(server)
+        robot = GoodRobot(server)
         good.start()
+        robot.start()
         fuzzer = Fuzzer(server, random.Random(seed))
         start_s = time.monotonic()
         attack(fuzzer, frames // 10)  # allocators and buffers reach their size
@@ -322,9 +397,10 @@ def main(frames: int, seed: int) -> int:
         duration_s = time.monotonic() - start_s
         time.sleep(IDLE_S + 1.5)
         after = server.footprint()
-        good.done.set()
-        good.join()
-        problems = list(good.problems)
+        for one in (good, robot):
+            one.done.set()
+            one.join()
+        problems = [*good.problems, *robot.problems]
         if not line_answers(server):
             problems.append("the serial line does not answer any more")
         code = server.stop()
@@ -342,6 +418,7 @@ def main(frames: int, seed: int) -> int:
         f"good client: {len(times_ms):,d} reads, p50 {times_ms[len(times_ms) // 2]:.1f} ms, "
         f"p99 {times_ms[len(times_ms) * 99 // 100]:.1f} ms, worst {times_ms[-1]:.1f} ms"
     )
+    print(f"good robot: {robot.answers:,d} answers")
     print("\n".join(problems) or "no crash, no stuck connection, nothing grew, every read was good")
     return 1 if problems else 0
 

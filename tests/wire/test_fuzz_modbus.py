@@ -1,4 +1,4 @@
-"""The fuzzer of the Modbus server, in small; `tools/fuzz_modbus.py` sends a million frames."""
+"""The fuzzer of Modbus and of the robots' socket, in small; `tools/fuzz_modbus.py` sends a million frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_modbus.py"
 
 @pytest.mark.slow
 def test_thousands_of_hostile_frames_leave_no_trace_on_tcp_and_serial_line() -> None:
-    """No crash, nothing stuck, no growth; a good client gets every answer, the serial line works on."""
+    """No crash, nothing stuck, no growth; a good client, a good robot and the serial line are served."""
     run = subprocess.run(
         [sys.executable, str(FUZZER), "--frames", "3000"], capture_output=True, text=True, timeout=120
     )
