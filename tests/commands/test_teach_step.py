@@ -15,7 +15,7 @@ import pytest
 from cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from flatparts import METAL, only
 from rich.console import Console
-from stlfiles import binary
+from stlfiles import binary, ring
 from tilted import BELOW_MM, lying, stacked
 
 from edged.commands.locate import locate
@@ -23,6 +23,7 @@ from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject
 from edged.errors import FileFormatError, TeachError, UserError
+from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import save_rig
 from edged.files.step import read_step
@@ -35,7 +36,9 @@ from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.job import Job, ModelPoint
 from edged.vision.teaching.cadjob import teach_model
+from edged.vision.teaching.cadmodel import CadModel, welded
 from edged.vision.teaching.cadsettling import Settled, settle
+from edged.vision.teaching.facets import faceted_curves
 from edged.vision.teaching.pair import teach as teach_pair
 from edged.vision.teaching.reteaching import carry_over
 
@@ -221,6 +224,35 @@ def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
     again, said = carry_over(replace(drawn(), report="model"), drawn())
     assert "model" == again.report
     assert "kept: report = model" in said
+
+
+def test_a_job_keeps_the_surface_of_its_part(tmp_path: Path) -> None:
+    """Beside its shape, in some kilobytes; one that is damaged is named, and a job without has none."""
+    job = drawn()
+    save_job(tmp_path / "job", job)
+    again = load_job(tmp_path / "job").body
+    assert job.body is not None and again is not None
+    assert np.array_equal(job.body.triangles, again.triangles)
+    assert (tmp_path / "job" / "shape.npz").stat().st_size < 100_000
+    shape = tmp_path / "job" / "shape.npz"
+    arrays = unpack_arrays(shape.read_bytes(), shape, "edged-shape", 1)
+    arrays["body_triangles"] = arrays["body_triangles"] + np.uint32(10**6)
+    shape.write_bytes(pack_arrays("edged-shape", 1, arrays))
+    with pytest.raises(FileFormatError, match=r"shape\.npz: body_triangles: of points that are not there"):
+        load_job(tmp_path / "job")
+    save_job(tmp_path / "plain", taught())
+    assert load_job(tmp_path / "plain").body is None
+
+
+def test_what_an_overhang_hides_is_not_taught() -> None:
+    """The hole below a cap looks up, and no camera sees it: not a feature of the job."""
+    cap = ring(60, 8.0, 1.5, 2.0) + np.array([0.0, 0.0, 4.0])
+    points, triangles = welded(np.concatenate([ring(60, 12.0, 3.0, 2.0), cap]))
+    model = CadModel(points, triangles, np.arange(len(triangles)), ())
+    shown = faceted_curves(model, np.array([0.0, 0.0, 1.0]))
+    assert {12.0, 8.0, 3.0, 1.5} == {round(one.radius_mm, 3) for one in shown.circles}
+    job, _ = teach_model(model, shown, prepare(small_rig()).rectification, 205.0, "mushroom")
+    assert {12.0, 8.0, 1.5} == {round(one.radius_mm, 3) for one in job.circles}
 
 
 def stl_of(folder: Path, scale: float = 1.0) -> Path:

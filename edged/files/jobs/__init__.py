@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy.typing as npt
 from pydantic import ValidationError
 
 from edged.config.reading import not_toml, not_utf8, problem_of
@@ -20,6 +23,7 @@ from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.files.outputs import check_folder
+from edged.vision.part.body import Body
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 
@@ -28,6 +32,8 @@ SHAPE_VERSION = 1
 
 TEXT, SHAPE = "job.toml", "shape.npz"
 """The files of a job; one says nothing without the other."""
+BODY = "body_"
+"""Before the names of the arrays of the part's surface, beside those of its shape."""
 
 
 def load_job(folder: Path) -> Job:
@@ -63,10 +69,19 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
     shape_path = Path(folder) / SHAPE
     try:
         arrays = unpack_arrays(files[SHAPE], shape_path, SHAPE_KIND, SHAPE_VERSION)
-        shape = ShapeModel.from_arrays(arrays)
+        shape, body = ShapeModel.from_arrays(arrays), _body_of(arrays)
     except ValueError as error:
         raise FileFormatError(f"{shape_path}: {error}") from error
-    return file.job(shape)
+    return replace(file.job(shape), body=body)
+
+
+def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> Body | None:
+    """The part's surface; None for a job that was taught without a CAD model."""
+    own = {name.removeprefix(BODY): array for name, array in arrays.items() if name.startswith(BODY)}
+    try:
+        return Body.from_arrays(own) if own else None
+    except ValueError as error:
+        raise ValueError(f"{BODY}{error}") from error
 
 
 def job_folders(folder: Path) -> list[Path]:
@@ -92,9 +107,12 @@ def save_job(folder: Path, job: Job) -> None:
     """
     folder = Path(folder).resolve()
     check_job_folder(folder)
+    arrays = job.shape.to_arrays()
+    if job.body is not None:
+        arrays |= {BODY + name: array for name, array in job.body.to_arrays().items()}
     files = {
         TEXT: to_toml(job).encode(),
-        SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, job.shape.to_arrays()),
+        SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, arrays),
     }
     try:
         replace_folder(folder, files, folder.with_name(folder.name + ".old"))

@@ -12,6 +12,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.picking import Picking
 from edged.vision.geometry.rigid import transform
+from edged.vision.part.body import Body
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 
@@ -177,6 +178,7 @@ class Job:
     picking : which of several parts a robot gets first.
     part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
     points : of that frame.  report : whose pose is published: "reference", "model" or the name of a point.
+    body : its surface, where its CAD model is known; None: what it hides of itself is not known.
     sigma_mm : of all features together, of a job from a model alone: nobody has seen the part's edge breaks.
     """
 
@@ -199,6 +201,7 @@ class Job:
     part_from_model: FloatArray | None = None
     points: tuple[ModelPoint, ...] = ()
     report: str = "reference"
+    body: Body | None = None
     sigma_mm: float = 0.0
 
     @property

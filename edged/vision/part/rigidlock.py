@@ -27,6 +27,7 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
+from edged.vision.part.body import Body, hidden_samples
 
 F64 = npt.NDArray[np.float64]
 B64 = npt.NDArray[np.bool_]
@@ -65,6 +66,8 @@ GOOD_SHARE = 0.75
 ROUNDS = 5
 MAX_STEP_RAD = 0.2
 TINY_PIVOT = 1e-8
+LEAST_SEEN = 0.2
+"""Of a curve, that the part does not hide: with less it says nothing for or against a pose."""
 FEWEST = 24
 
 
@@ -92,14 +95,20 @@ class Lock:
 
 
 def lock(
-    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, rival_of: Lock | None = None
+    images: StereoImages,
+    curves: Sequence[Curve],
+    pose: FloatArray,
+    rival_of: Lock | None = None,
+    body: Body | None = None,
 ) -> Lock | None:
     """Lay curves of the part's frame onto the edges of both images, from a pose rig_from_part (4, 4).
 
     rival_of : another pose; this one is good to a few px, and asked for only if it comes near to that one in
-    what agrees with it. None where the images do not show so many of the curves, or the pose runs away.
+    what agrees with it.  body : what it hides of itself, once the pose is good to a few px, is neither looked
+    for nor missed. None where the images do not show so many of the curves, or the pose runs away.
     """
     found: Lock | None = None
+    hidden: B64 | None = None
     phases: tuple[tuple[tuple[float, ...], float], ...] = ((FAR_PX, FAR_SPACING_PX), (NEAR_PX, SPACING_PX))
     if rival_of is not None:
         phases = ((RIVAL_PX, FAR_SPACING_PX), (NEAR_PX[-STILL_STEPS:], SPACING_PX))
@@ -110,8 +119,10 @@ def lock(
             return None
         outline, starts = spread(images, curves, pose, spacing_px)
         together = max(1, round(ALONG_PX / spacing_px))
+        if body is not None and spacing_px == SPACING_PX:
+            hidden = hidden_samples(body, images.rig, pose, outline.points)
         for reach in reaches:
-            found = _step(images, curves, outline, starts, pose, reach, together)
+            found = _step(images, curves, outline, starts, pose, reach, together, hidden=hidden)
             if found is None:
                 return None
             pose = found.pose
@@ -122,7 +133,15 @@ def lock(
     tight = found
     for _ in range(TIGHT_STEPS):
         moved = _step(
-            images, curves, outline, starts, tight.pose, NEAR_PX[-1], together, most_sigma_px=TIGHT_SIGMA_PX
+            images,
+            curves,
+            outline,
+            starts,
+            tight.pose,
+            NEAR_PX[-1],
+            together,
+            most_sigma_px=TIGHT_SIGMA_PX,
+            hidden=hidden,
         )
         if moved is None:
             return found
@@ -175,10 +194,12 @@ def _step(
     together: int,
     *,
     most_sigma_px: float = math.inf,
+    hidden: B64 | None = None,
 ) -> Lock | None:
     """The pose that fits the edges within reach best, and how many agree with it.
 
-    most_sigma_px : by which edges scatter that are taken for the curves' own.
+    most_sigma_px : by which edges scatter that are taken for the curves' own.  hidden (2, N) : samples that a
+    camera cannot see.
     """
     face = Face(pose[:3, 3], pose[:3, :3].T)
     expected = np.repeat([float(curve.polarity) for curve in curves], np.diff(starts))
@@ -193,6 +214,8 @@ def _step(
         odds.append(edges.slope * expected[:, None] < 0)
         designs.append(seen.design)
     design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(odds)
+    if hidden is not None:
+        offset[hidden.ravel()] = np.nan
     delta, left = np.zeros(design.shape[1]), np.full(len(offset), np.nan)
     if not _settle(design, offset, odd, most_sigma_px, delta, left):
         return None
@@ -205,8 +228,15 @@ def _step(
     )
     agree = (np.abs(left) < AGREE_PX).reshape(2, -1)
     by_curve = np.add.reduceat(agree, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
+    agreeing = agree.mean(axis=1)
+    if hidden is not None:
+        agreeing = agree.sum(axis=1) / np.maximum((~hidden).sum(axis=1), 1)
+        seen_of = 1.0 - np.add.reduceat(hidden, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
+        by_curve = np.where(
+            seen_of < LEAST_SEEN, agreeing[:, None], by_curve / np.maximum(seen_of, LEAST_SEEN)
+        )
     moved_px = float(np.sqrt(np.mean((design[np.isfinite(left)] @ delta) ** 2)))
-    return Lock(np.asarray(pose @ motion), agree.mean(axis=1), by_curve, moved_px)
+    return Lock(np.asarray(pose @ motion), agreeing, by_curve, moved_px)
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], b1[:, ::1], f8, f8[::1], f8[::1])")

@@ -14,9 +14,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.measurement import Reject, Target
 from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face
@@ -26,6 +28,7 @@ from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.body import Body, sight_of
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.frames import circles_in_rig, with_features
@@ -52,6 +55,11 @@ STRETCHES = 48
 RIVAL_PX = 4.5
 """A second edge nearer than this displaces the first one, whatever the operator."""
 REACH_PX = 8.0
+MIN_SHOWN = 0.5
+"""Of a curve, that the part does not hide from either camera, nor another edge displaces: with less it is not
+missed."""
+MIN_CURVES = 3
+"""Fewer of a part say too little, whatever hides the others."""
 ENOUGH = 0.4
 """Of a curve without rivals: the rest is not needed, and the curve can be measured by itself."""
 LIKE = 0.1
@@ -77,10 +85,16 @@ TURN_REACH_PX, TURNED_STARTS = 12.0, 3
 POOR_SHARE = 0.35
 """With less no other turn of the part is tried."""
 PARAMS = FitParams(reach_px=(1.5,), min_support=0.15)
+KNOWN_PARAMS = FitParams(reach_px=(1.5,), min_support=0.08)
+"""Of a part whose surface tells which stretches are good."""
 ALONE_PARAMS = FitParams(reach_px=(2.0,), min_support=0.5)
 OUTLINE_POINTS = 24
 RIGID_PX = 0.08
 """What a feature's taught place and size are worth: another light and view had moved its edges so far."""
+ENOUGH_CLEAN = 0.2
+"""Of all curves, in each camera: then nothing else is used."""
+SATURATED, GLARE_PX = 254, 3
+"""Grey value from which a surface may be any brighter, and how near to it an edge is displaced."""
 
 
 @lru_cache(maxsize=16)  # a job stays the same from image to image
@@ -116,7 +130,10 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
         curve.kind == "circle" and curve.name in fitted_ones and share >= PLAIN_SHARE
         for curve, share in zip(whole.curves, best.by_curve.mean(axis=0), strict=True)
     )
-    if len(fit.fits) < MIN_FOUND * len(whole.curves) or circles < MIN_FOUND * len(job.circles):
+    shown = [curve for curve in whole.curves if curve.name in whole.shown]
+    shown_circles = sum(curve.kind == "circle" for curve in shown)
+    fewest = max(MIN_FOUND * len(shown), min(MIN_CURVES, MIN_FOUND * len(whole.curves)))
+    if len(fit.fits) < fewest or circles < MIN_FOUND * shown_circles:
         reject |= Reject.FEW_EDGES
     alone = whole.alone(images)
     if alone is not None:
@@ -146,21 +163,23 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     0 where the search could not tell turns apart, and the features have none to try.
     """
     curves = curves_of(job)
-    best = _best_of(images, curves, _starts(images, job, match))
+    best = _best_of(images, curves, _starts(images, job, match), body=job.body)
     if best is None or (best.share < GOOD_SHARE and not _tells_turn(job, best)):
         poses = list(_starts(images, job, match))
-        best = _best_of(images, curves, _turned(images, curves, job, poses), best)
+        best = _best_of(images, curves, _turned(images, curves, job, poses), best, body=job.body)
     if best is None or best.share < POOR_SHARE:
         return None
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
     if roundish and not _tells_turn(job, best):
-        others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
+        others = [
+            lock(images, curves, pose, body=job.body) for pose in _turned(images, curves, job, [best.pose])
+        ]
         found += [one for one in others if one is not None]
         best = max(found, key=lambda one: one.mean)
     for motion in motions:
         turned = best.pose @ motion
         if glance(images, curves, turned) > best.mean - RIVAL_SHARE:
-            one = lock(images, curves, turned, rival_of=best)
+            one = lock(images, curves, turned, rival_of=best, body=job.body)
             found += [] if one is None else [one]
     found.sort(key=lambda one: -one.mean)
     best = found[0]
@@ -173,11 +192,15 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
 
 
 def _best_of(
-    images: StereoImages, curves: Sequence[Curve], poses: Iterable[FloatArray], best: Lock | None = None
+    images: StereoImages,
+    curves: Sequence[Curve],
+    poses: Iterable[FloatArray],
+    best: Lock | None = None,
+    body: Body | None = None,
 ) -> Lock | None:
     """The lock that most of the part agrees with, of several starts; the first good one settles it."""
     for pose in poses:
-        one = lock(images, curves, pose)
+        one = lock(images, curves, pose, body=body)
         if one is not None and (best is None or one.mean > best.mean):
             best = one
         if one is not None and one.share >= GOOD_SHARE:
@@ -265,12 +288,14 @@ def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[Float
 class _Whole:
     """All curves of a part fitted as one.
 
-    curves : with their signs.  clear : names of those of which enough has no rival.
+    curves : with their signs.  clear : names of those of which enough has no rival.  shown : of those of
+    which both cameras must see something good.
     """
 
     fit: PlaneFit
     curves: tuple[Curve, ...]
     clear: frozenset[str]
+    shown: frozenset[str]
 
     def alone(self, images: StereoImages) -> PlaneFit | None:
         """The curves that can be measured by themselves, each free; None where there is none."""
@@ -282,31 +307,39 @@ class _Whole:
 
 def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
     """All curves of the part measured together from a locked pose rig_from_part (4, 4)."""
-    curves, clear = _with_signs(images, curves_of(job), pose)
+    curves, clear, shown = _with_signs(images, curves_of(job), pose, job.body)
     face = Face(pose[:3, 3], pose[:3, :3].T)
     rigid_mm = RIGID_PX * float(pose[2, 3]) / images.rig.left.fx
-    fit = fit_plane(images.rig, images.raw, face, curves, PARAMS, rigid_mm=rigid_mm)
-    return None if fit is None else _Whole(fit, tuple(curves), clear)
+    params = PARAMS if job.body is None else KNOWN_PARAMS
+    fit = fit_plane(images.rig, images.raw, face, curves, params, rigid_mm=rigid_mm)
+    return None if fit is None else _Whole(fit, tuple(curves), clear, shown)
 
 
 def _with_signs(
-    images: StereoImages, curves: Sequence[Curve], pose: FloatArray
-) -> tuple[list[Curve], frozenset[str]]:
+    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, body: Body | None
+) -> tuple[list[Curve], frozenset[str], frozenset[str]]:
     """The curves with the sign of each stretch as both images show it at a pose rig_from_part (4, 4).
 
-    And the names of those with enough stretches that have no rival in either image: only these are used.
+    And the names of those with enough stretches that have no rival in either image: only these are used; and
+    of those that the part's body neither hides nor blurs, as far as it is known.
     """
     outline, starts = spread(images, curves, pose, SPACING_PX)
     face = Face(pose[:3, 3], pose[:3, :3].T)
     counts = np.diff(starts)
     signs = [np.zeros((2, min(STRETCHES, count)), np.int64) for count in counts]
     lone = [np.zeros(one.shape, bool) for one in signs]
+    clean = [np.ones(one.shape, bool) for one in signs]
+    seen_of = [np.ones(one.shape) for one in signs]
     for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
         seen = project_outline(images.rig, name, face, outline)
         edges = candidates(image, seen.pixels, seen.normals, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
         away = np.nan_to_num(np.abs(edges.offset_px), nan=np.inf)
         own, rows = away.argmin(axis=1), np.arange(len(away))
         sign = np.where(away[rows, own] < 2 * AGREE_PX, np.sign(edges.slope[rows, own]), 0.0)
+        sight = None if body is None else sight_of(body, images.rig, name, pose, outline, seen)
+        if sight is not None:
+            sign[sight.hidden] = 0.0
+            doubtful = sight.merged | _beside_glare(image, seen.pixels)
         gap = np.abs(edges.offset_px - edges.offset_px[rows, own][:, None])
         gap[rows, own] = np.inf
         single = ~(np.nan_to_num(gap, nan=np.inf) < RIVAL_PX).any(axis=1)
@@ -318,14 +351,33 @@ def _with_signs(
             signs[k][side] = np.where(np.abs(total) > 0.5 * many, np.sign(total), 0)
             lone[k][side] = np.bincount(stretch, single[rows_of], wanted) > 0.5 * many
             lone[k][side] &= signs[k][side] != 0
-    found, clear = [], set()
+            if sight is not None:
+                seen_of[k][side] = 1.0 - np.bincount(stretch, sight.hidden[rows_of], wanted) / many
+                clean[k][side] = np.bincount(stretch, doubtful[rows_of], wanted) < 0.5 * many
+    good = [one & (two != 0) for one, two in zip(clean, signs, strict=True)]
+    known = np.average([one.mean(axis=1) for one in good], axis=0, weights=counts)
+    if body is not None and known.min() >= ENOUGH_CLEAN:
+        signs = [np.where(one, two, 0) for one, two in zip(good, signs, strict=True)]
+        lone = [one & two for one, two in zip(good, lone, strict=True)]
+        seen_of = [one * two for one, two in zip(clean, seen_of, strict=True)]
+    found, clear, shown = [], set(), set()
     for k, curve in enumerate(curves):
         enough = lone[k].mean(axis=1) >= ENOUGH
         mine = np.where(lone[k] | ~enough[:, None], signs[k], 0)
         if enough.all():
             clear.add(curve.name)
+        if (seen_of[k].mean(axis=1) >= MIN_SHOWN).all():
+            shown.add(curve.name)
         found.append(replace(curve, signs=mine, polarity=1 if mine.sum() >= 0 else -1))
-    return found, frozenset(clear)
+    return found, frozenset(clear), frozenset(shown)
+
+
+def _beside_glare(image: Image, pixels: FloatArray) -> npt.NDArray[np.bool_]:
+    """(N,) which points (N, 2) of an image lie beside a saturated surface."""
+    bright = cv2.dilate((image >= SATURATED).astype(np.uint8), np.ones((2 * GLARE_PX + 1,) * 2, np.uint8))
+    height, width = image.shape
+    x, y = np.rint(np.clip(np.nan_to_num(pixels), 0, [width - 1, height - 1])).astype(np.int64).T
+    return np.asarray(bright[y, x] > 0)
 
 
 def target_of(rectification: Rectification, job: Job, match: ShapeMatch, fit: PlaneFit) -> Target:

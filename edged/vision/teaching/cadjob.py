@@ -18,8 +18,10 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
+from edged.vision.part.body import hidden_samples
 from edged.vision.part.job import (
     DEPTH_SHARE,
     CircleFeature,
@@ -34,6 +36,7 @@ from edged.vision.part.pose import circle_curve, edge_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
+from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import BREAK_MM, levelled
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves, triangle_normals
 from edged.vision.teaching.drawing import BACKGROUND, BLUR_PX, MARGIN_PX, MIN_CIRCLE_PX, MIN_EDGE_PX, PART
@@ -53,6 +56,8 @@ LEVEL_SINE = 1 - 1e-6
 MIN_SPAN = 0.6
 """Of a circle that is cut: with less it is a rounded corner."""
 MEET_MM = 0.1
+SIGHT_POINTS = 48
+"""Of a curve, at which it is asked whether the part hides it."""
 
 
 def teach_model(
@@ -74,7 +79,7 @@ def teach_model(
         raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
     level = transform(levelled(curves.up), np.zeros(3))
     scale = rectification.focal_px / depth_mm
-    circles, edges = _features(curves, level, scale)
+    circles, edges = _shown(*_features(curves, level, scale), model, level, rectification.rig, depth_mm)
     main_mm = _main_face(circles, edges)
     circles, edges = _in_order(circles, edges, main_mm)
     corners = _corners(edges)
@@ -89,6 +94,7 @@ def teach_model(
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     rig_from_part = transform(np.eye(3), np.array([-middle[0], -middle[1], depth_mm]))
     image = _painted(model, curves.up, points, rig_from_part, rectification)
+    body = body_of(model, part_from_model)
     flat = [one for one in _curves(circles, edges) if abs(one.height_mm) < LEVEL_MM]
     mask = mask_along(rectification, flat, rig_from_part)
     shape = create_model(image, mask, params=params)
@@ -113,6 +119,7 @@ def teach_model(
         edges=tuple(edges),
         corners=tuple(corners),
         part_from_model=part_from_model,
+        body=body,
         sigma_mm=sigma_mm,
     )
     return for_solid(job) if job.solid else job, image
@@ -148,6 +155,31 @@ def _features(
     return (
         [one for one in rounds if not any(_breaks_into(one, other) for other in rounds)],
         [one for one in lines if not any(_falls_from(one, other) for other in lines)],
+    )
+
+
+def _shown(
+    circles: Sequence[CircleFeature],
+    edges: Sequence[EdgeFeature],
+    model: CadModel,
+    level: FloatArray,
+    rig: StereoRig,
+    depth_mm: float,
+) -> tuple[list[CircleFeature], list[EdgeFeature]]:
+    """Without what an overhang hides from a camera, where the part lies square to the left one."""
+    body = body_of(model, level)
+    if body is None:
+        return list(circles), list(edges)
+    middle = 0.5 * (body.points_mm.min(axis=0) + body.points_mm.max(axis=0))
+    pose = transform(np.eye(3), np.array([0.0, 0.0, depth_mm]) - middle)
+
+    def is_seen(curve: Curve) -> bool:
+        points = curve.outline(np.linspace(0.0, 1.0, SIGHT_POINTS, endpoint=False)).points
+        return bool((1.0 - hidden_samples(body, rig, pose, points).mean(axis=1)).min() >= MIN_SPAN)
+
+    return (
+        [one for one in circles if is_seen(circle_curve(one, True))],
+        [one for one in edges if is_seen(edge_curve(one, True))],
     )
 
 

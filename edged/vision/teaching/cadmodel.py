@@ -99,6 +99,7 @@ class ModelCurves:
     up: FloatArray
     circles: tuple[ModelCircle, ...]
     edges: tuple[ModelEdge, ...]
+    model: CadModel
 
 
 def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
@@ -123,7 +124,7 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
         elif one is not None and two is not None:
             circle = _circle(one, two, meeting, normals, up)
             circles += [] if circle is None else [circle]
-    return ModelCurves(up, merged_circles(circles), tuple(edges))
+    return ModelCurves(up, merged_circles(circles), tuple(edges), model)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

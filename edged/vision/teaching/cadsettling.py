@@ -16,8 +16,9 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, unit
 from edged.vision.part.job import DISPLACED_PX, CircleFeature, EdgeFeature, Job
+from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import Partner, Registration, register
-from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
+from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves, ModelEdge
 
 FINE_MM = 0.003
 """Sigma of a radius that is known from chords, above which the pair knows it better."""
@@ -79,9 +80,18 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
         edges=edges,
         part_from_model=found.part_from_model,
         sigma_mm=round(max(used, default=0.0), 6),
+        body=body_of(model.model, found.part_from_model, _gone(found.partners, settled, model)),
     )
     said = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
     return Settled(taken, (*said, *_coarse(faceted)))
+
+
+def _gone(
+    partners: Sequence[Partner], settled: Sequence[str], model: ModelCurves
+) -> list[ModelCircle | ModelEdge]:
+    """Curves of the model that an edge break has taken away: the pair shows another edge instead."""
+    gone = [one for one in partners if one.name not in settled]
+    return [model.circles[one.index] if one.kind == "circle" else model.edges[one.index] for one in gone]
 
 
 def _radius_mm(seen: CircleFeature, drawn: ModelCircle) -> float:

@@ -68,7 +68,7 @@ def faceted_curves(model: CadModel, up: FloatArray) -> ModelCurves:
             circles.append(_circle(place, wall, first, last, frame))
         for first, last in straight:
             edges += _edge(place, outside, first, last, frame)
-    return ModelCurves(up, merged_circles(circles), tuple(edges))
+    return ModelCurves(up, merged_circles(circles), tuple(edges), model)
 
 
 def _sharp_sides(

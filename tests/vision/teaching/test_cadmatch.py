@@ -105,6 +105,7 @@ def test_any_axis_of_the_file_may_point_up() -> None:
             )
             for one in model.edges
         ),
+        model.model,
     )
     motion = placed(-0.4, 3.0, 8.0, 0.0)
     found = register(*taught(model, motion), other, "D2")
@@ -148,6 +149,6 @@ def test_what_the_pair_must_show_and_does_not_is_said() -> None:
 
 def test_a_side_without_features_is_named() -> None:
     """Nothing looks up: another axis is asked for."""
-    empty = ModelCurves(np.array([0.0, 0.0, 1.0]), (), ())
+    empty = replace(model_of("D3"), circles=(), edges=())
     with pytest.raises(TeachError, match="expected another --up"):
         register(*taught(model_of("D3"), np.eye(4)), empty, "D3")
