@@ -1,7 +1,7 @@
 """What live pictures show of a board: where it is, whether it is held still, and whether in its place.
 
-Outlines are four corners in pixels of the full picture, once around the board. Which of them is the first
-does not matter: a board that is turned by a quarter tells as much.
+Outlines are four corners in pixels of the full picture, once around a board's marks. Which of them is the
+first does not matter: a board that is turned by a quarter tells as much.
 """
 
 from __future__ import annotations

@@ -123,7 +123,12 @@ class Worker:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+        # one BLAS thread, as the daemon itself: on small matrices more of them only spin
+        environment = {
+            "OPENBLAS_NUM_THREADS": "1",
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
         command = [sys.executable, "-m", "edged.workshop.workerprocess", str(theirs.fileno())]
         with theirs:
             self._process = subprocess.Popen(

@@ -169,13 +169,14 @@ class ShapedBoard:
 Board = NominalBoard | ShapedBoard
 
 
-def outline_mm(board: Board) -> FloatArray:
-    """(4, 3) once around the marks and a pitch more: what detectors want to see of a board, in its frame."""
-    low, high = board.points_mm.min(axis=0), board.points_mm.max(axis=0)
-    x, y = (
-        (one - board.pitch_mm, other + board.pitch_mm) for one, other in zip(low[:2], high[:2], strict=True)
-    )
-    return np.array([[x[0], y[0], 0.0], [x[1], y[0], 0.0], [x[1], y[1], 0.0], [x[0], y[1], 0.0]])
+def outline_mm(board: Board, margin_mm: float = 0.0) -> FloatArray:
+    """(4, 3) once around the marks, from (x_min, y_min) by (x_max, y_min), in the board's frame.
+
+    margin_mm : farther out by this; detectors want to see a pitch more than the marks.
+    """
+    (left, top, _), (right, bottom, _) = board.points_mm.min(axis=0), board.points_mm.max(axis=0)
+    left, top, right, bottom = left - margin_mm, top - margin_mm, right + margin_mm, bottom + margin_mm
+    return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

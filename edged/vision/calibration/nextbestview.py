@@ -219,7 +219,7 @@ def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> 
         in_right = apply(rig.right_from_left, points)
         shares = _inside(rig.left, points, _EDGE_PX).mean(), _inside(rig.right, in_right, _EDGE_PX).mean()
         return bool(min(shares) >= _MIN_VISIBLE)
-    return bool(_visible(rig, apply(left_from_board, outline_mm(board)), _EDGE_PX).all())
+    return bool(_visible(rig, apply(left_from_board, outline_mm(board, board.pitch_mm)), _EDGE_PX).all())
 
 
 def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:
