@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 from browser import Browser, browser
 from scriptedhead import Ear, until
-from setuppage import DIALOG, LEASE, SMALL_TARGETS, STATE, TOO_WIDE, UNTRANSLATED, log_in, take
+from setuppage import DIALOG, LEASE, SMALL_TARGETS, STATE, TOO_WIDE, UNTRANSLATED, log_in, press, said, take
 from webcell import PASSWORD, Cell, running
 
 from edged.domain.cell import CellPhase
@@ -126,3 +126,24 @@ def test_everybody_can_use_the_shell(width: int, height: int) -> None:
         assert 0 == await page.value(TOO_WIDE)
 
     on_the_page(test, width, height)
+
+
+def test_who_was_away_says_the_password_again() -> None:
+    """After ten minutes an engineer may only look; the page says so, and the password changes it."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.until(f'{STATE} === "READY"')
+        cell.sleep(660.0)
+        await press(page, "Take the cell")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until(said("Anna, there was no sign of you for ten minutes"))
+        assert cell.ear.state() is CellPhase.READY
+        page.complaints.clear()  # of the refusal
+        await page.type(".wake [type=password]", PASSWORD)
+        await press(page, "I am here")
+        await page.until('!document.querySelector(".wake")')
+        await take(page)
+        assert cell.ear.state() is CellPhase.SETUP
+
+    on_the_page(test)

@@ -108,7 +108,7 @@ function beep() {
 
 const SOUND = "edged.sound";
 function Figure() {
-  const { sigma_um, suggestion, goal_um, more_views, views, trouble } = draft.value;
+  const { sigma_um, suggestion, goal_um, more_views, views, trouble, guiding } = draft.value;
   const used = views.filter((view) => view.used).length;
   const now = worst(sigma_um);
   const then = worst(suggestion?.sigma_um);
@@ -118,7 +118,7 @@ function Figure() {
   const isReached = goal_um !== null && now <= goal_um;
   return html`<p class="big figure" role="status">
     ${t("sigma-now", { now: micrometres(now) })}${then !== null && html`, ${t("sigma-then", { then: micrometres(then) })}`}${goal_um !== null && html`, ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}`}:${" "}
-    <strong>${isReached ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}</strong>
+    <strong>${isReached ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}</strong> ${guiding && html`<span class="muted small">${t("sigma-again")}</span>`}
   </p>`;
 }
 
@@ -214,7 +214,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
   const [release, setRelease] = useState(null);
   const activate = () =>
     attempt(async () => {
-      setRelease(await ask("POST", `${place()}/activate`, { ...(token.value ? { token: token.value } : {}), note }));
+      setRelease(await ask("POST", `${place()}/activate`, { ...(holds.value ? { token: token.value } : {}), note }));
       setAsked(false);
       await look();
     });
@@ -228,7 +228,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
     </dl>
     <div class="actions">
       <a class="button" href="/api/v1/${place()}/report" target="_blank" rel="noopener">${t("solved-report")}</a>
-      ${offers("calibrations/{id}/activate") && html`<button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("activate")}</button>`}
+      ${offers("calibrations/{id}/activate") && html`<button type="button" class=${verdict === "repeat" ? "" : "primary"} disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("activate")}</button>`}
     </div>
     ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("activated", { number: release.number })}</p>`}
     <${Dialog} title=${t("activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>

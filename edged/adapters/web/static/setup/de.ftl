@@ -235,6 +235,7 @@ sigma-unknown =
 sigma-now = ein Punkt hier: jetzt ±{ $now } µm
 sigma-then = ±{ $then } mit dieser Ansicht
 sigma-goal = Ziel ±{ $goal }
+sigma-again = rechnet mit der letzten Ansicht …
 sigma-reached = erreicht
 sigma-on = weiter
 sigma-more =
@@ -293,6 +294,7 @@ views-title =
     }
 view = Ansicht { $name }
 view-rms = rms { $rms } px
+view-new = wird gemessen
 view-heldout = zurückgehalten { $heldout } px
 view-remove = Weglassen
 view-remove-name = Ansicht { $name } weglassen
@@ -303,7 +305,7 @@ undo = Rückgängig
 undone = Rückgängig gemacht.
 verdict-good = Diese Kalibrierung ist gut.
 verdict-usable = Diese Kalibrierung ist brauchbar.
-verdict-repeat = Bitte wiederholen: diese Kalibrierung gäbe falsche Orte.
+verdict-repeat = Noch nicht gut genug: nehmen Sie mehr Ansichten auf und lösen Sie nochmals.
 redo = Wiederholen
 redone = Wiederholt.
 solve-title = Lösen
@@ -345,7 +347,7 @@ stage-ring = { $turn } einer Vierteldrehung
 
 ## System
 system-title = Freigaben
-system-what = Jede Freigabe ist die ganze Zelle, wie sie in Gebrauch ging: Kalibrierung, Aufträge, Einstellungen. Eine ältere ist zwei Tipper entfernt.
+system-what = Jede Freigabe ist die Zelle, wie sie in Gebrauch ging. Zurück geht es mit ihrer Kalibrierung und ihren Kameras; Aufträge und Einstellungen bleiben.
 system-none = Noch keine: die erste entsteht, wenn eine Kalibrierung benutzt wird.
 release = Freigabe { $number }
 release-active = in Gebrauch

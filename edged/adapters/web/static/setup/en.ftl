@@ -235,6 +235,7 @@ sigma-unknown =
 sigma-now = a point here: ±{ $now } µm now
 sigma-then = ±{ $then } with this view
 sigma-goal = goal ±{ $goal }
+sigma-again = reckoning with the last view …
 sigma-reached = reached
 sigma-on = go on
 sigma-more =
@@ -293,6 +294,7 @@ views-title =
     }
 view = View { $name }
 view-rms = rms { $rms } px
+view-new = being measured
 view-heldout = held out { $heldout } px
 view-remove = Leave out
 view-remove-name = Leave out view { $name }
@@ -303,7 +305,7 @@ undo = Undo
 undone = Undone.
 verdict-good = This calibration is good.
 verdict-usable = This calibration is usable.
-verdict-repeat = Do it again: this calibration would give wrong places.
+verdict-repeat = Not good enough yet: take more views, then solve again.
 redo = Redo
 redone = Done again.
 solve-title = Solve
@@ -345,7 +347,7 @@ stage-ring = { $turn } of a quarter turn
 
 ## System
 system-title = Releases
-system-what = Each release is the whole cell as it was activated: calibration, jobs, settings. An older one is two taps away.
+system-what = Each release is the cell as it became active. Going back takes its calibration and cameras; jobs and settings stay.
 system-none = None yet: the first comes when a calibration is used.
 release = Release { $number }
 release-active = in use

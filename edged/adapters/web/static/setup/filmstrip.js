@@ -24,7 +24,7 @@ export function Filmstrip({ change, why }) {
           html`<li key=${name} class=${used ? "" : "unused"}>
             <span class="thumbs">${SIDES.map((side) => html`<img src=${thumbnails?.[side]} alt="" loading="lazy" />`)}</span>
             <span class="name"><${Shape} is=${used ? "tick" : "gap"} /> ${t("view", { name: short(name) })}</span>
-            <span class="muted">${used ? t("view-rms", { rms: number(rms_px, 3) }) : why(code)}</span>
+            <span class="muted">${!used ? why(code) : Number.isFinite(rms_px) ? t("view-rms", { rms: number(rms_px, 3) }) : t("view-new")}</span>
             <span class="muted">${used && Number.isFinite(heldout_px) ? t("view-heldout", { heldout: number(heldout_px, 3) }) : ""}</span>
             ${used && html`<button type="button" disabled=${!mayTake.value} aria-label=${t("view-remove-name", { name: short(name) })} onClick=${() => remove(name)}>${t("view-remove")}</button>`}
           </li>`,

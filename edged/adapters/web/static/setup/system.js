@@ -1,7 +1,7 @@
 // What runs: the releases of this cell, newest first, and the way back to an older one.
 import { html, signal, useEffect, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { look, mayTake } from "./live.js";
+import { holds, look, mayTake, token } from "./live.js";
 import { Dialog, say, Shape } from "./pieces.js";
 import { moment, t } from "./texts.js";
 
@@ -33,7 +33,7 @@ export function System() {
   const activate = async () => {
     const number = wanted;
     setWanted(null);
-    const done = await attempt(() => ask("POST", `releases/${number}/activate`, { reason }));
+    const done = await attempt(() => ask("POST", `releases/${number}/activate`, { reason, ...(holds.value ? { token: token.value } : {}) }));
     if (!done) return;
     say(t("release-back-done", { number }));
     setReason("");
