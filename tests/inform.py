@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from robotlink import SETTLED_S, Link
+from robotlink import Link
 
 HERE = Path(__file__).parent / "motoplus"
 WAITS, SENT, FAILS, READS, NUMBERS = 200, 201, 202, 203, 256
@@ -51,7 +51,7 @@ class Controller:
         self.moves: list[np.ndarray] = []
         self.here = np.arange(6)
         self.lines = self._read(job)
-        self._settled = -1
+        self._waited: int | None = None
         self._sent = 0
 
     def _read(self, job: str) -> list[str]:
@@ -89,7 +89,7 @@ class Controller:
     def call(self) -> None:
         """CALL JOB:EDGED."""
         self.task = self.task or self._switch_on()
-        self._sent = int(self.memory[SENT])
+        self._sent, self._waited = int(self.memory[SENT]), None
         self.run(self.lines)
 
     def run(self, lines: list[str]) -> None:
@@ -132,15 +132,14 @@ class Controller:
         self.link.jump(end_s)
 
     def _is_silent(self) -> bool:
-        sent = int(self.memory[SENT])
-        if sent == self._sent or not self.memory[WAITS] or not self.link.is_done(sent):
+        """Whether the task has looked for what comes since the other end has nothing more to say."""
+        sent, waited = int(self.memory[SENT]), int(self.memory[WAITS])
+        if sent == self._sent or not self.link.is_done(sent):
+            self._waited = None
             return False
-        if self._settled != sent:
-            time.sleep(SETTLED_S)
-            if self.memory[WAITS] and sent == self.memory[SENT]:
-                self._settled = sent
-            return False
-        return True
+        if self._waited is None:
+            self._waited = waited
+        return waited >= self._waited + 2  # one look may have begun before
 
     def close(self) -> None:
         """Power off."""

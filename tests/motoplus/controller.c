@@ -1,6 +1,7 @@
 /* A controller for one MotoPlus program: its sockets are the machine's, its variables are in a file that the
- * test looks at: 32-bit numbers, I000 to I099, D000 to D099, then whether the program waits for something to
- * come, how often it has sent, how many of its first accesses to variables are to fail, and whether one has not.
+ * test looks at: 32-bit numbers, I000 to I099, D000 to D099, then how often the program has found that nothing
+ * has come, how often it has sent, how many of its first accesses to variables are to fail, and whether one has
+ * not.
  *
  *   controller FILE PORT PIECE      PIECE: bytes that the network brings at a time
  */
@@ -108,15 +109,12 @@ int mpSelect(int count, fd_set *reads, fd_set *writes, fd_set *errors, struct ti
     if (ready != 0)
         return ready;
     *reads = asked;
-    memory[WAITS] = 1;
-    ready = select(count, reads, writes, errors, time);
-    memory[WAITS] = ready == 0;
-    return ready;
+    memory[WAITS]++;
+    return select(count, reads, writes, errors, time);
 }
 
 int mpClose(int link)
 {
-    memory[WAITS] = 0;
     return close(link);
 }
 

@@ -260,7 +260,7 @@ def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, hone
         return said(brand, request.partition(",")[0].strip())
 
     with Liar(*[right] * honest_ones, wrong, *[right] * 4) as liar, beside(make, liar) as side:
-        assert (None, failure) == (side.locate_grasps(timeout_s=0.3), side.error())
+        assert (None, failure) == (side.locate_grasps(timeout_s=1.0), side.error())
         assert (1, 0) == (len(side.locate_grasps()), side.error())
         asked = ["".join(one.split()).partition(",")[2] for one in liar.requests]
         whole = ["LOCATE,0", "GRASP", "APPROACH"]
@@ -337,7 +337,7 @@ def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], 
     right = f"{honest(brand, '2')}\n".encode()
     liar = Liar(lambda request: said(brand, request.partition(",")[0].strip()), lambda _: right)
     with liar, beside(make, liar) as side:
-        assert None is side.locate(timeout_s=0.3)
+        assert None is side.locate(timeout_s=1.0)
         assert failure == side.error()
         numbers = side.locate(timeout_s=5.0)
         assert (400.0, 0) == (numbers and numbers[0], side.error())
