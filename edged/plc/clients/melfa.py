@@ -13,7 +13,9 @@ and of programs that are known to run: the manual was not at hand, and the place
 * So a second task slot does the talking, and the first one stops it after the time-out: `XRun`, `XStp`,
   `XRst`, `XClr`; `M_Wai` is 1 of a slot that was stopped, `M_Psa` of one that was reset.
 * `M_Timer` counts ms. `M_00` to `M_19` and `P_100(1)` to `P_102(10)` are known to all programs, and kept.
-* A component of a position that is an angle is in radians: `Rad`. `P_Curr` has the arm's structure flags.
+* A position is X, Y, Z in mm and A, B, C in degrees about X, Y, Z, turned about Z first, and structure flags
+  (CR750 manual, 4.5.3 "About position data", read); a component of it that is an angle is in radians: `Rad`.
+  `P_Curr` has the arm's structure flags.
 * A name has at most 16 characters; M makes it a number, C a text, P a position; % a whole number of 16 bits.
 """
 
@@ -161,10 +163,11 @@ MF2=@NO_ANSWER@
 MF@FIELDS@=-1
 Input #1,@VARIABLES@
 MErr=@NO_ANSWER@
-If MF@FIELDS@<>MF1 Then Return
+If MF@FIELDS@<>MF1 Then GoTo *LBACK
 MErr=MF2
-If MErr<>0 Then Return
+If MErr<>0 Then GoTo *LBACK
 If MF1<>MSeq% Then MErr=@OTHERS@
+*LBACK
 Return
 *LPOSE
 PNew=P_Curr
