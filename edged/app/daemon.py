@@ -20,7 +20,6 @@ from edged.app.servers import Room, Servers
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import exposed_secrets
-from edged.commissioning.registration import Registered, save
 from edged.cycle import Cycle
 from edged.errors import EdgedError, UserError
 from edged.files.setupnote import SetupNote
@@ -33,6 +32,7 @@ from edged.session.notices import Notices
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
     from edged.app.workshop import Workshop
+    from edged.commissioning.registration import Registered
     from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
@@ -186,6 +186,8 @@ class Daemon:
 
     async def _take_registration(self, base: LoadedCell, solved: Registered) -> Setup:
         """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
+        from edged.commissioning.registration import save
+
         async with self._reloading:
             if self._loaded is not base:
                 raise UserError("the configuration was reloaded meanwhile")

@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edged.app.cell import LoadedCell
-from edged.commissioning.pairs import Pair
-from edged.commissioning.registration import Registered as Solved
-from edged.commissioning.sampling import Sampling, Step
 from edged.domain.events import Command, CommandKind, Registered
 from edged.domain.frames import FramePair
 from edged.domain.registration import Method, Obstacle
 from edged.errors import UserError
 from edged.loop.loaded import Setup
+
+if TYPE_CHECKING:  # a cell that measures does not load what calibrates
+    from edged.commissioning.registration import Registered as Solved
+    from edged.commissioning.sampling import Sampling, Step
 
 
 class CellRegistrar:
@@ -46,6 +48,8 @@ class CellRegistrar:
 
     def begin(self, command: Command) -> Registered:
         """Forget what was taken before."""
+        from edged.commissioning.sampling import Sampling
+
         self._base, self._solved = self._running(), None
         allowed, rig = self._base.cell.config.registration, self._base.rig
         assert allowed is not None and rig is not None  # `problem` was asked; without a rig it is in SETUP
@@ -62,6 +66,8 @@ class CellRegistrar:
 
     def add(self, command: Command, pair: FramePair) -> Registered:
         """One pose or point, with its pictures."""
+        from edged.commissioning.sampling import Step
+
         sampling, _ = self._under_way
         try:
             step = self._added(command, pair)
@@ -70,6 +76,8 @@ class CellRegistrar:
         return _told(command, step)
 
     def _added(self, command: Command, pair: FramePair) -> Step:
+        from edged.commissioning.pairs import Pair
+
         sampling, base = self._under_way
         assert command.robot_from_flange is not None  # it is refused without
         if sampling.method is Method.TOUCH:
