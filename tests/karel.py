@@ -9,6 +9,7 @@ used.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
@@ -188,11 +189,12 @@ BUILTINS = (
 class Controller:
     """Registers, one client tag, and the arguments of the TP program.
 
-    keeps_ends : whether `READ` leaves an end of line in its string.
+    keeps_ends : whether `READ` leaves an end of line in its string. position : of the arm, X Y Z W P R.
     """
 
     def __init__(self, link: Link, *, keeps_ends: bool = False) -> None:
         self.link = link
+        self.position: Callable[[], tuple[float, ...]] = lambda: (1.0,) * 6
         self.keeps_ends = keeps_ends
         self.is_open = False
         self.status = 0
@@ -283,10 +285,10 @@ class Controller:
         self.link.pause(milliseconds.get() / 1000)
 
     def curpos(self, _limits: Any, _axes: Any) -> Record:
-        """Anywhere, with a configuration."""
+        """Where the robot stands in the active frames, with a configuration."""
         record: Record = TYPES.initial("XYZWPR")
-        for name, one in record.fields.items():
-            one.set("NUT000" if name == "config_data" else 1.0)
+        for name, value in zip(record.fields, (*self.position(), "NUT000"), strict=True):
+            record.fields[name].set(value)
         return record
 
     def set_pos_reg(self, number: Any, pose: Any, status: Any) -> None:

@@ -11,9 +11,14 @@ import re
 from typing import Any
 from xml.etree import ElementTree
 
+from robotarm import RobotArm
 from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
 from robotlink import Link
 from robotvalues import Array, Record, Types, single
+
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import invert
 
 NAME = r"[A-Za-z$_][\w$]{0,23}"
 
@@ -79,6 +84,12 @@ class _Syntax(Syntax):
             return Call("WAIT_SEC", found[1])
         if found := re.match(rf"LIN ({NAME})$", line):
             return Call("LIN", found[1])
+        if found := re.match(rf"({NAME})=({NAME}):INV_POS\(({NAME})\)$", line):
+            return Call("GEOMETRIC_INVERSE", ", ".join(found.groups()))
+        if found := re.match(
+            rf"({NAME})=({NAME}):\{{X (\S+),Y (\S+),Z (\S+),A (\S+),B (\S+),C (\S+)\}}$", line
+        ):
+            return Call("GEOMETRIC", ", ".join(found.groups()))
         if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*)=(.+)$", line):
             return Assign(found[1], found[2])
         found = re.match(rf"({NAME})\((.*)\)$", line)
@@ -116,6 +127,7 @@ def load(files: dict[str, str], controller: Controller) -> Program:
         if found["initial"]:
             made.set(program.evaluate(found["initial"]).get())
     program.globals["$FLAG"] = controller.flags
+    program.globals |= {"$POS_ACT": controller.position, "$TOOL": controller.tool}
     source = files["edged.src"]
     assert source.isascii()
     lines = [line.partition(";")[0].strip() for line in source.splitlines()]
@@ -155,14 +167,28 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
 
 BUILTINS = (
     *("EKI_INIT", "EKI_OPEN", "EKI_CLOSE", "EKI_CLEAR", "EKI_SEND", "EKI_CHECKBUFFER", "EKI_GETSTRING"),
-    *("STRLEN", "WAIT_SEC"),
+    *("STRLEN", "WAIT_SEC", "LIN", "GEOMETRIC", "GEOMETRIC_INVERSE"),
 )
+
+
+def _matrix(frame: Any) -> FloatArray:
+    return transform_of(Brand.KUKA, tuple(frame.get().plain().values()))
+
+
+def _write(frame: Any, pose: FloatArray) -> None:
+    for place, number in zip(frame.get().fields.values(), pose_of(Brand.KUKA, pose), strict=True):
+        place.set(number)
 
 
 class Controller:
     """One channel of EthernetKRL, as the configuration file says, and the flags."""
 
-    def __init__(self, configuration: str, link: Link) -> None:
+    def __init__(self, configuration: str, link: Link, arm: RobotArm | None = None) -> None:
+        self.arm = arm
+        self.position, self.tool = TYPES.variable("FRAME"), TYPES.variable("FRAME")
+        if arm is not None:
+            _write(self.tool, arm.flange_from_tip)
+            _write(self.position, arm.tip)
         root = ElementTree.fromstring(configuration)
         assert root.tag == "ETHERNETKRL" and root.findtext("CONFIGURATION/EXTERNAL/TYPE") == "Server"
         assert "1503" == root.findtext("CONFIGURATION/EXTERNAL/PORT")
@@ -251,5 +277,22 @@ class Controller:
         return "".join(one.get() for one in text.elements).find("\0")
 
     def wait_sec(self, seconds: Any) -> None:
-        """Wait."""
+        """Wait; what is read then is where the robot stands (advance run)."""
         self.link.pause(seconds.get())
+        if self.arm is not None:
+            self.arm.rests()
+            _write(self.position, self.arm.tip)
+
+    def lin(self, place: Any) -> None:
+        """Along a line, with what $TOOL and $BASE are."""
+        assert self.arm is not None
+        self.arm.move(_matrix(place))
+
+    def geometric(self, target: Any, place: Any, *numbers: Any) -> None:
+        """A place, and a frame in it."""
+        frame = transform_of(Brand.KUKA, tuple(number.get() for number in numbers))
+        _write(target, _matrix(place) @ frame)
+
+    def geometric_inverse(self, target: Any, place: Any, frame: Any) -> None:
+        """A place, and the inverse of a frame in it."""
+        _write(target, _matrix(place) @ invert(_matrix(frame)))

@@ -12,9 +12,15 @@ import math
 import re
 from typing import Any
 
+import numpy as np
+from robotarm import RobotArm
 from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
 from robotlink import Link
 from robotvalues import Array, Record, Types, single
+
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, matrix_moving_xyz, pose_of, transform_of
+from edged.vision.geometry.rigid import transform
 
 MAX_TEXT = 80
 NAME = r"[A-Za-z_]\w{0,31}"
@@ -65,11 +71,13 @@ TYPES = Types(
         "errnum": (0, lambda value: value),
         "socketdev": (None, lambda value: value),
         "clock": (None, lambda value: value),
+        **dict.fromkeys(("tooldata", "wobjdata", "speeddata", "zonedata"), ("", lambda value: value)),
     },
     {
         "pos": {"x": "num", "y": "num", "z": "num"},
         "orient": {"q1": "num", "q2": "num", "q3": "num", "q4": "num"},
         "pose": {"trans": "pos", "rot": "orient"},
+        "robtarget": {"trans": "pos", "rot": "orient"},
     },
 )
 DECLARATION = re.compile(
@@ -79,7 +87,7 @@ DECLARATION = re.compile(
 HEAD = re.compile(
     rf"(?:LOCAL )?(?P<keyword>FUNC|PROC)(?: (?P<returns>\w+))? (?P<name>{NAME})\((?P<parameters>.*)\)$"
 )
-PARAMETER = re.compile(rf"(?P<inout>INOUT )?(?P<type>\w+) (?P<name>{NAME})$")
+PARAMETER = re.compile(rf"(?P<inout>INOUT |PERS )?(?P<type>\w+) (?P<name>{NAME})$")
 
 
 class _Syntax(Syntax):
@@ -130,6 +138,13 @@ def load(source: str, sockets: Sockets) -> Program:
     for name in ("ERR_SOCK_TIMEOUT", "ERR_SOCK_CLOSED"):
         program.globals[name] = TYPES.variable("errnum", name)
     program.globals["ERRNO"] = sockets.errno
+    for name, kind in (
+        ("tool0", "tooldata"),
+        ("wobj0", "wobjdata"),
+        ("v100", "speeddata"),
+        ("fine", "zonedata"),
+    ):
+        program.globals[name.upper()] = TYPES.variable(kind, name)
     return program
 
 
@@ -174,6 +189,10 @@ BUILTINS = {
     "StrLen": "str_len",
     "ByteToStr": "byte_to_str",
     "NOrient": "n_orient",
+    "CRobT": "c_rob_t",
+    "RelTool": "rel_tool",
+    "MoveL": "move_l",
+    "WaitTime": "wait_time",
 }
 
 
@@ -181,11 +200,27 @@ def _options(arguments: tuple[Any, ...]) -> dict[str, Any]:
     return dict(one for one in arguments if isinstance(one, tuple))
 
 
-class Sockets:
-    """The controller's socket messaging and clock."""
+def _target(robot_from_tip: FloatArray) -> Record:
+    """A robtarget."""
+    record: Record = TYPES.initial("robtarget")
+    numbers = pose_of(Brand.ABB, robot_from_tip)
+    for name, of in (("trans", numbers[:3]), ("rot", numbers[3:])):
+        for place, number in zip(record.fields[name].value.fields.values(), of, strict=True):
+            place.set(number)
+    return record
 
-    def __init__(self, link: Link) -> None:
+
+def _pose(target: Any) -> FloatArray:
+    plain = target.get().plain()
+    return transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values()))
+
+
+class Sockets:
+    """The controller's socket messaging, clock and, where it has one, arm."""
+
+    def __init__(self, link: Link, arm: RobotArm | None = None) -> None:
         self.link = link
+        self._arm = arm
         self.errno = TYPES.variable("errnum", "")
         self.started_s: float | None = None
         self.passed_s = 0.0
@@ -276,6 +311,35 @@ class Sockets:
         """\\Char: the character of that code."""
         assert ("char", None) in options
         return chr(_byte(byte.get()))
+
+    @property
+    def arm(self) -> RobotArm:
+        """The robot."""
+        assert self._arm is not None
+        return self._arm
+
+    def c_rob_t(self, *options: Any) -> Record:
+        """\\Tool, \\WObj."""
+        given = {name: value.get() for name, value in _options(options).items()}
+        assert "wobj0" == given["wobj"]
+        return _target(self.arm.flange if given["tool"] == "tool0" else self.arm.tip)
+
+    def rel_tool(self, target: Any, x: Any, y: Any, z: Any, *options: Any) -> Record:
+        """\\Rx, \\Ry, \\Rz: about x, the new y, the new z."""
+        given = {name: value.get() for name, value in _options(options).items()}
+        turn = matrix_moving_xyz(*(math.radians(given[name]) for name in ("rx", "ry", "rz")))
+        return _target(_pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
+
+    def move_l(self, target: Any, speed: Any, zone: Any, tool: Any, *options: Any) -> None:
+        """To the point itself (fine)."""
+        assert ("v100", "fine") == (speed.get(), zone.get()) and tool.get() != "tool0"
+        assert "wobj0" == _options(options)["wobj"].get()
+        self.arm.move(_pose(target))
+
+    def wait_time(self, *options: Any) -> None:
+        """\\InPos."""
+        assert ("inpos", None) in options and options[-1].get() > 0
+        self.arm.rests()
 
     def n_orient(self, rotation: Any) -> Record:
         """Of length 1; what is far from it is an error ("NOrient": rounding only)."""

@@ -21,6 +21,7 @@ from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.arrays import FloatArray, Image
 from edged.files.rig import load_rig
+from edged.plc.clients.walk import SHIFTS_MM, TURNS_DEG
 from edged.robot.orientations import Brand, pose_of
 from edged.sim.cell import VirtualCell, stereo_views
 from edged.sim.exposure import ExposureRequest
@@ -43,10 +44,6 @@ FLANGE_FROM_BOARD = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
 ROBOT_FROM_BOARD = make_transform((3.0, -0.05, 0.7), (610.0, -120.0, 35.0))
 WAIT_S = 30.0
-TURNS_DEG = ((0, 0, 0), (14, 0, 0), (-14, 0, 5), (0, 14, 0), (0, -14, -5),
-             (8, 3, 20), (-10, 10, -20), (10, -10, 30), (-10, -10, -30), (0, 0, 40))  # fmt: skip
-SHIFTS_MM = ((0, 0, 0), (8, 4, 5), (-8, 4, -5), (8, -4, 5), (-8, -4, -5),
-             (0, 6, 8), (0, -6, -8), (10, 0, 0), (-10, 0, 0), (0, 0, 10))  # fmt: skip
 
 
 class Arm(VirtualWorld):

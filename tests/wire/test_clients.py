@@ -749,85 +749,7 @@ def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
 # --- URScript --------------------------------------------------------------------------------
 
 
-class Controller:
-    """The robot controller's Modbus client, as PolyScope's Script Manual tells it.
-
-    Signals are read and written at their update frequency while the program sleeps, whether it asks or not,
-    and written for ever once they were set; a program sees what was read last.
-    """
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._inputs: dict[str, tuple[int, int, list[int]]] = {}
-        self._outputs: dict[str, tuple[int, int, list[int]]] = {}
-        self._frequencies: dict[str, int] = {}
-        self.connect()
-
-    def connect(self) -> None:
-        """A new connection, without a word to the program."""
-        self._client = ModbusTcpClient("127.0.0.1", port=self._port, timeout=2)
-        assert self._client.connect()
-        self.linked = True
-
-    def builtins(self) -> dict[str, Any]:
-        """What URScript calls."""
-        return {
-            "floor": math.floor,
-            "sleep": self._sleep,
-            "sync": lambda: None,
-            "modbus_add_signal": self._add,
-            "modbus_set_signal_update_frequency": self._frequencies.__setitem__,
-            "modbus_set_signal_watchdog": lambda name, _s: self._frequencies[name],
-            "modbus_get_signal_status": lambda name, _secondary: list(self._inputs[name][2]),
-            "modbus_set_output_register": self._set,
-        }
-
-    def _add(
-        self, ip: str, unit: int, address: int, kind: int, name: str, sequential: bool, count: int
-    ) -> None:
-        assert ("192.168.10.20", 1, False) == (ip, unit, sequential)
-        assert 1 <= len(name) <= 20 and 1 <= count <= 123
-        self._frequencies.pop(name, None)
-        if kind == 2:
-            self._inputs[name] = (address, count, [0] * count)
-        else:
-            assert kind == 16
-            self._outputs[name] = (address, count, [])
-
-    def _set(self, name: str, words: list[int], _secondary: bool) -> None:
-        address, count, _ = self._outputs[name]
-        assert len(words) == count and all(type(word) is int and 0 <= word <= 65535 for word in words)
-        self._outputs[name] = (address, count, list(words))
-
-    def _sleep(self, seconds: float) -> None:
-        # the program waits 1 s for a heartbeat, which the cell counts every 0.1 s however fast the robot is
-        time.sleep(seconds / 4)
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Write and read each signal once."""
-        assert self._frequencies.keys() == self._inputs.keys() | self._outputs.keys(), "explicit frequencies"
-        if not self.linked:
-            return
-        for address, _, words in self._outputs.values():
-            if words:
-                assert not self._client.write_registers(address, words).isError()
-        for name, (address, count, _) in self._inputs.items():
-            words = self._client.read_input_registers(address, count=count).registers
-            self._inputs[name] = (address, count, words)
-
-    def __enter__(self) -> Controller:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """The line ends."""
-        self._client.close()
-
-
-def started(controller: Controller) -> dict[str, Any]:
+def started(controller: urscript.Controller) -> dict[str, Any]:
     """The robot's program, after "Before Start"."""
     robot = urscript.load(render("urscript"), controller.builtins())
     robot["edged_setup"]("192.168.10.20")
@@ -836,7 +758,7 @@ def started(controller: Controller) -> dict[str, Any]:
 
 def test_urscript_locates_a_part() -> None:
     """Its functions, run as Python with the controller's Modbus calls: pose in m and rad, then errors."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         for x_mm in (10.0, -1234.567, 30.0):
             cell.targets = (make_target(x_mm=x_mm),)
@@ -861,7 +783,7 @@ def test_urscript_locates_a_part() -> None:
 
 def test_urscript_gives_part_after_part() -> None:
     """edged_next while edged_remaining says so: the other parts of one picture; then edged_error 9."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         seen = [(robot["edged_locate"](0, 5.0)[0], robot["edged_remaining"])]
@@ -876,7 +798,7 @@ def test_urscript_gives_part_after_part() -> None:
 
 def test_urscript_tries_all_jobs_when_asked_to() -> None:
     """The best part, its job and that job's next one; the command after tries the active job again."""
-    with two_kinds(n_better=2) as cell, Controller(cell.port) as controller:
+    with two_kinds(n_better=2) as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         asked: list[tuple[str, tuple[Any, ...]]] = [
             ("edged_locate", (0,)),
@@ -898,7 +820,7 @@ def test_urscript_tries_all_jobs_when_asked_to() -> None:
 
 def test_urscript_says_where_the_tool_takes_the_part() -> None:
     """Tool and approach in m and rad; 108 for a job without grasps, 106 for damaged words."""
-    with LiveCell().pick(GRASPS) as cell, Controller(cell.port) as controller:
+    with LiveCell().pick(GRASPS) as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
         pose, tool = robot["edged_grasp"](), cell.targets[0].rig_from_part @ PART_FROM_TCP
@@ -911,7 +833,7 @@ def test_urscript_says_where_the_tool_takes_the_part() -> None:
         robot["edged_in"][UR.words + 4] ^= 1
         robot["edged_grasp"]()
         assert (False, 106) == (robot["edged_ok"], robot["edged_error"])
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
         robot["edged_grasp"]()
@@ -922,7 +844,7 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
     """edged_error 103, no pose; with edged_allow_simulated the pose of the virtual cell."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, simulated=True)
-    with cell, Controller(cell.port) as controller:
+    with cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
         assert (False, 103) == (robot["edged_ok"], robot["edged_error"])
@@ -934,7 +856,7 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
 
 def test_urscript_never_uses_a_sequence_again() -> None:
     """Not in a program that was started anew, nor after a command that was taken back."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         used = []
         for _ in range(3):
             robot = started(controller)
@@ -947,7 +869,7 @@ def test_urscript_never_uses_a_sequence_again() -> None:
 
 def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
     """The first CMD_SEQ of a connection runs nothing: another one is written, measured once."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
         controller.close()
@@ -958,7 +880,7 @@ def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnotice
 
 def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
     """edged_error 104 within a second of the program, and nothing runs when the link returns."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
         controller.linked = False
@@ -974,7 +896,7 @@ def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
 
 def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
     """A word that does not fit the CRC, and a result of another job than asked for, are no pose."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         controls = controller.builtins()["modbus_get_signal_status"]
         place = {one.name: one.address - UR.address for one in UR.registers}
@@ -1001,7 +923,7 @@ def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
 
 def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
     """While it waits: edged_error 105, and no pose of another life."""
-    with LiveCell() as cell, Controller(cell.port) as controller:
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         cell.slow_s = 0.1
         controls = controller.builtins()["modbus_get_signal_status"]

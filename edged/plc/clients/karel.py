@@ -13,12 +13,14 @@ From the "KAREL Reference Manual" (MARRC75KR07091E) and the "Ethernet Function O
 * Names have at most 12 characters; INTEGER has 32 bits, REAL 24 of them.
 * Variables keep their values between calls, until the program is loaded anew: then they are uninitialised.
 * A file that a program opened is closed when the task ends: hence every target is fetched in one call.
+* `CURPOS` is in the user and tool frame that the TP program has set; with UTOOL_NUM=0 it is the flange's.
 * `CURPOS` gives a position with the configuration that the arm has now; W, P, R are degrees about fixed axes.
 """
 
 from __future__ import annotations
 
 from edged.plc.clients.robotlines import filled, statuses
+from edged.plc.clients.walk import CODES, steps
 from edged.plc.lines import LineStatus
 from edged.robot.orientations import Brand
 
@@ -35,6 +37,7 @@ PROGRAM edged
 --   CALL EDGED(0,5000,81,81,1,91,92)
 --     the same, and of each part where the tool takes it (from PR[91] on) and from where it comes (from
 --     PR[92] on); the sigmas are then the tool's
+--   CALL EDGED(-@HAND_EYE_START@,5000,81,81,0) and so on register the rig: EDGEDREG does it
 -- PR are in the frame that the rig was registered to: normally UFRAME 0.
 -- R[81] is, beside 0:
 @STATUSES@
@@ -60,6 +63,7 @@ VAR
   first_r : INTEGER
   grasp_pr : INTEGER
   approach_pr : INTEGER
+  place : STRING[128]
 
 ROUTINE new_number
 BEGIN
@@ -143,7 +147,7 @@ VAR
   status : INTEGER
   waited : INTEGER
   data : STRING[128]
-  text : STRING[40]
+  text : STRING[128]
 BEGIN
   CNV_INT_STR(number, 1, 0, text)
   text = text + ',' + request + CHR(10)
@@ -306,6 +310,45 @@ BEGIN
   RETURN(0)
 END locate
 
+-- A number as ten thousandths; together they are the pose of a request.
+ROUTINE add_number(value : REAL)
+VAR
+  text : STRING[40]
+BEGIN
+  CNV_INT_STR(ROUND(value * 10000), 1, 0, text)
+  place = place + ',' + text + 'E-4'
+END add_number
+
+-- A command of a registration, with the pose of the flange where it needs one (UTOOL_NUM=0).
+ROUTINE registered(command : INTEGER; wait_ms : INTEGER) : INTEGER
+VAR
+  pose : XYZWPR
+  result : INTEGER
+  status : INTEGER
+BEGIN
+  next_number
+  place = 'REGISTER_SOLVE'
+  IF command = @HAND_EYE_START@ THEN
+    place = 'HAND_EYE_START'
+  ENDIF
+  IF command = @REGISTER_ADD@ THEN
+    place = 'REGISTER_ADD,0'
+    pose = CURPOS(0, 0)
+    add_number(pose.x)
+    add_number(pose.y)
+    add_number(pose.z)
+    add_number(pose.w)
+    add_number(pose.p)
+    add_number(pose.r)
+  ENDIF
+  result = ask(place, sequence, wait_ms)
+  IF result = 0 THEN
+    SET_INT_REG(first_r + 1, ROUND(field[@REMAINING@]), status)
+    SET_REAL_REG(first_r + 3, field[@Y@], status)
+  ENDIF
+  RETURN(result)
+END registered
+
 -- An argument of the call; -1: it has none.
 ROUTINE argument(number : INTEGER) : INTEGER
 VAR
@@ -349,7 +392,12 @@ BEGIN
   ELSE
     grasp_pr = argument(6)
     approach_pr = argument(7)
-    result = locate(argument(1), argument(2), argument(4), argument(5))
+    result = argument(1)
+    IF result < 0 THEN
+      result = registered(-result, argument(2))
+    ELSE
+      result = locate(result, argument(2), argument(4), argument(5))
+    ENDIF
     CLOSE FILE link
   ENDIF
   MSG_DISCO(tag, status)
@@ -381,6 +429,17 @@ DEFAULT_GROUP = 1,*,*,*,*;
 /POS
 /END
 """
+REGISTER = """\
+/PROG  EDGEDREG
+/ATTR
+COMMENT = "edged: hand-eye";
+DEFAULT_GROUP = 1,*,*,*,*;
+/MN
+@LINES@
+/POS
+/END
+"""
+"""Registers the rig: ten poses about the one where the robot stands, turned about the tip of tool 1."""
 NO_REGISTER = 204
 """The position register could not be written."""
 
@@ -395,5 +454,48 @@ def karel_files() -> dict[str, str]:
         STATUSES=notes,
         NO_REGISTER=NO_REGISTER,
         NO_FURTHER=int(LineStatus.NO_FURTHER),
+        **CODES,
     )
-    return {"edged.kl": text, "edgedpick.ls": TEACH_PENDANT}
+    return {"edged.kl": text, "edgedpick.ls": TEACH_PENDANT, "edgedreg.ls": _walk()}
+
+
+def _walk() -> str:
+    """R[81] is 0 at its end when the rig is registered; R[82] poses were taken, R[84] mm is how far off."""
+
+    def call(command: str, milliseconds: int) -> str:
+        return f"CALL EDGED(-@{command}@,{milliseconds},81,81,0) ;"
+
+    def step(*numbers: int) -> str:
+        places = [f"PR[91,{axis}]={number}" for axis, number in enumerate(numbers, 1)]
+        return "\n".join(
+            [
+                *(f"{place} ;" for place in places),
+                "L PR[90] 50mm/sec FINE Tool_Offset,PR[91] ;",
+                "WAIT @SETTLE@0(sec) ;",
+                "UTOOL_NUM=0 ;",
+                call("REGISTER_ADD", 10000),
+                "UTOOL_NUM=1 ;",
+                "IF R[81]<>0 AND R[81]<>@NOT_SEEN@ AND R[81]<>@SAME_PLACE@,JMP LBL[9] ;",
+            ]
+        )
+
+    lines = [
+        "UFRAME_NUM=0 ;",
+        "UTOOL_NUM=1 ;",
+        "PR[90]=LPOS ;",
+        "PR[91]=PR[90] ;",
+        call("HAND_EYE_START", 10000),
+        "IF R[81]<>0,JMP LBL[9] ;",
+        *steps(step).splitlines(),
+        "L PR[90] 50mm/sec FINE ;",
+        call("REGISTER_SOLVE", 10000),
+        "IF R[81]<>0,JMP LBL[9] ;",
+        "END ;",
+        "LBL[9] ;",
+        "UALM[1] ;",
+    ]
+    numbered = "\n".join(
+        f"{number:4}:{line}" if line.startswith("L ") else f"{number:4}:  {line}"
+        for number, line in enumerate(lines, 1)
+    )
+    return filled(REGISTER, Brand.FANUC, first=1, LINES=filled(numbered, Brand.FANUC, first=1, **CODES))

@@ -5,7 +5,8 @@ From "KUKA.EthernetKRL 2.2" (KST EthernetKRL 2.2 V1) and "KUKA.Ethernet KRL 3.0"
 * 6.1.2 "XML structure for data reception": RAW with TYPE STREAM and EOS takes lines that are no XML; EOS 10
   is the line feed, at most 3600 bytes. 6.1.1: ENVIRONMENT Program closes the link with the program.
 * 6.2.4 "Sending data": with a string, EOS of the SEND section is appended. EKI 3.0 sends up to the first zero
-  unless the length is given; so the request fills its array, with blanks, which the cell ignores.
+  unless the length is given; so the request fills its array, with blanks, which the cell ignores. It has room
+  for a pose.
 * 6.2.5 "Reading out data": a string to be read into is initialised first.
 * 6.2.7 "EKI_STATUS": MSG_NO is 0 without an error, BUFF the lines that wait. Errors are shown on the smartHMI
   and stop the program unless MESSAGES DISPLAY is "disabled"; closing what is not open cannot be silenced: a
@@ -13,20 +14,23 @@ From "KUKA.EthernetKRL 2.2" (KST EthernetKRL 2.2 V1) and "KUKA.Ethernet KRL 3.0"
 
 From the "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators": names of
 at most 24 characters; arrays are handed over as OUT; INT of 32 bits, whose quotient is whole; REAL of 32
-bits; FRAME with X, Y, Z, A, B, C. Digits are looked up in a string: no conversion of CHAR to INT is relied
-on.
+bits; FRAME with X, Y, Z, A, B, C; the geometric operator ":" joins frames, and a position and a frame to a
+frame; `$POS_ACT` is where the tip of `$TOOL` is in `$BASE`, `INV_POS` turns a frame round. `WAIT SEC` stops
+the advance run, so that `$POS_ACT` is read where the robot stands. Digits are looked up in a string: no
+conversion of CHAR to INT is relied on.
 """
 
 from __future__ import annotations
 
 from edged.plc.clients.robotlines import filled, statuses
 from edged.plc.clients.skeleton import NUMBERS, Dialect, routines
+from edged.plc.clients.walk import CODES, steps
 from edged.plc.lines import LineStatus
 from edged.robot.orientations import Brand
 
 ADVANCE = 10
 """Targets that one call fetches at most."""
-REQUEST_BYTES = 32
+REQUEST_BYTES = 128
 
 CONFIGURATION = """\
 <ETHERNETKRL>
@@ -72,6 +76,7 @@ DECL GLOBAL FRAME EDGED_APPROACH[@TARGETS@]
 DECL GLOBAL REAL EDGED_SIGMA[3]
 DECL REAL FIELD[@FIELDS@]
 DECL FRAME POSE
+DECL FRAME FLANGE
 DECL INT ED_KIND=0
 DECL CHAR ED_LINE[256]
 @NUMBERS@
@@ -108,6 +113,58 @@ DECL INT JOB
 DECL REAL TIMEOUT_S
 RETURN FETCH(JOB,TIMEOUT_S,TRUE)
 ENDFCT
+
+; Register the rig: at ten poses about the one where the robot stands, turned about the tip of $TOOL, which
+; is in the middle of the board (a rig on the flange: where the cameras look). $BASE=$NULLFRAME.
+GLOBAL DEFFCT BOOL EDGED_HAND_EYE(TIMEOUT_S:IN)
+DECL REAL TIMEOUT_S
+DECL FRAME CENTRE
+DECL FRAME PLACE
+WAIT SEC 0.0
+CENTRE=$POS_ACT:{X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}
+SAY(@HAND_EYE_START@,TIMEOUT_S)
+@WALK@
+IF EDGED_ERROR==0 THEN
+LIN CENTRE
+WAIT SEC 0.0
+SAY(@REGISTER_SOLVE@,TIMEOUT_S)
+ENDIF
+RETURN EDGED_ERROR==0
+ENDFCT
+
+; One pose; where the board is not seen it is left out.
+DEF STEP(PLACE:IN,TIMEOUT_S:IN)
+DECL FRAME PLACE
+DECL REAL TIMEOUT_S
+IF EDGED_ERROR==0 THEN
+LIN PLACE
+WAIT SEC @SETTLE@
+FLANGE=$POS_ACT:INV_POS($TOOL)
+SAY(@REGISTER_ADD@,TIMEOUT_S)
+IF (EDGED_ERROR==@NOT_SEEN@) OR (EDGED_ERROR==@SAME_PLACE@) THEN
+EDGED_ERROR=0
+ENDIF
+ENDIF
+END
+
+; One command that has no pose for an answer, over a link of its own.
+DEF SAY(KIND:IN,TIMEOUT_S:IN)
+DECL INT KIND
+DECL REAL TIMEOUT_S
+DECL EKI_STATUS RET
+EDGED_ERROR=@NO_LINK@
+RET=EKI_INIT("edged")
+IF RET.MSG_NO==0 THEN
+RET=EKI_OPEN("edged")
+IF RET.MSG_NO==0 THEN
+ED_IS_OPEN=1
+ED_TIMEOUT=TIMEOUT_S
+ASK_FOR(KIND)
+ED_HANG_UP()
+ENDIF
+RET=EKI_CLEAR("edged")
+ENDIF
+END
 
 ; A link of its own: nothing old can be waiting in it.
 DEFFCT BOOL FETCH(JOB:IN,TIMEOUT_S:IN,HAS_GRASPS:IN)
@@ -160,7 +217,7 @@ ENDIF
 RETURN EDGED_ERROR==0
 ENDFCT
 
-; 1 LOCATE, 2 NEXT, 3 ACK, 4 GRASP, 5 APPROACH, with a number of its own.
+; 1 LOCATE, 2 NEXT, 3 ACK, 4 GRASP, 5 APPROACH, others as COMMAND; with a number of its own.
 DEF ASK_FOR(KIND:IN)
 DECL INT KIND
 ED_NEXT_NUMBER()
@@ -209,7 +266,7 @@ DEF ED_SEND()
 DECL INT I
 DECL INT AT
 DECL CHAR REQUEST[@REQUEST@]
-DECL CHAR WORD[10]
+DECL CHAR WORD[16]
 DECL EKI_STATUS RET
 FOR I=1 TO @REQUEST@
 REQUEST[I]=" "
@@ -236,6 +293,24 @@ ENDIF
 IF ED_KIND==5 THEN
 WORD[]=",APPROACH"
 PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+IF ED_KIND==@HAND_EYE_START@ THEN
+WORD[]=",HAND_EYE_START"
+PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+IF ED_KIND==@REGISTER_SOLVE@ THEN
+WORD[]=",REGISTER_SOLVE"
+PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+IF ED_KIND==@REGISTER_ADD@ THEN
+WORD[]=",REGISTER_ADD,0"
+PUT_WORD(REQUEST[],AT,WORD[])
+PUT_REAL(REQUEST[],AT,FLANGE.X)
+PUT_REAL(REQUEST[],AT,FLANGE.Y)
+PUT_REAL(REQUEST[],AT,FLANGE.Z)
+PUT_REAL(REQUEST[],AT,FLANGE.A)
+PUT_REAL(REQUEST[],AT,FLANGE.B)
+PUT_REAL(REQUEST[],AT,FLANGE.C)
 ENDIF
 ; EthernetKRL 2.2 has no third argument: leave it out there
 RET=EKI_SEND("edged",REQUEST[],@REQUEST@)
@@ -331,6 +406,26 @@ TEXT[AT]=WORD[I]
 ENDFOR
 END
 
+; A comma and a number: ten thousandths, and that they are it.
+DEF PUT_REAL(TEXT[]:OUT,AT:OUT,NUMBER:IN)
+DECL CHAR TEXT[]
+DECL INT AT
+DECL REAL NUMBER
+DECL INT PARTS
+DECL CHAR WORD[4]
+AT=AT+1
+TEXT[AT]=","
+PARTS=NUMBER*10000.0
+IF PARTS<0 THEN
+AT=AT+1
+TEXT[AT]="-"
+PARTS=-PARTS
+ENDIF
+PUT_NUMBER(TEXT[],AT,PARTS)
+WORD[]="E-4"
+PUT_WORD(TEXT[],AT,WORD[])
+END
+
 DEF PUT_NUMBER(TEXT[]:OUT,AT:OUT,NUMBER:IN)
 DECL CHAR TEXT[]
 DECL INT AT
@@ -388,7 +483,14 @@ def krl_files() -> dict[str, str]:
     """Files by name: the module's source and data, and the configuration of its link."""
     numbers = [name for name in NUMBERS if name not in UNUSED]
     declared = (f"DECL {'REAL' if name in REALS else 'INT'} {DIALECT.variable(name)}=0" for name in numbers)
-    values = {
+    walk = steps(
+        lambda x, y, z, rx, ry, rz: (
+            f"PLACE=CENTRE:{{X {x}.0,Y {y}.0,Z {z}.0,A {rz}.0,B {ry}.0,C {rx}.0}}\nSTEP(PLACE,TIMEOUT_S)"
+        )
+    )
+    values: dict[str, object] = {
+        **CODES,
+        "WALK": walk,
         "FLAG": FLAG,
         "TARGETS": ADVANCE,
         "REQUEST": REQUEST_BYTES,

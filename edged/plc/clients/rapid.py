@@ -10,11 +10,15 @@ From the "Technical reference manual: RAPID Instructions, Functions and Data typ
   hexadecimal digits).
 * `orient`: q1 is the scalar; the sum of the squares must be 1, which six decimals are not: `NOrient`.
 * `num` holds 23 bits and a sign exactly: 0.0001 mm at 1 m.
+* `RelTool`: a displacement in the active tool's frame, and turns about its x, its new y and its new z.
+  `CRobT`: where the robot stands now; `WaitTime \InPos` waits until it stands still. A `tooldata` that moves
+  the robot is a persistent: so is the parameter.
 """
 
 from __future__ import annotations
 
 from edged.plc.clients.robotlines import filled, statuses
+from edged.plc.clients.walk import CODES, steps
 from edged.robot.orientations import Brand
 
 MODULE = r"""MODULE EDGED
@@ -44,6 +48,7 @@ MODULE = r"""MODULE EDGED
   LOCAL VAR num edged_field{@FIELDS@};
   LOCAL VAR num edged_sequence:=0;
   LOCAL VAR num edged_command:=0;
+  LOCAL VAR string edged_place:="";
 
   ! Measure. TRUE: part is the pose of the part.
   FUNC bool EdgedLocate(num job,num timeout_s,INOUT pose part)
@@ -95,6 +100,39 @@ MODULE = r"""MODULE EDGED
     RETURN EdgedAsk(request,edged_sequence,timeout_s,TRUE);
   ENDFUNC
 
+  ! Register the rig: at ten poses about the one where the robot stands, turned about the tip of the tool,
+  ! which is in the middle of the board (a rig on the flange: where the cameras look). edged_error 0: it is.
+  PROC EdgedHandEye(num timeout_s,PERS tooldata tool)
+    VAR robtarget centre;
+    VAR bool is_done;
+    centre:=CRobT(\Tool:=tool\WObj:=wobj0);
+    is_done:=EdgedDo("HAND_EYE_START",timeout_s);
+@WALK@
+    IF edged_error=0 THEN
+      MoveL centre,v100,fine,tool\WObj:=wobj0;
+      is_done:=EdgedDo("REGISTER_SOLVE",timeout_s);
+    ENDIF
+    SocketClose edged_socket;
+  ENDPROC
+
+  ! One pose; where the board is not seen it is left out.
+  LOCAL PROC EdgedStep(robtarget place,num timeout_s,PERS tooldata tool)
+    VAR robtarget flange;
+    VAR bool is_done;
+    IF edged_error=0 THEN
+      MoveL place,v100,fine,tool\WObj:=wobj0;
+      WaitTime \InPos,@SETTLE@;
+      flange:=CRobT(\Tool:=tool0\WObj:=wobj0);
+      edged_place:=","+NumToStr(flange.trans.x,3)+","+NumToStr(flange.trans.y,3)+","+NumToStr(flange.trans.z,3);
+      edged_place:=edged_place+","+NumToStr(flange.rot.q1,6)+","+NumToStr(flange.rot.q2,6);
+      edged_place:=edged_place+","+NumToStr(flange.rot.q3,6)+","+NumToStr(flange.rot.q4,6);
+      is_done:=EdgedDo("REGISTER_ADD,0",timeout_s);
+      IF edged_error=@NOT_SEEN@ OR edged_error=@SAME_PLACE@ THEN
+        edged_error:=0;
+      ENDIF
+    ENDIF
+  ENDPROC
+
   LOCAL PROC EdgedTake(INOUT pose part)
     part.trans.x:=edged_field{@X@};
     part.trans.y:=edged_field{@Y@};
@@ -117,7 +155,10 @@ MODULE = r"""MODULE EDGED
     VAR num count;
     VAR num fields:=0;
     VAR string text:="";
+    VAR string place;
     VAR bool is_whole:=FALSE;
+    place:=edged_place;
+    edged_place:="";
     edged_error:=0;
     ClkStop edged_clock;
     ClkReset edged_clock;
@@ -127,7 +168,8 @@ MODULE = r"""MODULE EDGED
       SocketCreate edged_socket;
       SocketConnect edged_socket,edged_ip,edged_port\Time:=timeout_s;
     ENDIF
-    SocketSend edged_socket\Str:=NumToStr(sequence,0)+","+request+"\0A";
+    SocketSend edged_socket\Str:=NumToStr(sequence,0)+","+request;
+    SocketSend edged_socket\Str:=place+"\0A";
     WHILE NOT is_whole DO
       left_s:=timeout_s-ClkRead(edged_clock);
       IF left_s<=0 THEN
@@ -186,4 +228,9 @@ ENDMODULE
 
 def rapid_source() -> str:
     """A module to load, as text."""
-    return filled(MODULE, Brand.ABB, first=1, STATUSES=statuses("  !   "))
+    walk = steps(
+        lambda x, y, z, rx, ry, rz: (
+            f"    EdgedStep RelTool(centre,{x},{y},{z}\\Rx:={rx}\\Ry:={ry}\\Rz:={rz}),timeout_s,tool;"
+        )
+    )
+    return filled(MODULE, Brand.ABB, first=1, STATUSES=statuses("  !   "), WALK=walk, **CODES)

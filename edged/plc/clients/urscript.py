@@ -14,8 +14,11 @@ integers, hence `floor`.
 
 from __future__ import annotations
 
+import math
+
 from edged.domain.events import CommandKind
 from edged.plc.clients.units import filled
+from edged.plc.clients.walk import CODES, SETTLE_S, steps
 from edged.plc.handshake import Reason
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, Option, StatusBit
 
@@ -259,6 +262,51 @@ def edged_next(timeout):
     return p[0, 0, 0, 0, 0, 0]
 end
 
+# Register the rig: at ten poses about the one where the robot stands, turned about its tool centre point,
+# which is in the middle of the board (a rig on the flange: where the cameras look). True: it is registered.
+# The cell's convention is ur_rotation_vector.
+def edged_hand_eye(timeout):
+    local centre = get_actual_tcp_pose()
+    if not edged_run(@HAND_EYE_START@, 0, 0, timeout):
+        return False
+    end
+@WALK@
+    movel(centre, 0.3, 0.1)
+    return edged_run(@REGISTER_SOLVE@, 0, 0, timeout)
+end
+
+# One pose; where the board is not seen it is left out. False: something else is wrong.
+def edged_step(place, timeout):
+    local is_taken = False
+    movel(place, 0.3, 0.1)
+    sleep(@SETTLE_S@)
+    edged_flange(get_actual_tool_flange_pose())
+    is_taken = edged_run(@REGISTER_ADD@, 0, 0, timeout)
+    # a pose serves one command: it must not go with the next one
+    edged_flange(p[0, 0, 0, 0, 0, 0])
+    edged_send()
+    return is_taken or edged_error == @NOT_SEEN@ or edged_error == @SAME_PLACE@
+end
+
+def edged_flange(place):
+    edged_words(@FLANGE@, place[0] * 1000000.0)
+    edged_words(@FLANGE@ + 2, place[1] * 1000000.0)
+    edged_words(@FLANGE@ + 4, place[2] * 1000000.0)
+    # rad to 0.001 degrees
+    edged_words(@FLANGE@ + 6, place[3] * 57295.779513)
+    edged_words(@FLANGE@ + 8, place[4] * 57295.779513)
+    edged_words(@FLANGE@ + 10, place[5] * 57295.779513)
+end
+
+# A number as two words of edged_out, the high one first.
+def edged_words(at, number):
+    local whole = floor(number + 0.5)
+    local high = floor(whole / 65536)
+    local second = at + 1
+    edged_out[at] = edged_mod(high, 65536)
+    edged_out[second] = whole - high * 65536
+end
+
 # Where the tool takes the part that was found; sets edged_approach. Without a grasp edged_ok becomes False.
 def edged_grasp():
     if not edged_ok:
@@ -348,10 +396,14 @@ def _values() -> dict[str, str]:
         "O_BEAT": ADDRESS["CLIENT_HEARTBEAT"] - COMMAND.address,
         "O_OPTIONS": ADDRESS["OPTIONS"] - COMMAND.address,
         "O_TIMEOUT": ADDRESS["TIMEOUT"] - COMMAND.address,
+        "FLANGE": ADDRESS["FLANGE_X"] - COMMAND.address,
+        **CODES,
+        "SETTLE_S": SETTLE_S,
     }
     return {name: str(value) for name, value in numbers.items()} | {
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
         "SETTLE": f"{5 / REFRESH_HZ:g}",
+        "WALK": steps(_step),
         "STEP": f"{1 / REFRESH_HZ:g}",
         "STALE": f"{STALE_S:g}",
         "ZEROS_IN": ", ".join(["0"] * (UR.words + UR_GRASP.words)),
@@ -365,6 +417,14 @@ def _values() -> dict[str, str]:
             for axis in AXES
         ),
     }
+
+
+def _step(x: int, y: int, z: int, *turns_deg: int) -> str:
+    """One pose; the turns as a rotation vector, which they are up to the order of small ones."""
+    offset = ", ".join(
+        [*(f"{mm / 1000:g}" for mm in (x, y, z)), *(f"{math.radians(turn):.4f}" for turn in turns_deg)]
+    )
+    return f"    if not edged_step(pose_trans(centre, p[{offset}]), timeout):\n        return False\n    end"
 
 
 def _at(name: str, block: Block = UR) -> int:
