@@ -16,6 +16,7 @@ from pathlib import Path
 import numba
 
 from edged.config.configuration import Config
+from edged.doctor.encrypted import look_at_certificates, look_at_opcua
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 
@@ -172,6 +173,10 @@ def look_at_ports(config: Config) -> Iterator[Check]:
         yield _writers(config)
     if config.web is not None:
         yield _port("status page port", config.web.host, config.web.port)
+    if (opcua := config.opcua) is not None:
+        answered = look_at_opcua(opcua.host, opcua.port)
+        yield answered or _port("OPC UA port", opcua.host, opcua.port)
+    yield from look_at_certificates(config)
     for endpoint in config.zenoh.listen if config.zenoh.enabled else ():
         protocol, _, place = endpoint.partition("/")
         host, _, port = place.rpartition(":")

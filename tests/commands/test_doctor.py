@@ -8,13 +8,16 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
+from datetime import UTC, datetime, timedelta
 from ipaddress import IPv4Interface
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from certificates import make_certificates
 from rich.console import Console
 
 from edged.adapters.aravis import CameraInfo, aravis_missing
@@ -23,6 +26,7 @@ from edged.commands.doctor import doctor as command
 from edged.config.cameras import CameraSection
 from edged.config.reading import load
 from edged.doctor import cameras, firewall, machine, network
+from edged.doctor.encrypted import look_at_certificates, look_at_opcua
 from edged.doctor.examination import examine
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import Rules
@@ -310,3 +314,45 @@ def test_who_wrote_and_may_not_is_named(
     assert verdict is check.verdict
     assert finding in check.finding
     assert ("192.168.10.7" in check.remedy) is (verdict is Verdict.WARN)
+
+
+@pytest.mark.parametrize(
+    ("days", "verdict", "finding"),
+    [(-2, Verdict.BAD, "from"), (0, Verdict.WARN, "1 days"), (3, Verdict.BAD, "expired")],
+)
+def test_a_certificate_that_ends_is_told_before(
+    folder: Path, days: int, verdict: Verdict, finding: str
+) -> None:
+    """By its place and its date: not good yet, a day left, over; what is none is said."""
+    make_certificates(folder)
+    text = '[modbus.tls]\ncertificate = "server.pem"\nkey = "server.key"\nauthority = "ca.pem"\n\n[zenoh]'
+    config = load(edit(folder, "[zenoh]", text))
+    (check,) = look_at_certificates(config, datetime.now(UTC) + timedelta(days=days, minutes=5))
+    assert ("modbus.tls.certificate", verdict) == (check.name, check.verdict)
+    assert finding in check.finding
+    (folder / "server.pem").write_text("none")
+    (check,) = look_at_certificates(config)
+    assert Verdict.BAD is check.verdict
+
+
+@pytest.mark.parametrize(
+    ("said", "verdict"), [(b"ACKF\x1c\0\0\0", Verdict.OK), (b"HTTP/1.1", Verdict.BAD), (b"", Verdict.BAD)]
+)
+def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: Verdict) -> None:
+    """A server of OPC UA, another one, one that hangs up; where nobody listens there is nothing to tell."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+        def answer() -> None:
+            line, _ = server.accept()
+            with line:
+                assert line.recv(100).startswith(b"HELF")
+                line.sendall(said)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        check = look_at_opcua("0.0.0.0", port)
+        thread.join()
+    assert check is not None
+    assert verdict is check.verdict
+    assert look_at_opcua("127.0.0.1", port) is None
