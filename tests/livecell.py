@@ -20,6 +20,7 @@ from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import Grasp, Picking
 from edged.errors import FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
+from edged.loop.registering import Registrar
 
 T = TypeVar("T")
 PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
@@ -63,6 +64,7 @@ class LiveCell:
         self.head = Head()
         self.targets: tuple[Target, ...] = (make_target(),)
         self.slow_s = 0.0
+        self.registrar: Registrar | None = None
         self.may_end = threading.Event()
         self.may_end.set()
         jobs = {number: LoadedJob(f"job{number}", number, self._locate) for number in (1, 2)}
@@ -109,7 +111,7 @@ class LiveCell:
 
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
-        self.cycle = Cycle(self.head, self.setup)
+        self.cycle = Cycle(self.head, self.setup, registrar=self.registrar)
         jobs = [(job.number, job.name) for job in self.setup.jobs.values()]
         self.server = ModbusPublisher(self.settings, self.cycle, jobs=lambda: jobs)
         await self.server.start()

@@ -49,6 +49,8 @@ from livecell import GRASPS
 settings = ModbusSettings(port=0, serial=serial, idle_s=float(sys.argv[2]), max_clients=int(sys.argv[3]),
                           line=LineSettings(0, Brand.KUKA), reserved={ip_address(sys.argv[4]): 2})
 cell = LiveCell(settings, period_s=0.05).pick(GRASPS)
+from hostileregistrar import registrar_of
+cell.registrar = registrar_of(cell)
 cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
 with cell:
     print(cell.port, cell.server.line_port, flush=True)
@@ -198,6 +200,10 @@ def requests() -> list[bytes]:
         struct.pack(">BHHB3H", 16, 100, 3, 6, 2, 2, 8),
         struct.pack(">BHHHHB3H", 23, 200, 16, 100, 3, 6, 3, 0, 9),
         *(struct.pack(">BHHB6H", 16, 100, 6, 12, 5, 0, 10 + i, 0, 0, i) for i in range(8)),
+        *(
+            struct.pack(">BHHB18H", 16, 100, 18, 36, kind, 0, kind, 0, 0, 2, *range(12))
+            for kind in (6, 7, 8, 8, 8, 9)
+        ),
         *(struct.pack(">BHH", 3, address, words) for address, words in ((400, 52), (540, 35), (1000, 125))),
         bytes((0x2B, 0x0E, 1, 0)),
         bytes((8, 0, 0, 0, 0)),
