@@ -60,6 +60,7 @@ class Workshop:
             self._tasks,
             notices,
             cycle.capture,
+            cycle.renew_setup,
             lambda: running().loaded.cell.config.cell.rig,
             lambda identity: identity == _calibration_id(running()),
         )

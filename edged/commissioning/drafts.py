@@ -89,10 +89,6 @@ class Draft:
             raise CalibrationError("there is nothing to do again")
         self._write(self._state.changed(done=self._state.done + 1, solved=None))
 
-    def set_auto(self, on: bool) -> None:
-        """Whether pictures are taken when the board is held still."""
-        self._write(self._state.changed(auto=on))
-
     def set_boards(self, boards: Sequence[str]) -> None:
         """State what the pictures show. Raises `CalibrationError` for no board, or once there are views."""
         parse_boards(",".join(boards))

@@ -68,7 +68,6 @@ class DraftState(Kept):
     mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
     goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
     lens: Literal["division", "brown"] = "brown"
-    auto: bool = False
     operations: Annotated[tuple[Operation, ...], Field(max_length=4 * MOST_VIEWS)] = ()
     done: Annotated[int, Field(ge=0)] = 0
     views: Annotated[dict[ViewName, ViewState], Field(max_length=MOST_VIEWS)] = {}

@@ -148,9 +148,11 @@ class CalibrationRoutes:
 
     async def _begin(self, call: Call[Beginning]) -> DraftDocument:
         body = call.body
-        return await self._calibrations.begin(
+        draft = await self._calibrations.begin(
             call.visitor.name, body.boards, body.mm, body.goal_um, body.lens
         )
+        call.trail.object = draft.id
+        return draft
 
     async def _get(self, call: Call[None]) -> DraftDocument:
         return await known(self._calibrations.document(call.part("id")))
@@ -162,7 +164,8 @@ class CalibrationRoutes:
         return await self._change(call.part("id"), lambda draft: draft.set_goal(call.body.goal_um))
 
     async def _auto(self, call: Call[Auto]) -> DraftDocument:
-        return await self._change(call.part("id"), lambda draft: draft.set_auto(on=call.body.on))
+        body = call.body
+        return await known(self._calibrations.take_by_itself(call.part("id"), body.token, on=body.on))
 
     async def _remove(self, call: Call[Nothing]) -> DraftDocument:
         return await self._change(call.part("id"), lambda draft: draft.remove(call.part("name")))
@@ -177,7 +180,8 @@ class CalibrationRoutes:
         return await known(self._calibrations.change(identity, change))
 
     async def _solve(self, call: Call[Nothing]) -> Begun:
-        return Begun(task=await known(self._calibrations.solve(call.part("id"))))
+        call.trail.object = task = await known(self._calibrations.solve(call.part("id")))
+        return Begun(task=task)
 
     async def _report(self, call: Call[None]) -> web.Response:
         draft = await known(self._calibrations.draft(call.part("id")))

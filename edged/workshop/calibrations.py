@@ -26,7 +26,7 @@ from edged.commissioning.pairs import Progress
 from edged.commissioning.shown import Stillness, Watched
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
-from edged.errors import CalibrationError, EdgedError, FileFormatError
+from edged.errors import CalibrationError, EdgedError, FileFormatError, SetupRefused
 from edged.session.notices import Notices
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import agreed_board, of_size
@@ -70,6 +70,7 @@ class _Open:
     recognised: list[NominalBoard] = field(default_factory=list)
     task: str | None = None
     fault: str = ""
+    auto: str | None = None  # the token of who wants pairs to be taken by themselves
 
     @property
     def wanted(self) -> tuple[object, ...]:
@@ -91,8 +92,8 @@ class _Open:
 class Calibrations:
     """All drafts of a cell; used on its event loop.
 
-    capture : an exposure, for the token of who has the cell. rig : the file of the rig in use.
-    is_active : whether a calibration is the one in use.
+    capture : an exposure, for the token of who has the cell. renew : raises `SetupRefused` for another token.
+    rig : the file of the rig in use. is_active : whether a calibration is the one in use.
     """
 
     def __init__(
@@ -102,6 +103,7 @@ class Calibrations:
         tasks: Tasks,
         notices: Notices,
         capture: Callable[[str], Awaitable[FramePair]],
+        renew: Callable[[str], None],
         rig: Callable[[], Path],
         is_active: Callable[[str], bool],
         clock_s: Callable[[], float] = time.monotonic,
@@ -111,6 +113,7 @@ class Calibrations:
         self._tasks = tasks
         self._notices = notices
         self._capture = capture
+        self._renew = renew
         self._rig = rig
         self._is_active = is_active
         self._clock_s = clock_s
@@ -144,7 +147,9 @@ class Calibrations:
 
     async def document(self, identity: str) -> DraftDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
-        return self._document(await self._opened(identity))
+        one = await self._opened(identity)
+        self._current = self._current or identity
+        return self._document(one)
 
     async def add(self, identity: str, token: str) -> DraftDocument:
         """Take a pair. Raises `SetupRefused`, `CaptureError`, `CalibrationError`."""
@@ -163,6 +168,12 @@ class Calibrations:
         async with self._taking:
             await asyncio.to_thread(change, one.draft)
         self._guide(one)
+        return self._tell(one)
+
+    async def take_by_itself(self, identity: str, token: str, *, on: bool) -> DraftDocument:
+        """Take live pairs when the board is held still, for as long as this token's owner has the cell."""
+        one = await self._opened(identity)
+        self._current, one.auto = identity, token if on else None
         return self._tell(one)
 
     async def solve(self, identity: str) -> str:
@@ -193,20 +204,21 @@ class Calibrations:
 
     def offer(self, _number: int, pair: FramePair) -> None:
         """Look at a live pair, unless something else is being done."""
-        if self._watching is None and not self._worker.is_busy:
-            self._watching = asyncio.create_task(self._watch(pair), name="watch")
+        if self._current is not None and self._watching is None and not self._worker.is_busy:
+            self._watching = asyncio.create_task(self._watch(self._current, pair), name="watch")
 
-    async def _watch(self, pair: FramePair) -> None:
+    async def _watch(self, identity: str, pair: FramePair) -> None:
         try:
-            if self._current is None:
-                self._current = next(iter(await asyncio.to_thread(self._drafts.names)), None)
-            if self._current is not None:
-                await self._look(await self._opened(self._current), pair.left.image, pair.right.image)
+            await self._look(await self._opened(identity), pair.left.image, pair.right.image)
+        except KeyError:  # somebody removed its folder
+            self._current = None
+        except SetupRefused:  # somebody else has the cell by now
+            self._open[identity].auto = None
         except (EdgedError, OSError) as error:
             log.warning("a live pair cannot be looked at: %s", error)
-            if self._current in self._open:
-                self._open[self._current].fault = str(error)
-                self._tell(self._open[self._current])
+            if identity in self._open:
+                self._open[identity].fault = str(error)
+                self._tell(self._open[identity])
         finally:
             self._watching = None
 
@@ -219,7 +231,8 @@ class Calibrations:
         if one.guided is None and one.draft.state.boards and not one.draft.state.used:
             one.guided = Guided("", first_ghosts(one.draft.state.board_models[0], watched.size, 0))
         one.waits = self._waits(one)
-        if one.draft.state.auto and not one.waits:
+        if one.auto is not None and not one.waits:
+            self._renew(one.auto)
             await self._take(one, left, right)
             one.stillness = Stillness()
         self._tell(one)
@@ -345,7 +358,7 @@ class Calibrations:
             author=state.author,
             boards=list(state.boards),
             goal_um=state.goal_um,
-            auto=state.auto,
+            auto=one.auto is not None,
             waits=one.waits or None,
             views=views_in(one.draft, guided, f"{PLACE}/{state.id}"),
             shown=shown_in(one.watched),

@@ -50,7 +50,6 @@ def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
         lambda: add(draft),
         lambda: add(draft, NOTHING),
         lambda: draft.remove("view_001"),
-        lambda: draft.set_auto(on=True),
         lambda: draft.set_goal(3.0),
         draft.undo,
         draft.undo,
@@ -98,14 +97,13 @@ def test_every_step_can_be_undone_and_done_again(tmp_path: Path) -> None:
 
 
 def test_a_solution_is_of_the_views_it_was_made_of(tmp_path: Path) -> None:
-    """With one more or less it is none any more; a goal or the switch for taking pictures changes nothing."""
+    """With one more or less it is none any more; a goal changes nothing."""
     draft = begin(tmp_path)
     add(draft)
     draft.solve(Solution("first", b"old", b"", {}))
     draft.solve(Solution("second", b"rig", b"", {}))
     assert 2 == len([*draft.folder.glob("rig-*"), *draft.folder.glob("report-*")])
     draft.set_goal(1.0)
-    draft.set_auto(on=True)
     assert b"rig" == draft.rig()
     for file in draft.folder.glob("rig-*"):
         file.write_bytes(b"gir")

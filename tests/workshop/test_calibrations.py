@@ -23,6 +23,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
+from edged.workshop import calibrations
 
 
 def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell:
@@ -140,6 +141,12 @@ def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> Non
             cell.world.shown = tuple(np.full_like(image, 90) for image in pairs(6)[0])
             draft = await cell.until(place, lambda draft: draft["waits"] == "no_board")
             assert "not_found" == draft["shown"]["left"]["missing"]
+            _, other = await cell.ask("POST", "/setup", {"name": "Ben", "take_over": True})
+            await socket.send_json({"live": True, "token": other["token"]})
+            cell.world.shown = pairs(6)[1]
+            await cell.until(place, lambda draft: not draft["auto"])
+            _, draft = await cell.ask("GET", place)
+            assert 1 == len(draft["views"]), "nobody who has the cell has asked for it"
             looking.cancel()
 
     run(tmp_path, test)
@@ -176,12 +183,15 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     asyncio.run(second(asyncio.run(first())))
 
 
-def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path) -> None:
-    """While it solves: the task has failed and says so, the draft is as it was, and the next one is done."""
+def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While it solves or keeps a pair: that has failed and says so, and the draft is as it was."""
 
     async def test(cell: BoardCell) -> None:
-        place, _ = await with_views(cell, 3)
+        place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
+        with monkeypatch.context() as patch:
+            patch.setitem(calibrations.FUNCTIONS, "keep", "workertasks:vanish")
+            assert (503, "task_failed") == await refused(cell, "POST", f"{place}/views", {"token": token})
         worker = cell.daemon._workshop._worker  # noqa: SLF001  (nobody else knows its process)
         _, begun = await cell.ask("POST", f"{place}/solve", {})
         await cell.until(f"/tasks/{begun['task']}", lambda task: task["text"] != "waits for its turn")

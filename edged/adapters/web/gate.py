@@ -29,6 +29,7 @@ from edged.errors import (
     FileFormatError,
     ImageError,
     SetupRefused,
+    TaskFailed,
     TeachError,
     UserError,
 )
@@ -47,6 +48,7 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (ImageError, 422, "image"),
     (FileFormatError, 422, "file"),
     (UserError, 422, "input"),
+    (TaskFailed, 503, "task_failed"),
 )
 """What the rooms raise, as it is answered; the first that fits."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}

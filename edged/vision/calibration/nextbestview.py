@@ -30,6 +30,7 @@ MOST_VIEWS = 30
 _MIN_VISIBLE = 0.6  # of the marks of a ChArUco board, in either image; of others all, and what is around them
 _INWARD = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way out, where a board at the border would be cut
 _EDGE_PX = 8.0
+_HAND_SHARE = 0.03  # of the image's width: a hand that is a little off must not lose the board
 _PLACES = (0.2, 0.5, 0.8)  # of the image's width and height
 TILTS = (
     ("square to the left camera", "square", (0.0, 0.0)),
@@ -219,7 +220,8 @@ def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> 
         in_right = apply(rig.right_from_left, points)
         shares = _inside(rig.left, points, _EDGE_PX).mean(), _inside(rig.right, in_right, _EDGE_PX).mean()
         return bool(min(shares) >= _MIN_VISIBLE)
-    return bool(_visible(rig, apply(left_from_board, outline_mm(board, board.pitch_mm)), _EDGE_PX).all())
+    margin_px = _HAND_SHARE * rig.left.width
+    return bool(_visible(rig, apply(left_from_board, outline_mm(board, board.pitch_mm)), margin_px).all())
 
 
 def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:
