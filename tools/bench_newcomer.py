@@ -1,0 +1,240 @@
+#!/usr/bin/env python3
+"""Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
+
+    tools/bench newcomer [--goal UM] [--parts N] [--seed N] [--json]
+
+An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
+pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
+job is taught from one pair, and a part is laid at N places: each result beside the exact truth. Needs Aravis.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+
+from edged.app.cell import load_any_cell
+from edged.app.daemon import Daemon
+from edged.app.stage import StageRoutes
+from edged.commands.demo import region_of_part
+from edged.commands.stage import JOB, USER, write_cell
+from edged.domain.arrays import SIDES, FloatArray
+from edged.files.jobs import save_job
+from edged.files.rig import load_rig
+from edged.pipeline import prepare
+from edged.sim.showing import Thing
+from edged.sim.world import VirtualWorld
+from edged.vision.geometry.triangulation import triangulate_raw
+from edged.vision.teaching.pair import teach
+
+PASSWORD = "correct horse"
+ASK_AGAIN_S = 4.0
+"""Who sees that the board is not where it should be moves it."""
+LIMIT_S = 900.0
+X_MM, Y_MM, Z_MM = (-15.0, 8.0, 30.0), (-15.0, 0.0, 15.0), (200.0, 205.0, 210.0)
+"""Points all over the volume where parts may lie."""
+
+
+class Newcomer:
+    """A browser's session with the stage."""
+
+    def __init__(self, session: aiohttp.ClientSession, origin: str) -> None:
+        self.session, self.origin = session, origin
+        self.token: dict[str, str] = {}
+
+    async def ask(self, method: str, path: str, document: Any = None) -> Any:
+        """The answer. Raises RuntimeError for a problem."""
+        headers = {"Origin": self.origin}
+        async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
+            body = await answer.json() if answer.content_type.endswith("json") else None
+            if answer.status >= 400:
+                raise RuntimeError(f"{method} {path}: {answer.status} {body}")
+            return body
+
+    async def take(self) -> None:
+        """Log in and take the cell."""
+        form = {"name": USER, "password": PASSWORD}
+        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
+            answer.raise_for_status()
+        self.token = await self.ask("POST", "setup", {})
+
+
+@contextlib.asynccontextmanager
+async def stage(folder: Path, world: VirtualWorld) -> AsyncIterator[tuple[Newcomer, Daemon]]:
+    """The running stage, and a session with it."""
+    if world.stage is None:
+        raise ValueError("no stage")
+    ports = free_port(), free_port(), free_port()
+    path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=True)
+    routes = StageRoutes(world.stage)
+    daemon = Daemon(path, load_any_cell(path), observers=[routes], world=world, rooms=[routes.add_to])
+    running = asyncio.create_task(daemon.run())
+    origin = f"http://127.0.0.1:{ports[0]}"
+    try:
+        async with aiohttp.ClientSession(origin, cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+            newcomer = Newcomer(session, origin)
+            while True:
+                with contextlib.suppress(aiohttp.ClientConnectorError):
+                    await newcomer.take()
+                    break
+                await asyncio.sleep(0.05)
+            yield newcomer, daemon
+    finally:
+        daemon.stop()
+        await running
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+async def calibrate(newcomer: Newcomer, goal_um: float) -> dict[str, Any]:
+    """Follow the outlines until the goal is reached, solve and activate."""
+    begun_s = time.monotonic()
+    await newcomer.ask("PUT", "stage", {"showing": "board"})
+    wanted = {"recognise": True, "mm": 4.0, "goal_um": goal_um}
+    draft = await newcomer.ask("POST", "calibrations", wanted)
+    place = f"calibrations/{draft['id']}"
+    await newcomer.ask("PUT", f"{place}/auto", {**newcomer.token, "on": True})
+    async with newcomer.session.ws_connect("/api/v1/ws", headers={"Origin": newcomer.origin}) as tab:
+        await tab.send_str(json.dumps({"live": True, **newcomer.token}))
+        last, asked_s = "", 0.0
+        async for message in tab:
+            told = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
+            if told.get("number"):
+                await tab.send_str(json.dumps({"seen": told["number"], "active": True}))
+            if told.get("type") == "draft":
+                if len(told["views"]) != len(draft["views"]):
+                    text = f"view {len(told['views'])} after {time.monotonic() - begun_s:.0f} s"
+                    print(f"{text}: {told['sigma_um']}", file=sys.stderr)
+                draft = told
+            if draft["more_views"] == 0 or time.monotonic() - begun_s > LIMIT_S:
+                break
+            # a draft is told when it changes; who sees that the board is out of view moves it all the same
+            drawn = draft["suggestion"]
+            due = drawn is not None and time.monotonic() - asked_s > ASK_AGAIN_S
+            is_new = drawn is not None and json.dumps(drawn["left"]) != last
+            if (due or is_new) and not (await newcomer.ask("GET", "stage"))["moving"]:
+                last, asked_s = json.dumps(drawn["left"]), time.monotonic()
+                await newcomer.ask("PUT", "stage/hand", {side: drawn[side] for side in SIDES})
+    views_s = time.monotonic() - begun_s
+    task = (await newcomer.ask("POST", f"{place}/solve", {}))["task"]
+    while (now := await newcomer.ask("GET", f"tasks/{task}"))["state"] == "running":
+        await newcomer.ask("PUT", "setup/lease", newcomer.token)
+        await asyncio.sleep(0.5)
+    if now["state"] != "done":
+        raise RuntimeError(f"solve: {now}")
+    solved = (await newcomer.ask("GET", place))["solved"]
+    await newcomer.ask("POST", f"{place}/activate", {"note": "first", **newcomer.token})
+    return {
+        "views": len(draft["views"]),
+        "views_s": round(views_s, 1),
+        "whole_s": round(time.monotonic() - begun_s, 1),
+        "verdict": solved["verdict"],
+        "sigma_um": solved["sigma_um"],
+    }
+
+
+def true_error_um(rig_file: Path, world: VirtualWorld) -> FloatArray:
+    """(N, 3) calibrated minus true, of points all over the volume."""
+    points = np.array([(x, y, z) for x in X_MM for y in Y_MM for z in Z_MM])
+    left, right = (world.cell.view(side).project(points) for side in SIDES)
+    return (triangulate_raw(load_rig(rig_file), left, right) - points) * 1e3
+
+
+async def teach_job(newcomer: Newcomer, world: VirtualWorld, folder: Path) -> None:
+    """From a pair of the part, square to the left camera, with the rig that is active."""
+    pose = np.eye(4)
+    pose[:3, 3] = world.cell.middle_mm
+    world.cell.show(Thing.PART, pose)
+    taken = await newcomer.ask("POST", "captures", newcomer.token)
+    images = []
+    for side in SIDES:
+        async with newcomer.session.get(taken[side]) as answer:
+            data = np.frombuffer(await answer.read(), np.uint8)
+        images.append(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+    truth = world.cell.truth(taken["exposed_ns"])
+    if truth is None:
+        raise RuntimeError("a picture of nothing")
+    rig = load_rig(folder / "rig.json")
+    job = teach(images[0], images[1], prepare(rig).rectification, region_of_part(rig, truth), JOB)
+    save_job(folder / "jobs" / JOB, job)
+
+
+async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArray, int]:
+    """Errors (N, 3) and sigmas (N, 3) in mm of parts laid anywhere, and how many were missed."""
+    errors, sigmas, missed = [], [], 0
+    for _ in range(parts):
+        await newcomer.ask("POST", "stage/lay", {})
+        laid_ns = time.time_ns()
+        while True:
+            now = await newcomer.ask("GET", "stage/truth")
+            if (now["at_ns"] or 0) > laid_ns:
+                break
+            await asyncio.sleep(0.05)
+        if now["error_mm"] is None:
+            missed += 1
+            continue
+        errors.append(now["error_mm"])
+        sigmas.append(now["sigma_mm"])
+    return np.array(errors).reshape(-1, 3), np.array(sigmas).reshape(-1, 3), missed
+
+
+async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """The whole way; figures by their names."""
+    with VirtualWorld(gige=True, seed=options.seed, staged=True) as world:
+        async with stage(folder, world) as (newcomer, daemon):
+            found = await calibrate(newcomer, options.goal)
+            error_um = true_error_um(folder / "rig.json", world)
+            found["rig_offset_um"] = error_um.mean(axis=0).round(1).tolist()
+            found["rig_most_um"] = np.abs(error_um).max(axis=0).round(1).tolist()
+            await teach_job(newcomer, world, folder)
+            await newcomer.ask("DELETE", "setup", newcomer.token)
+            if not await daemon.reload():
+                raise RuntimeError("the taught job was refused")
+            errors, sigmas, missed = await measure(newcomer, options.parts)
+    found["parts"], found["missed"] = len(errors), missed
+    if len(errors):
+        found["part_most_um"] = (1e3 * np.abs(errors).max(axis=0)).round(1).tolist()
+        found["part_median_um"] = round(1e3 * float(np.median(np.linalg.norm(errors, axis=1))), 1)
+        found["chi2_per_dof"] = round(float(np.mean((errors / sigmas) ** 2)), 2)
+    return found
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--goal", type=float, default=8.0, help="µm: none of the sigmas of X, Y, Z beyond it")
+    parser.add_argument("--parts", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:
+        found = asyncio.run(newcomer_of(options, Path(folder)))
+    if options.json:
+        print(json.dumps(found))
+        return
+    for name, value in found.items():
+        print(f"{name:16} {value}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
