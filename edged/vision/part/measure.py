@@ -54,7 +54,8 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
     if job.solid:
         return _in_model(job, _measured_whole(images, job, match))
     result = _measured_flat(images, job, match)
-    if isinstance(result, Reject):  # walls may hide each curve by itself, and yet not where the whole part is
+    # walls may hide each curve by itself, or displace it in one camera, and yet not where the whole part is
+    if isinstance(result, Reject) or result.target.reject is Reject.LEFT_RIGHT_MISMATCH:
         whole = _measured_whole(images, job, match)
         if isinstance(whole, Measured) and not whole.target.reject and not whole.target.doubt_mm:
             return _in_model(job, whole)
@@ -256,6 +257,8 @@ def _with_free_axis(job: Job, target: Target) -> Target:
 
 def _is_round(job: Job) -> bool:
     """Whether the part looks the same from all sides of its axis."""
+    if not job.circles:
+        return False
     centre = job.reference_circle.centre_mm
     reach = CONCENTRIC * job.reference_circle.radius_mm
     concentric = all(np.linalg.norm(circle.centre_mm - centre) < reach for circle in job.circles)

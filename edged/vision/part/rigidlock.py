@@ -69,6 +69,8 @@ TINY_PIVOT = 1e-8
 LEAST_SEEN = 0.2
 """Of a curve, that the part does not hide: with less it says nothing for or against a pose."""
 FEWEST = 24
+ALL, TURN_HELD = 6, 5
+"""Unknowns of a pose: its height and slopes, its shift in the face, and its turn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,12 +102,15 @@ def lock(
     pose: FloatArray,
     rival_of: Lock | None = None,
     body: Body | None = None,
+    *,
+    unknowns: int = ALL,
 ) -> Lock | None:
     """Lay curves of the part's frame onto the edges of both images, from a pose rig_from_part (4, 4).
 
-    rival_of : another pose; this one is good to a few px, and asked for only if it comes near to that one in
-    what agrees with it.  body : what it hides of itself, once the pose is good to a few px, is neither looked
-    for nor missed. None where the images do not show so many of the curves, or the pose runs away.
+    unknowns : `TURN_HELD` for circles about one axis.  rival_of : another pose; this one is good to a few px,
+    and asked for only if it comes near to that one in what agrees with it.  body : what it hides of itself,
+    once the pose is good to a few px, is neither looked for nor missed. None where the images do not show so
+    many of the curves, or the pose runs away.
     """
     found: Lock | None = None
     hidden: B64 | None = None
@@ -122,7 +127,9 @@ def lock(
         if body is not None and spacing_px == SPACING_PX:
             hidden = hidden_samples(body, images.rig, pose, outline.points)
         for reach in reaches:
-            found = _step(images, curves, outline, starts, pose, reach, together, hidden=hidden)
+            found = _step(
+                images, curves, outline, starts, pose, reach, together, hidden=hidden, unknowns=unknowns
+            )
             if found is None:
                 return None
             pose = found.pose
@@ -152,13 +159,18 @@ def lock(
 
 
 def glance(
-    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, reach_px: float = GLANCE_PX
+    images: StereoImages,
+    curves: Sequence[Curve],
+    pose: FloatArray,
+    reach_px: float = GLANCE_PX,
+    unknowns: int = ALL,
 ) -> float:
     """Share of the curves that the cameras agree with about a pose that is good to a few px; 0: none."""
     if pose[2, 3] <= 0:
         return 0.0
     outline, starts = spread(images, curves, pose, FAR_SPACING_PX)
-    seen = _step(images, curves, outline, starts, pose, reach_px, round(ALONG_PX / FAR_SPACING_PX))
+    together = round(ALONG_PX / FAR_SPACING_PX)
+    seen = _step(images, curves, outline, starts, pose, reach_px, together, unknowns=unknowns)
     return 0.0 if seen is None else seen.mean
 
 
@@ -195,6 +207,7 @@ def _step(
     *,
     most_sigma_px: float = math.inf,
     hidden: B64 | None = None,
+    unknowns: int = ALL,
 ) -> Lock | None:
     """The pose that fits the edges within reach best, and how many agree with it.
 
@@ -216,8 +229,9 @@ def _step(
     design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(odds)
     if hidden is not None:
         offset[hidden.ravel()] = np.nan
-    delta, left = np.zeros(design.shape[1]), np.full(len(offset), np.nan)
-    if not _settle(design, offset, odd, most_sigma_px, delta, left):
+    delta, left = np.zeros(ALL), np.full(len(offset), np.nan)
+    asked = np.ascontiguousarray(design[:, :unknowns])
+    if not _settle(asked, offset, odd, most_sigma_px, delta[:unknowns], left):
         return None
     height, slope_u, slope_v, shift_u, shift_v, turn = delta
     if max(abs(slope_u), abs(slope_v), abs(turn)) > MAX_STEP_RAD:

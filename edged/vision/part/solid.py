@@ -34,6 +34,7 @@ from edged.vision.part.consistency import distance_share
 from edged.vision.part.frames import circles_in_rig, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import SOLID_MM, Job
+from edged.vision.part.leaning import leaning
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
 from edged.vision.part.prediction import match_in_raw, poses_of_match
@@ -42,6 +43,7 @@ from edged.vision.part.rigidlock import (
     ALONG_PX,
     GOOD_SHARE,
     SPACING_PX,
+    TURN_HELD,
     Lock,
     glance,
     lock,
@@ -74,6 +76,8 @@ MIN_MARGIN = 0.012
 """Share of all curves by which one turn must agree better than every other: an odd hole is about 0.04."""
 MIN_SHARE, LEAST_SHARE = 0.58, 0.4
 """Of all curves, that the cameras must agree with in the mean, and each; at a wrong pose it is about 0.5."""
+LEANT_SHARE = 0.68
+"""The same of a pose that is far from what the match says: right ones have 0.69 and more, wrong ones 0.66."""
 RIVAL_SHARE = 0.25
 """Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
 MIN_FOUND = 0.5
@@ -167,6 +171,8 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     if best is None or (best.share < GOOD_SHARE and not _tells_turn(job, best)):
         poses = list(_starts(images, job, match))
         best = _best_of(images, curves, _turned(images, curves, job, poses), best, body=job.body)
+    if job.tilt_rad is not None and (best is None or best.share < LEAST_SHARE or best.mean < MIN_SHARE):
+        best = _leaning(images, job, match, job.tilt_rad)
     if best is None or best.share < POOR_SHARE:
         return None
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
@@ -189,6 +195,34 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         return best, 0.0
     other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
     return best, 1.0 if other is None else best.mean - other.mean
+
+
+def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float) -> Lock | None:
+    """The lock that most of the part agrees with, from poses that lean otherwise than the match says."""
+    curves, main = curves_of(job), _main_face(job)
+    by_rows = start_pose(images, job, match, main)
+    starts = _by_match(images, job, match, main)[:1] + ([] if by_rows is None else [by_rows])
+    if _is_roundish(job):  # what is round about its axis first, then its turn
+        axis = _about_axis(job)
+        leant = leaning(images, axis, starts, tilt_rad, TURN_HELD)
+        locks = [lock(images, axis, pose, unknowns=TURN_HELD) for pose in leant]
+        rims = sorted((one for one in locks if one is not None), key=lambda one: -one.mean)
+        poses = _turned(images, curves, job, [one.pose for one in rims[:1]])
+    else:
+        poses = leaning(images, curves, starts, tilt_rad)
+    best = _best_of(images, curves, poses, body=job.body)
+    return best if best is not None and best.mean >= LEANT_SHARE else None
+
+
+def _about_axis(job: Job) -> list[Curve]:
+    """The circles about the reference."""
+    centre = job.place_of(job.reference)[:2]
+    return [
+        curve
+        for curve in curves_of(job)
+        if curve.kind == "circle"
+        and float(np.linalg.norm(curve.parameters[:2] - centre)) < CONCENTRIC * curve.parameters[2]
+    ]
 
 
 def _best_of(
@@ -273,15 +307,24 @@ def _turn_between(one: Lock, two: Lock) -> float:
 
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[FloatArray]:
     """Likely poses rig_from_part (4, 4): by the match alone, and by the rows of both images."""
-    share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
-    level = float(job.place_of(job.reference)[2])
-    main = [curve for curve in curves_of(job) if abs(curve.height_mm - level) < SOLID_MM]
-    flat = np.concatenate([curve.outline(share).points for curve in main])
-    flat[:, 2] = 0.0
-    yield from poses_of_match(images, job, match, np.ascontiguousarray(flat))
+    main = _main_face(job)
+    yield from _by_match(images, job, match, main)
     by_rows = start_pose(images, job, match, main)
     if by_rows is not None:
         yield by_rows
+
+
+def _by_match(images: StereoImages, job: Job, match: ShapeMatch, main: Sequence[Curve]) -> list[FloatArray]:
+    share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
+    flat = np.concatenate([curve.outline(share).points for curve in main])
+    flat[:, 2] = 0.0
+    return poses_of_match(images, job, match, np.ascontiguousarray(flat))
+
+
+def _main_face(job: Job) -> list[Curve]:
+    """The curves of the face that is searched for."""
+    level = float(job.place_of(job.reference)[2])
+    return [curve for curve in curves_of(job) if abs(curve.height_mm - level) < SOLID_MM]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,11 +21,14 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part import measure as part_measure
 from edged.vision.part.frames import with_features
 from edged.vision.part.job import CornerFeature, Job, MeasurementSpec
+from edged.vision.part.measured import Measured
 from edged.vision.part.rigidlock import lock
 from edged.vision.part.solid import curves_of
 from edged.vision.shape.inspection import inspect_model
+from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
 STEP_MM = 4.0
@@ -175,9 +178,9 @@ def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None
     assert found.share > 0.5
 
 
-@pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0)])
+@pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0), (0.8, 1)])
 def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
-    """Dark or nearly as bright as the face: as right as ever. Just as bright: no result is good."""
+    """Darker than the face or brighter: as right as ever. Just as bright: no result is good."""
     here = taught()
     where = lying(here.rig.rig, 30.0, 100.0, 70.0)
     wall = Surface(albedo=albedo, contrast=0.1, feature_mm=0.5, seed=3)
@@ -262,3 +265,21 @@ def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
     job = replace(here.job, edges=(), corners=(CornerFeature("k", ("a", "b")),))
     (corner,) = with_features(only(here.see(block(where))), job, fit).corners
     np.testing.assert_allclose(corner.position_mm, apply(where, np.array([-11.0, -7.0, -STEP_MM])))
+
+
+def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walls and what lies over a part displace single curves in one camera: as one whole it is still good."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    pair = _pair(rig, Scene(table(), tuple(stacked(PLATE, where, 6.0, DARK))))
+    job = teach(*pair, rig.rectification, None, "plate")
+    images = StereoImages.of(rig.rectification, *pair)
+    (match,) = find_shapes(images.rectified_left, job.shape, job.search)
+    flat = part_measure.measure_part(images, job, match)
+    assert isinstance(flat, Measured)
+    refused = replace(flat, target=replace(flat.target, reject=Reject.LEFT_RIGHT_MISMATCH))
+    monkeypatch.setattr(part_measure, "_measured_flat", lambda *_: refused)
+    whole = part_measure.measure_part(images, job, match)
+    assert isinstance(whole, Measured)
+    assert whole.target.reject is Reject.NONE
+    np.testing.assert_allclose(whole.target.position_mm, flat.target.position_mm, atol=0.01)

@@ -1,0 +1,63 @@
+"""Other poses that a match of a thick part may mean: leaning by up to 30 degrees more, nearer and farther.
+
+Where walls are as bright as the face, the outline that the search finds is that of the whole body. What it
+fits the taught face to is then tilted and larger than the face: by up to 30 degrees, and by some percent of
+the distance. Both cameras together tell the right pose from there, if they are asked about enough of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.vision.curves.outlines import Curve
+from edged.vision.geometry.rigid import rotation_matrix, transform
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.rigidlock import ALL, glance
+from edged.vision.part.tilt import bisector
+
+RINGS = ((0.0, 1), (10.0, 6), (20.0, 10), (30.0, 14))
+"""Leans, degrees, and to how many sides: a lock comes from 5 degrees."""
+DEPTHS = (0.0, 0.02, 0.04, 0.06, 0.09)
+"""Shares of the distance: an outline of the whole body is larger than the face's, and seems to be nearer."""
+MARGIN = math.radians(5.0)
+REACH_PX = 12.0
+LIKELY = 10
+
+
+def leaning(
+    images: StereoImages,
+    curves: Sequence[Curve],
+    starts: Sequence[FloatArray],
+    tilt_rad: float,
+    unknowns: int = ALL,
+) -> list[FloatArray]:
+    """The likeliest poses (4, 4) about several starts, those that most of the curves agree with first.
+
+    tilt_rad : from the line amid both cameras, farther the part does not lean.
+    """
+    middle = np.append(np.mean([curve.parameters[:2] for curve in curves], axis=0), 0.0)
+    poses = [one for pose in starts for one in _about(images, pose, middle, tilt_rad + MARGIN)]
+    order = np.argsort([-glance(images, curves, pose, REACH_PX, unknowns) for pose in poses], kind="stable")
+    return [poses[k] for k in order[:LIKELY]]
+
+
+def _about(
+    images: StereoImages, pose: FloatArray, middle: FloatArray, tilt_rad: float
+) -> Iterator[FloatArray]:
+    """Poses that lean, lie nearer and farther, with a point of the part (3,) on the same ray."""
+    turn, place = pose[:3, :3], pose[:3, :3] @ middle + pose[:3, 3]
+    if place[2] <= 0:
+        return
+    upwards = bisector(images.rectification, place)
+    for lean, sides in RINGS:
+        for side in 2 * math.pi * np.arange(sides) / sides:
+            axis = math.radians(lean) * np.array([math.cos(side), math.sin(side), 0.0])
+            turned = turn @ rotation_matrix(axis)
+            if float(-turned[:, 2] @ upwards) < math.cos(tilt_rad):
+                continue
+            for share in DEPTHS:
+                yield transform(turned, (1 + share) * place - turned @ middle)
