@@ -147,3 +147,73 @@ def test_who_was_away_says_the_password_again() -> None:
         assert cell.ear.state() is CellPhase.SETUP
 
     on_the_page(test)
+
+
+def test_an_engineer_says_who_may_come_in() -> None:
+    """Name, role and first password; nobody takes the own rights away; what was done stands in the audit."""
+    people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.click('header nav a[href="#/system"]')
+        await page.until(f"{people}.length === 4")
+        assert await page.value("document.querySelector(\"[aria-label='Role of Anna']\").disabled")
+        await page.type("section form label:nth-child(1) input", "Rita")
+        await page.type("section form [type=password]", "correct horse")
+        await press(page, "Add")
+        await page.until(f'{people}.includes("Rita")')
+        assert await cell.comes_in("Rita")
+        await page.click("[aria-label='Take out Rita']")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until(f'!{people}.includes("Rita")')
+        assert not await cell.comes_in("Rita")
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        await page.open(f"{cell.origin}/setup?pseudo#/system", 360, 740)
+        await page.until(f"{people}.length === 4")
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+
+    on_the_page(test)
+
+
+def test_a_keyboard_is_enough() -> None:
+    """Tab comes to the link that skips the head first, and Escape leaves a question as it was."""
+    focused = "document.activeElement.textContent.trim()"
+
+    async def key(page: Browser, name: str, code: int, **text: str) -> None:
+        await page.ask("Input.dispatchKeyEvent", type="keyDown", key=name, windowsVirtualKeyCode=code, **text)
+        await page.ask("Input.dispatchKeyEvent", type="keyUp", key=name, windowsVirtualKeyCode=code)
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await key(page, "Tab", 9)
+        assert "To the content" == await page.value(focused)
+        for _ in range(40):
+            if "Take the cell" == await page.value(focused):
+                break
+            await key(page, "Tab", 9)
+        await key(page, "Enter", 13, text="\r")
+        await page.until(DIALOG)
+        await key(page, "Escape", 27)
+        await page.until(f"!{DIALOG}")
+        assert cell.ear.state() is CellPhase.READY
+        await key(page, "Enter", 13, text="\r")
+        await page.until(DIALOG)
+        await key(page, "Tab", 9)
+        await page.until(f'{focused} === "Take it"')
+        await key(page, "Enter", 13, text="\r")
+        await page.until('document.querySelector(".lease.mine")')
+
+    on_the_page(test)
+
+
+def test_a_page_without_its_cell_says_so() -> None:
+    """As soon as the connection ends, in words."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.until(f'{STATE} === "READY"')
+        await cell.web.close()
+        await page.until(said("No connection to the cell"))
+        page.complaints.clear()  # of the connection
+
+    on_the_page(test)

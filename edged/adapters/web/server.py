@@ -29,7 +29,7 @@ from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
 from edged.adapters.web.people import People
-from edged.adapters.web.routes import RouteTable
+from edged.adapters.web.routes import BASE, RouteTable
 from edged.adapters.web.settings import WebSettings, is_loopback, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
@@ -141,7 +141,6 @@ class WebPublisher:
         self._assets = read_assets()
         self._html = {"nomanual": render("nomanual.html", __package__, cell=cell)}
         self._html["index"] = render("index.html", __package__, cell=cell, setup=is_set_up)
-        self._html["setup"] = render("setup.html", __package__, cell=cell, modules=modules(self._assets))
         self._runner: web.AppRunner | None = None
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
@@ -221,6 +220,10 @@ class WebPublisher:
         self._sockets.add_to(table)
         for add_to in self._rooms:
             add_to(table)
+        offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
+        self._html["setup"] = render(
+            "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
+        )
         return Gate(table, commissioner, self._visitor, self._auditor.note, active=self._access.note_activity)
 
     def announce(self, event: Event) -> None:

@@ -23,7 +23,7 @@ export function Stage() {
   if (!stage.value) return null;
   const { showing, waving, rings } = stage.value;
   const ghost = draft.value?.suggestion;
-  return html`<details class="stage">
+  return html`<aside class="stage" aria-label=${t("stage-title")}><details>
     <summary>${t("stage-title")}</summary>
     <p>${t("stage-what")}</p>
     <div class="actions">
@@ -35,5 +35,5 @@ export function Stage() {
       (side) => html`<p>${t(`stage-ring-${side}`)}</p>
         <${Slider} label=${t(`stage-ring-${side}`)} value=${rings[side]} low=${-1} high=${1} describe=${(turn) => t("stage-ring", { turn: number(turn, 2) })} onValue=${(turn) => tell("PUT", "stage", { rings: { [side]: turn } })} />`,
     )}
-  </details>`;
+  </details></aside>`;
 }

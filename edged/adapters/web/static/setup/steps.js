@@ -33,9 +33,9 @@ function ofRig() {
 const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
 export const STEPS = [
   { id: "welcome", page: Welcome, state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
-  { id: "cameras", page: Cameras, needs: "cameras", state: ofCameras },
-  { id: "light", page: Light, needs: "cameras", state: ofLight },
-  { id: "calibrate", page: Calibrate, needs: "calibrations", state: ofRig },
+  { id: "cameras", page: Cameras, needs: ["cameras"], state: ofCameras },
+  { id: "light", page: Light, needs: ["cameras"], state: ofLight },
+  { id: "calibrate", page: Calibrate, needs: ["calibrations"], state: ofRig },
   { id: "check", state: () => "none" },
   { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
   { id: "try", state: () => "none" },
@@ -43,8 +43,8 @@ export const STEPS = [
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
 // Not a step: what runs, and what ran before.
-export const PAGES = [...STEPS, { id: "system", page: System, needs: "releases", state: () => "none" }];
-export const isBuilt = ({ page, needs }) => page && (!needs || offers(needs));
+export const PAGES = [...STEPS, { id: "system", page: System, needs: ["releases", "users"], state: () => "none" }];
+export const isBuilt = ({ page, needs }) => page && (!needs || needs.some(offers));
 export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));
 
 export const State = ({ is }) => html`<span class="state ${is}"><${Shape} is=${is} /><span class="unseen">${t(`state-${is}`)}</span></span>`;

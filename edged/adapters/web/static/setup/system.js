@@ -1,7 +1,8 @@
 // What runs: the releases of this cell, newest first, and the way back to an older one.
 import { html, signal, useEffect, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
-import { holds, look, mayTake, token } from "./live.js";
+import { holds, look, mayTake, offers, token } from "./live.js";
+import { People } from "./people.js";
 import { Dialog, say, Shape } from "./pieces.js";
 import { moment, t } from "./texts.js";
 
@@ -13,7 +14,7 @@ const find = () =>
 
 function Release({ number, created, author, note, rig, jobs, active, was_active, onAsk }) {
   return html`<li class="tile">
-    <h2>${t("release", { number })} ${active && html`<span class="now"><${Shape} is="tick" /> ${t("release-active")}</span>`}</h2>
+    <h3>${t("release", { number })} ${active && html`<span class="now"><${Shape} is="tick" /> ${t("release-active")}</span>`}</h3>
     <p translate=${false}>${note}</p>
     <p class="muted"><span translate=${false}>${moment(created)} · ${author}</span> ${was_active && !active ? t("release-was") : ""}</p>
     <dl class="facts">
@@ -24,7 +25,7 @@ function Release({ number, created, author, note, rig, jobs, active, was_active,
   </li>`;
 }
 
-export function System() {
+function Releases() {
   const [wanted, setWanted] = useState(null);
   const [reason, setReason] = useState("");
   useEffect(() => {
@@ -40,9 +41,10 @@ export function System() {
     await find();
     await look();
   };
-  return html`<h1>${t("system-title")}</h1>
-    <p class="lead">${t("system-what")}</p>
-    ${releases.value && !releases.value.length && html`<p>${t("system-none")}</p>`}
+  return html`<section aria-labelledby="releases">
+    <h2 id="releases">${t("releases-title")}</h2>
+    <p class="hint">${t("releases-what")}</p>
+    ${releases.value && !releases.value.length && html`<p>${t("releases-none")}</p>`}
     <ul class="tiles wide">
       ${releases.value?.map((release) => html`<${Release} key=${release.number} ...${release} onAsk=${() => setWanted(release.number)} />`)}
     </ul>
@@ -50,5 +52,10 @@ export function System() {
       <p>${t("release-ask")}</p>
       <label class="field"><span>${t("release-reason")}</span><input value=${reason} maxlength="200" onInput=${(event) => setReason(event.currentTarget.value)} /></label>
       <div class="actions"><button type="button" onClick=${() => setWanted(null)}>${t("back")}</button><button type="button" class="primary" disabled=${!reason.trim()} onClick=${activate}>${t("release-back")}</button></div>
-    <//>`;
+    <//>
+  </section>`;
 }
+
+export const System = () => html`<h1>${t("nav-system")}</h1>
+  ${offers("releases") && html`<${Releases} />`}
+  <${People} />`;
