@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from flatparts import METAL, only
+from platewithpad import CORNER, DARK, HOLES, OUTLINE, PAD, PAD_MM, STEP, settled, square
 from rich.console import Console
 from stlfiles import binary, ring
 from tilted import BELOW_MM, lying, stacked
@@ -31,25 +32,17 @@ from edged.pipeline import locate as find
 from edged.pipeline import prepare
 from edged.robot.budget import budget_of
 from edged.robot.picking import RobotFrame, picked
-from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.sim.render.scene import Disc, Hole, Part, Scene, Table
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.job import Job, ModelPoint
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, welded
-from edged.vision.teaching.cadsettling import Settled, settle
+from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.facets import faceted_curves
 from edged.vision.teaching.pair import teach as teach_pair
 from edged.vision.teaching.reteaching import carry_over
 
-STEP = Path(__file__).parent.parent / "data" / "cad" / "D3.step"
-PAD_MM = 2.5
-CORNER = Hole("corner", Disc(-9, -7, 1.9))
-HOLES = (Hole("h0", Disc(10, -7, 2.1)), Hole("h1", Disc(3, -7, 1.4)), Hole("h2", Disc(-9, 8, 2.1)),
-         Hole("h3", Disc(-9, 1.8, 1.0)))  # fmt: skip
-OUTLINE = Polygon(((-14.5, -12.5), (14.5, -12.5), (14.5, -1.5), (-3.5, -1.5), (-3.5, 12.5), (-14.5, 12.5)))
-PAD = Polygon(((-13, -11), (-5, -11), (-5, -3), (-13, -3)))
-DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
 QUIET = Console(quiet=True)
 NO_DRAWING = DrawingSource(None, None, None, (), None)
 
@@ -65,20 +58,10 @@ def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tu
     return pictures(small_rig(), Scene(table, tuple(layers)), seed)
 
 
-def square() -> FloatArray:
-    """rig_from_model of the part as it is taught."""
-    return lying(small_rig(), 0.0, 0.0, 0.0)
-
-
 @functools.cache
 def taught() -> Job:
     """What the pair alone teaches."""
     return teach_pair(*see(square()), prepare(small_rig()).rectification, None, "D3")
-
-
-def settled(job: Job) -> Settled:
-    """With the file."""
-    return settle(job, read_model(STEP, "-z")[1].curves, prepare(small_rig()).rectification, "D3.step")
 
 
 def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path, Path]:

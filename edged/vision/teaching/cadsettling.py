@@ -6,6 +6,7 @@ edge break displaces it, the picture is right: the break is stated, and the curv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -79,7 +80,9 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
         circles=circles,
         edges=edges,
         part_from_model=found.part_from_model,
-        sigma_mm=round(max(used, default=0.0), 6),
+        sigma_mm=round(
+            math.hypot(max(used, default=0.0), max(_contradicting(found, settled), default=0.0)), 6
+        ),
         body=body_of(model.model, found.part_from_model, _gone(found.partners, settled, model)),
     )
     said = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
@@ -187,11 +190,28 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
                 f"an edge break of {size} mm that the model does not show, seen by its {which} edge: "
                 f"{', '.join(seen)}: kept as seen"
             )
-    for one in others:
-        if one not in broken:
-            off = max(one.aside, abs(one.wider), abs(one.deeper))
-            said.append(f"{one.name}: {off:.3f} mm off the model: kept as seen")
+    odd = {one.name: _off(one) for one in others if one not in broken}
+    if odd:
+        said.append(
+            f"up to {max(odd.values()):.3f} mm off the model, which no edge break explains: "
+            f"{', '.join(odd)}: the others may be seen by the lower edges of breaks; results state so much "
+            "as their sigma"
+        )
     return said
+
+
+def _off(one: Partner) -> float:
+    return max(one.aside, abs(one.wider), abs(one.deeper))
+
+
+def _contradicting(found: Registration, settled: Sequence[str]) -> list[float]:
+    """By how much curves are off the model that no edge break displaces so: then what settled is in doubt.
+
+    A hole whose edge is broken has the model's radius at the lower edge of the break. Where most are seen by
+    that, the part stands higher by the break than it seems, and curves that are seen as they are do not fit.
+    """
+    left = [one for one in found.partners if one.name not in settled]
+    return [_off(one) for one in left if max(one.wider, one.deeper) <= MIN_BREAK_MM]
 
 
 def _others(found: Registration) -> list[str]:
