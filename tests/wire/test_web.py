@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 import pytest
 from cells import flange, frame_pair
+from livecell import GRASPS
 from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
@@ -36,6 +37,7 @@ from edged.errors import ListenError
 from edged.passwords import hash_password
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
+from edged.robot.grasping import best_grasp
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
@@ -271,6 +273,26 @@ def test_marks_lie_on_the_parts_edge() -> None:
         depth = ((circle.centre_mm - eye) @ circle.normal) / (rays @ circle.normal)
         radius = np.linalg.norm(eye + depth[:, None] * rays - circle.centre_mm, axis=1)
         assert np.allclose(radius, circle.radius_mm, atol=0.01), side
+
+
+def test_the_tool_is_drawn_where_it_takes_the_part() -> None:
+    """From where it comes to its tip, as the camera models see them; a part without a grasp has none."""
+    target = make_target()
+    assert [] == outlines(target, RECTIFICATION, "left")["tool"]
+    grasp = best_grasp(target, GRASPS.grasps, lambda _pose: True)
+    assert grasp is not None
+    width, height = RECTIFICATION.size
+    held = replace(target, grasp=grasp)
+    for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):
+        drawn = np.array(outlines(held, RECTIFICATION, side)["tool"]) * [width, height] - 0.5
+        from_rig = np.eye(4) if side == "left" else RECTIFICATION.rig.right_from_left
+        for point, pose in zip(drawn, (grasp.rig_from_approach, grasp.rig_from_tcp), strict=False):
+            raw = camera.project((from_rig @ pose)[:3, 3][None])
+            rays = np.column_stack([camera.normalise(raw), np.ones(1)])
+            back = np.column_stack(
+                [camera.normalise(RECTIFICATION.raw_points(side, point[None])), np.ones(1)]
+            )
+            assert np.allclose(rays, back, atol=2e-3), side
 
 
 def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:

@@ -278,7 +278,10 @@ class Page:
 
 
 def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
-    """The measured circles (lists of x, y) and the axes of a target in one rectified image, 0 to 1."""
+    """The measured circles (lists of x, y), the axes and the tool of a target in one rectified image, 0 to 1.
+
+    tool : from where it comes, its tip, and along its x axis; empty without a grasp.
+    """
     centres, normals = (
         np.array([getattr(circle, name) for circle in target.circles]).reshape(-1, 3)
         for name in ("centre_mm", "normal")
@@ -293,7 +296,12 @@ def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
     size = radii.max(initial=0.0) or 5.0
     pose = target.rig_from_part
     ends = np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, 0], pose[:3, 3] + size * pose[:3, 1]])
+    tool = np.empty((0, 3))
+    if (grasp := target.grasp) is not None:
+        tip = grasp.rig_from_tcp
+        tool = np.stack([grasp.rig_from_approach[:3, 3], tip[:3, 3], tip[:3, 3] + 0.5 * size * tip[:3, 0]])
     return {
+        "tool": _seen(tool, rectification, side).tolist(),
         "circles": _seen(rims, rectification, side).tolist(),
         "axes": _seen(ends, rectification, side).tolist(),
     }

@@ -215,6 +215,12 @@ function marks(mark, side, { width, height }) {
     label.textContent = name;
     group.append(label);
   }
+  if (mark[side].tool.length) {
+    const tool = mark[side].tool.map(place);
+    group.append(drawing("polyline", { points: tool.join(" "), stroke: "#ffd34d", "stroke-dasharray": width / 100 }));
+    const [cx, cy] = tool[1].split(",");
+    group.append(drawing("circle", { cx, cy, r: width / 120, stroke: "#ffd34d" }));
+  }
   return group;
 }
 
