@@ -57,9 +57,15 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
     # walls may hide each curve by itself, or displace it in one camera, and yet not where the whole part is
     if isinstance(result, Reject) or result.target.reject is Reject.LEFT_RIGHT_MISMATCH:
         whole = _measured_whole(images, job, match)
-        if isinstance(whole, Measured) and not whole.target.reject and not whole.target.doubt_mm:
+        if isinstance(whole, Measured) and _is_beyond_doubt(job, whole):
             return _in_model(job, whole)
     return _in_model(job, result)
+
+
+def _is_beyond_doubt(job: Job, whole: Measured) -> bool:
+    """Whether nothing speaks against a part that was measured as a whole, its rows as little as asked for."""
+    apart_px = abs(whole.evidence.row_shift_px)
+    return not whole.target.reject and not whole.target.doubt_mm and apart_px <= job.limits.max_epipolar_px
 
 
 def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
