@@ -13,6 +13,7 @@ from walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
 from edged.domain.events import CommandKind
 from edged.domain.registration import Method
 from edged.plc import registers as reg
+from edged.plc.clients.cell_client import CommandRefused, EdgedCell
 from edged.plc.handshake import Reason
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
 from edged.vision.geometry.rigid import apply, transform
@@ -183,6 +184,19 @@ def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
     finally:
         client.close()
     assert cell.error_mm() < GOOD_MM
+
+
+def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
+    """Each step returns how far it is; what cannot be is a refusal with its reason."""
+    with EdgedCell("127.0.0.1", cell.port) as client:
+        assert 0 == client.register("HAND_EYE_START")["H_SAMPLES"]
+        for number, pose in enumerate(cell.arm.walk()[:2], 1):
+            cell.arm.flange = pose
+            numbers = (*pose[:3, 3], *ANGLES_DEG[Convention.FIXED_XYZ](pose[:3, :3]))
+            flange = tuple(round(one * 1000) for one in numbers)
+            assert number == client.register("REGISTER_ADD", flange)["H_SAMPLES"]
+        with pytest.raises(CommandRefused, match="TOO_FEW"):
+            client.register("REGISTER_SOLVE")
 
 
 def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell) -> None:

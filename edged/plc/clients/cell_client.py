@@ -213,6 +213,22 @@ class EdgedCell:
         """Make a job the active one; when this returns it is loaded and warm."""
         self._run("CHANGE_JOB", job, timeout_s)
 
+    def register(
+        self, command: str, flange: tuple[int, ...] = (), timeout_s: float = 15.0
+    ) -> dict[str, float]:
+        """A step of a registration: HAND_EYE_START, TOUCH_START, REGISTER_ADD or REGISTER_SOLVE.
+
+        flange : X Y Z in um, A B C in 0.001 degrees, for REGISTER_ADD. Returns the block `registration`.
+        Raises as `locate`; what adds or solves nothing is a `CommandRefused`.
+        """
+        if flange:
+            words = list(struct.unpack(">12H", struct.pack(">6i", *flange)))
+            if self._low_first:
+                words = [words[i ^ 1] for i in range(12)]
+            self._write(ADDRESS["FLANGE_X"], words)
+        self._run(command, 0, timeout_s)
+        return self.read("registration")
+
     def acknowledge(self, result: Result) -> None:
         """The result was used: RESULT_VALID goes down."""
         self._write(ADDRESS["ACK_SEQ"], [result.sequence])
