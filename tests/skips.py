@@ -13,6 +13,7 @@ ALLOWED = {
     "tests/system/test_boot.py::*": "not root|not allowed here|cannot be mounted|this kernel",
     "tests/tools/test_vendor.py::test_the_same_versions_*": "no npm|npm reaches no packages",
     "tests/wire/test_browser.py::*": "no chromium",
+    "tests/cameras/test_setup_page_cameras.py::*": "no chromium",
     "tests/wire/test_setup_page*.py::*": "no chromium",
     "tests/cameras/test_doctor_networks.py::*": "not root|this kernel",
     "tests/wire/test_robot_examples.py::*yaskawa*": "no C compiler",

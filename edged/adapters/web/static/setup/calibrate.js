@@ -155,6 +155,7 @@ function Capture() {
       <button type="button" disabled=${!holds.value} onClick=${() => change("POST", "/views", { token: token.value })}>${t("view-take")}</button>
       <button type="button" aria-pressed=${hasSound} onClick=${mute}>${t(hasSound ? "sound-on" : "sound-off")}</button>
     </div>
+    <div class="row"><${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${draft.value.goal_um} disabled=${!mayTake.value} onValue=${(goal_um) => change("PUT", "", { goal_um })} name="goal" /></div>
   </div>`;
 }
 
@@ -247,7 +248,6 @@ export function Calibrate() {
   return html`<h1>${t("calibrate-title")}</h1>
     <p class="lead">${specs.length ? html`${t("calibrate-board")} <span translate=${false}>${specs.join(", ")}</span>` : t("calibrate-looking")}</p>
     <${Figure} />
-    <div class="row"><${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${draft.value.goal_um} disabled=${!mayTake.value} onValue=${(goal_um) => change("PUT", "", { goal_um })} name="goal" /></div>
     <${Pair} over=${boards} below=${(side) => html`<${Seen} side=${side} />`} />
     <${Capture} />
     <${Filmstrip} change=${change} why=${why} />

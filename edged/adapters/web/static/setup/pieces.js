@@ -1,5 +1,5 @@
 // Small pieces that every page uses: shapes beside words, numbers to type, sentences to hear.
-import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
+import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../vendor/ui.js";
 import { number, parseNumber, t } from "./texts.js";
 
 const SHAPES = {
@@ -84,13 +84,15 @@ export const say = (text) => {
 };
 export const Spoken = () => html`<p class="unseen" role="status" aria-live="polite">${spoken}</p>`;
 
+// Escape is told as it is pressed: what is told when the dialog has closed may come after it was opened again.
 export function Dialog({ title, isOpen, onClose, children }) {
   const dialog = useRef(null);
-  useEffect(() => {
+  useLayoutEffect(() => {
     if (isOpen && !dialog.current.open) dialog.current.showModal();
     if (!isOpen && dialog.current.open) dialog.current.close();
   }, [isOpen]);
-  return html`<dialog ref=${dialog} aria-label=${title} onClose=${onClose}>
+  const closed = () => isOpen && !dialog.current.open && onClose();
+  return html`<dialog ref=${dialog} aria-label=${title} onCancel=${onClose} onClose=${closed}>
     <h2>${title}</h2>
     ${isOpen && children}
   </dialog>`;
