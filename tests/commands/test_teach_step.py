@@ -342,6 +342,14 @@ def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
     assert {0.0} == {float(one.centre_mm[2]) for one in job.circles}
 
 
+def test_an_axis_that_hides_every_feature_is_named() -> None:
+    """Of a file alone, as of one with a pair: what was expected, and the option that says it."""
+    model, shown = read_model(STEP, "-z")
+    nothing = replace(shown.curves, circles=(), edges=())
+    with pytest.raises(TeachError, match=r"the model shows nothing .* or another --up"):
+        teach_model(model, nothing, prepare(small_rig()).rectification, 205.0, "D3")
+
+
 def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
     """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
     again, said = carry_over(drawn(), settled(taught()).job)

@@ -152,6 +152,24 @@ def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expect
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(("lost", "curves"), [(3, 14), (4, 5), (17, 14)])
+def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: int, curves: int) -> None:
+    """A bore, the main face, a wall taken out: what is left is where it was, and nothing is added."""
+    text = text_of("D3")
+    shell = re.search(r"CLOSED_SHELL\('',\(([^)]*)\)\)", text)
+    assert shell is not None
+    faces = shell[1].split(",")
+    assert 18 == len(faces)
+    kept = ",".join(face for k, face in enumerate(faces) if k != lost)
+    found = from_above(saved(tmp_path, text.replace(shell[0], f"CLOSED_SHELL('',({kept}))")))
+    whole = from_above(DATA / "D3.step")
+    assert curves == len(found.circles) + len(found.edges)
+    for one in found.circles:
+        gaps = [np.append(one.centre_mm - other.centre_mm, one.radius_mm - other.radius_mm)
+                for other in whole.circles]  # fmt: skip
+        assert min(float(np.linalg.norm(gap)) for gap in gaps) < 1e-6
+
+
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     """As every other input."""
     with pytest.raises(FileFormatError, match=r"none\.step"):
