@@ -27,7 +27,8 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
-from edged.vision.part.body import Body, hidden_samples
+from edged.vision.part.body import Body
+from edged.vision.part.bodysight import hidden_samples
 
 F64 = npt.NDArray[np.float64]
 B64 = npt.NDArray[np.bool_]

@@ -28,7 +28,8 @@ from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
-from edged.vision.part.body import Body, sight_of
+from edged.vision.part.body import Body
+from edged.vision.part.bodysight import sight_of
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.frames import circles_in_rig, with_features

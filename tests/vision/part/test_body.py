@@ -18,7 +18,8 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face, Outline
-from edged.vision.part.body import MAX_TRIANGLES, Body, hidden_samples, sight_of
+from edged.vision.part.body import MAX_TRIANGLES, Body
+from edged.vision.part.bodysight import hidden_samples, sight_of
 from edged.vision.part.zbuffer import hidden_points
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmodel import CadModel, curves_towards, welded

@@ -1,0 +1,128 @@
+"""What a part whose CAD model is known hides of itself, and what runs beside its curves.
+
+From aside a boss covers holes, and a wall its foot: what a camera cannot see is neither looked for nor
+missed. And an edge of the model that runs beside a curve, nearer than a picture keeps two edges apart,
+displaces it to somewhere between both: the lower edge of a chamfer, seen at a slant. No picture tells such a
+stretch from a good one; the model does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
+from edged.vision.curves.outlines import Outline
+from edged.vision.edges.subpixel import WIDTHS_PX
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply, invert
+from edged.vision.kernels.jit import kernel
+from edged.vision.part.body import Body
+from edged.vision.part.zbuffer import hidden_points
+
+F64 = npt.NDArray[np.float64]
+
+OWN_MM = 0.04
+"""An edge of the model no farther beside the curve is the curve itself, as chords have it."""
+APART_PX = 2.6 * math.hypot(0.55, WIDTHS_PX[1])
+"""Two steps nearer than twice the blur have one extremum of slope, at the mean of both, each counted by its
+height; from 2.6 times on, one as strong draws the other by less than a twentieth of the way. Blur: of a
+focused lens, seen through a narrow operator."""
+TOGETHER_PX = 0.28
+"""Nearer to each other, either will do: a sigma of 0.08 px, which is what taught places are worth."""
+LINE_PX = 0.7
+"""Between the points that an edge of the model is drawn with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What one camera sees of curves of a part at a pose.
+
+    hidden (N,) : samples that the part covers.  merged (N,) : samples beside which another edge runs so near
+    that both are seen as one, somewhere between them.
+    """
+
+    hidden: npt.NDArray[np.bool_]
+    merged: npt.NDArray[np.bool_]
+
+
+def hidden_samples(
+    body: Body, rig: StereoRig, pose: FloatArray, points_mm: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """(2, N) which points (N, 3) of the part frame a part at rig_from_part (4, 4) hides from each camera."""
+    eyes = [_eye(camera_pose(rig, side)[1] @ pose) for side in SIDES]
+    return np.stack([hidden_points(body.points_mm, body.triangles, points_mm, eye) for eye in eyes])
+
+
+def sight_of(
+    body: Body, rig: StereoRig, side: str, pose: FloatArray, outline: Outline, seen: ProjectedOutline
+) -> Sight:
+    """What a camera sees of samples of curves in the part frame, and where they are in its image.
+
+    pose (4, 4) : rig_from_part.
+    """
+    points_mm = outline.points
+    camera, camera_from_rig = camera_pose(rig, side)
+    camera_from_part = camera_from_rig @ pose
+    eye = _eye(camera_from_part)
+    px_per_mm = camera.fx / float(camera_from_part[2, 3])
+    drawn = _drawn(body, eye, LINE_PX / px_per_mm)
+    hidden = hidden_points(body.points_mm, body.triangles, np.vstack([points_mm, drawn]), eye)
+    lines = drawn[~hidden[len(points_mm) :]]
+    pixels = camera.project(apply(camera_from_part, lines)) if len(lines) else np.zeros((0, 2))
+    beside = np.full(len(points_mm), np.nan)
+    limits = np.array([APART_PX, LINE_PX, OWN_MM])
+    find_beside(np.ascontiguousarray(pixels), lines, seen, outline, limits, beside)
+    return Sight(hidden[: len(points_mm)], np.abs(beside) > TOGETHER_PX)
+
+
+def _eye(camera_from_part: FloatArray) -> FloatArray:
+    """(3,) the camera in the part frame."""
+    return np.asarray(invert(camera_from_part)[:3, 3])
+
+
+def _drawn(body: Body, eye: FloatArray, step_mm: float) -> FloatArray:
+    """(K, 3) points along the sharp edges that face a camera at eye (3,), on one of their sides at least."""
+    start, end = body.points_mm[body.lines[:, 0]], body.points_mm[body.lines[:, 1]]
+    to_eye = eye - 0.5 * (start + end)
+    faces = body.normals[body.lines[:, 2:]]
+    start, end = (one[(np.einsum("lsi,li->ls", faces, to_eye) > 0).any(axis=1)] for one in (start, end))
+    count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / step_mm), 1).astype(np.int64)
+    line = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
+    share = ((place + 0.5) / count[line])[:, None]
+    return np.asarray(start[line] + share * (end - start)[line])
+
+
+@kernel(
+    "void(f8[:, ::1], f8[:, ::1], ProjectedOutline, Outline, f8[::1], f8[::1])",
+    tuples=(ProjectedOutline, Outline),
+)
+def find_beside(
+    pixels: F64, lines: F64, seen: ProjectedOutline, outline: Outline, limits: F64, beside: F64
+) -> None:
+    """Fill beside (N,): where across a sample the nearest point of another edge is, NaN where none is near.
+
+    pixels (K, 2), lines (K, 3) : points of edges in the image, and in the part.  seen, outline : the samples
+    of the curves.  limits : px up to which an edge is near, across; px along the curve; mm off a sample's
+    tangent within which an edge is the curve itself.
+    """
+    samples, normals = seen.pixels, seen.normals
+    apart, along, own = limits[0], limits[1], limits[2]
+    for n in range(len(samples)):
+        nearest = apart
+        for k in range(len(pixels)):
+            x, y = pixels[k, 0] - samples[n, 0], pixels[k, 1] - samples[n, 1]
+            if not (abs(x) < apart + along and abs(y) < apart + along):
+                continue
+            across = x * normals[n, 0] + y * normals[n, 1]
+            if abs(across) >= nearest or abs(x * normals[n, 1] - y * normals[n, 0]) > along:
+                continue
+            u, v = lines[k, 0] - outline.points[n, 0], lines[k, 1] - outline.points[n, 1]
+            aside = u * outline.normals[n, 0] + v * outline.normals[n, 1]
+            if aside**2 + (lines[k, 2] - outline.points[n, 2]) ** 2 > own * own:
+                nearest, beside[n] = abs(across), across
