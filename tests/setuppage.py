@@ -64,4 +64,4 @@ async def press(page: Browser, text: str) -> None:
 
 def said(text: str) -> str:
     """Whether the page says something."""
-    return f"document.body.innerText.includes({text!r})"
+    return f"document.body?.innerText.includes({text!r})"

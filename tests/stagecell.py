@@ -32,8 +32,10 @@ def free_port() -> int:
 class Newcomer:
     """A browser's session with a stage."""
 
-    def __init__(self, world: VirtualWorld, session: aiohttp.ClientSession, port: int) -> None:
-        self.world, self.session = world, session
+    def __init__(
+        self, world: VirtualWorld, session: aiohttp.ClientSession, port: int, daemon: Daemon
+    ) -> None:
+        self.world, self.session, self.daemon = world, session, daemon
         self.origin = f"http://127.0.0.1:{port}"
         self.token: dict[str, str] = {}
 
@@ -85,7 +87,7 @@ def run(folder: Path, test: Callable[[Newcomer], Awaitable[None]], *, gige: bool
                 jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
                 base = f"http://127.0.0.1:{ports[0]}"
                 async with aiohttp.ClientSession(base, cookie_jar=jar) as session:
-                    newcomer = Newcomer(world, session, ports[0])
+                    newcomer = Newcomer(world, session, ports[0], daemon)
                     while True:
                         try:
                             await newcomer.take()

@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING
 
 from edged.app.status import Running
 from edged.capture.tasks import cancel_and_await
+from edged.cellfiles import CellFiles
 from edged.commissioning.shelf import Shelf
 from edged.cycle import Cycle
 from edged.files.statefolder import state_folder
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
+from edged.vision.part.job import Job
 from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import FUNCTIONS, Calibrations
+from edged.workshop.checks import Checks, RigInUse
 from edged.workshop.tasks import Tasks
 from edged.workshop.worker import Worker
 
@@ -31,6 +34,20 @@ def _calibration_id(running: Running) -> str:
         return loaded.setup.calibration_id
     rig = loaded.cell.contents.get("rig.json")
     return "" if rig is None else str(json.loads(rig)["calibration_id"])
+
+
+def _rig_in_use(running: Running) -> RigInUse | None:
+    """As the cell has read it."""
+    loaded = running.loaded
+    content = loaded.cell.contents.get("rig.json")
+    if content is None:
+        return None
+    return RigInUse(_calibration_id(running), content, loaded.cell.config.cell.rig)
+
+
+def _jobs(running: Running) -> dict[str, Job]:
+    cell = running.loaded.cell
+    return {job.name: job for job in cell.jobs} if isinstance(cell, CellFiles) else {}
 
 
 class Workshop:
@@ -67,17 +84,28 @@ class Workshop:
         self._activation = Activation(
             Shelf(folder / "releases"), config.resolve(), self._cell_now, cycle.renew_setup, reload
         )
+        self._checks = Checks(
+            folder / "check.json",
+            self._worker,
+            notices,
+            cycle.capture,
+            lambda: _rig_in_use(running()),
+            lambda: _jobs(running()),
+            self._calibrations.board_in_use,
+        )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)
 
     def rooms(self) -> Sequence[Callable[[RouteTable], None]]:
         """What adds the routes of all this."""
         from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
+        from edged.workshop.checkroutes import CheckRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,
             ReleaseRoutes(self._calibrations, self._activation).add_to,
+            CheckRoutes(self._checks).add_to,
         ]
 
     def _cell_now(self) -> CellNow:

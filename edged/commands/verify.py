@@ -14,10 +14,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from edged.commissioning.boards import boards_in, stated_boards
-from edged.commissioning.checking import Finding, Limits, by_board, by_part
+from edged.commissioning.checking import Finding, Limits, by_board, by_part, check_sizes
 from edged.commissioning.pairs import Picture
-from edged.domain.arrays import Image
-from edged.errors import ImageError, UserError
+from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig
@@ -45,7 +44,8 @@ def verify(
     if not (math.isfinite(limits.epipolar_px) and math.isfinite(limits.length_percent)):
         raise UserError("--max-epipolar and --max-length-error: expected finite numbers")
     rig = load_rig(rig_path)
-    images = _fitting(left, rig, "left"), _fitting(right, rig, "right")
+    images = load_image(left), load_image(right)
+    check_sizes(rig, images, (str(left), str(right)))
     if board is not None and job is None:
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")
@@ -66,17 +66,6 @@ def verify(
     else:
         _print(finding, rig, limits, console)
     return 0 if finding.verdict == "OK" else 1
-
-
-def _fitting(path: Path, rig: StereoRig, side: str) -> Image:
-    image = load_image(path)
-    camera = rig.left if side == "left" else rig.right
-    if image.shape != (camera.height, camera.width):
-        raise ImageError(
-            f"{path}: {image.shape[1]} x {image.shape[0]}, the rig's {side} camera was calibrated for "
-            f"{camera.width} x {camera.height}"
-        )
-    return image
 
 
 # --- lengths of parts ---------------------------------------------------------------------------

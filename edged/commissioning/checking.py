@@ -12,7 +12,7 @@ from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Circle3D, Target
 from edged.drift import TELLING
-from edged.errors import UserError
+from edged.errors import ImageError, UserError
 from edged.pipeline import locate, prepare
 from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board, remeasure_board
@@ -47,6 +47,17 @@ class Finding:
     reason: str = ""
     board: BoardCheck | None = None
     cameras: tuple[Remark, ...] = ()
+
+
+def check_sizes(rig: StereoRig, images: tuple[Image, Image], names: tuple[str, str]) -> None:
+    """Raises `ImageError` for images of other sizes than the rig's. names : what the images are called."""
+    for side, image, name in zip(SIDES, images, names, strict=True):
+        camera = rig.left if side == "left" else rig.right
+        if image.shape != (camera.height, camera.width):
+            raise ImageError(
+                f"{name}: {image.shape[1]} x {image.shape[0]}, the rig's {side} camera was calibrated for "
+                f"{camera.width} x {camera.height}"
+            )
 
 
 def by_board(
@@ -128,7 +139,7 @@ def _length_of(target: Target, name: str, true_mm: float) -> Length:
             return _distance(name, true_mm, pair[0], pair[1])
     known = [*circles, *(m.name for m in target.measurements if m.unit == "mm")]
     raise UserError(
-        f"--length {name}: the job has {', '.join(known) or 'no circle'}; expected one of them (a circle "
+        f"length {name}: the job has {', '.join(known) or 'no circle'}; expected one of them (a circle "
         "stands for its diameter) or two circles as A-B (distance of their centres)"
     )
 

@@ -47,7 +47,8 @@ from edged.workshop.worker import Worker
 log = logging.getLogger(__name__)
 
 FUNCTIONS = {
-    name: f"edged.workshop.functions:{name}" for name in ("watch", "keep", "look_again", "guide", "solve")
+    name: f"edged.workshop.functions:{name}"
+    for name in ("watch", "keep", "look_again", "guide", "solve", "check_board", "check_part")
 }
 LOOKS_THAT_AGREE = 2
 """Live pairs that must show the same board before it is the draft's."""
@@ -144,6 +145,11 @@ class Calibrations:
     async def listed(self) -> DraftList:
         """All of them."""
         return DraftList(calibrations=await asyncio.to_thread(self._lines))
+
+    async def board_in_use(self) -> str | None:
+        """The first board of the draft that the cell is calibrated by, where it was made here."""
+        lines = await asyncio.to_thread(self._lines)
+        return next((line.boards[0] for line in lines if line.active and line.boards), None)
 
     async def document(self, identity: str) -> DraftDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""

@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from edged.commissioning import drafts, guidance, shown
+from edged.commissioning import checking, drafts, guidance, shown
+from edged.commissioning.checking import Finding, Limits
 from edged.commissioning.drafts import Looks, Solution, views_of
 from edged.commissioning.guidance import Guided
 from edged.commissioning.pairs import Progress
@@ -14,9 +15,10 @@ from edged.commissioning.shown import Seen, Watched
 from edged.commissioning.solving import solution_of
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import UserError
-from edged.files.rig import load_rig
+from edged.files.rig import load_rig, rig_of
 from edged.vision.boards.board import NominalBoard
 from edged.vision.geometry.camera import LensModel
+from edged.vision.part.job import Job
 
 Boards = Sequence[NominalBoard]
 
@@ -66,3 +68,32 @@ def solve(
     with contextlib.suppress(UserError):
         before = load_rig(former)
     return solution_of(views_of(pictures, list(looks), boards, looks), lens, about, before, progress)
+
+
+def check_board(
+    _progress: Progress,
+    rig: bytes,
+    path: Path,
+    images: tuple[Image, Image],
+    board: NominalBoard,
+    limits: Limits,
+) -> Finding:
+    """What a pair of a board says of a rig. rig, path : its file."""
+    used = rig_of(rig, path)
+    checking.check_sizes(used, images, ("the pair", "the pair"))
+    return checking.by_board(used, images, [board], limits)
+
+
+def check_part(
+    _progress: Progress,
+    rig: bytes,
+    path: Path,
+    images: tuple[Image, Image],
+    job: Job,
+    known_mm: Mapping[str, float],
+    limits: Limits,
+) -> Finding:
+    """The same of a pair of a part."""
+    used = rig_of(rig, path)
+    checking.check_sizes(used, images, ("the pair", "the pair"))
+    return checking.by_part(used, images, job, known_mm, limits)

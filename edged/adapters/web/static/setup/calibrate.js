@@ -1,6 +1,7 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
 import { html, useEffect, useRef, useState } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
+import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { draft, holds, look, mayTake, offers, sign, task, token } from "./live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
@@ -27,33 +28,23 @@ async function find() {
 
 // --- which board ---
 
-const KINDS = ["chessboard", "charuco", "dots", "circles"];
 function Board() {
   const [isStated, setStated] = useState(false);
   const [mm, setMm] = useState(null);
   const [goal, setGoal] = useState(GOAL_UM);
-  const [kind, setKind] = useState(KINDS[0]);
-  const [size, setSize] = useState({ columns: 11, rows: 8, marker: 3, dictionary: "5X5_250" });
-  const spec = () => [kind, `${size.columns}x${size.rows}`, mm, ...(kind === "charuco" ? [size.marker, size.dictionary] : [])].join(":");
+  const [size, setSize] = useState(SIZE);
   const begin = () =>
     attempt(async () => {
-      draft.value = await ask("POST", "calibrations", { ...(isStated ? { boards: [spec()] } : { recognise: true, mm }), goal_um: goal });
+      draft.value = await ask("POST", "calibrations", { ...(isStated ? { boards: [specOf(size, mm)] } : { recognise: true, mm }), goal_um: goal });
     });
-  const count = (name) => html`<${NumberField} label=${t(`board-${name}`)} unit="" digits=${0} low=${3} high=${99} value=${size[name]} onValue=${(value) => setSize({ ...size, [name]: Math.round(value) })} />`;
   return html`<section aria-labelledby="board">
     <h2 id="board">${t("board-title")}</h2>
     <div class="choices" role="radiogroup" aria-label=${t("board-title")}>
       ${[false, true].map((stated) => html`<label class="choice"><input type="radio" name="board" checked=${isStated === stated} onChange=${() => setStated(stated)} /> ${t(stated ? "board-state" : "board-recognise")}</label>`)}
     </div>
-    ${isStated &&
-    html`<div class="row">
-      <label class="field"><span>${t("board-kind")}</span><select value=${kind} onChange=${(event) => setKind(event.currentTarget.value)}>${KINDS.map((one) => html`<option value=${one} selected=${one === kind}>${t(`kind-${one}`)}</option>`)}</select></label>
-      ${count("columns")} ${count("rows")}
-      ${kind === "charuco" && html`<${NumberField} label=${t("board-marker")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${size.marker} onValue=${(marker) => setSize({ ...size, marker })} />
-        <label class="field"><span>${t("board-dictionary")}</span><input value=${size.dictionary} onInput=${(event) => setSize({ ...size, dictionary: event.currentTarget.value.trim() })} /></label>`}
-    </div>`}
+    ${isStated && html`<${BoardFields} size=${size} onSize=${setSize} />`}
     <div class="row">
-      <${NumberField} label=${t(kind === "dots" || kind === "circles" ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${mm} onValue=${setMm} name="mm" />
+      <${NumberField} label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${mm} onValue=${setMm} name="mm" />
       <${NumberField} label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal} onValue=${setGoal} name="goal" />
     </div>
     <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>

@@ -14,6 +14,7 @@ export const cameras = signal(null);
 export const quality = signal(null);
 export const draft = signal(null);
 export const task = signal(null);
+export const checked = signal(null);
 export const isConnected = signal(false);
 export const pictures = { left: signal(null), right: signal(null) };
 export const liveState = signal({});
@@ -76,6 +77,12 @@ async function renew() {
 
 export async function look() {
   cell.value = await ask("GET", "cell");
+  await lookAtCheck();
+}
+
+// Of the calibration in use: another one makes the last check one of before.
+export async function lookAtCheck() {
+  if (offers("checks")) checked.value = await ask("GET", "checks");
 }
 
 // Only who has the cell also learns what the cameras are set to. A search takes a second: what was set meanwhile is newer.
@@ -121,7 +128,11 @@ function open() {
 }
 
 function hear({ type, ...told }) {
-  if (type === "cell") cell.value = told;
+  if (type === "cell") {
+    const isOther = told.rig?.id !== cell.value?.rig?.id;
+    cell.value = told;
+    if (isOther) attempt(lookAtCheck);
+  } else if (type === "check") checked.value = told;
   else if (type === "draft") draft.value = told;
   else if (type === "task") task.value = told;
   else if (type === "quality") quality.value = told;

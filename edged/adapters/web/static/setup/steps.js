@@ -2,8 +2,9 @@
 import { computed, html } from "../vendor/ui.js";
 import { Calibrate } from "./calibrate.js";
 import { Cameras } from "./cameras.js";
+import { Check } from "./check.js";
 import { Light } from "./light.js";
-import { cameras, cell, draft, isConnected, offers, quality, SIDES } from "./live.js";
+import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES } from "./live.js";
 import { Shape } from "./pieces.js";
 import { System } from "./system.js";
 import { t } from "./texts.js";
@@ -30,13 +31,19 @@ function ofRig() {
   return draft.value && !draft.value.active ? "doubt" : "tick";
 }
 
+// Of the calibration in use alone, and only what a fresh pair has shown.
+function ofCheck() {
+  if (!checked.value?.is_current || cell.value.missing.includes("rig")) return "none";
+  return checked.value.last.verdict === "OK" ? "tick" : "doubt";
+}
+
 const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
 export const STEPS = [
   { id: "welcome", page: Welcome, state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
   { id: "cameras", page: Cameras, needs: ["cameras"], state: ofCameras },
   { id: "light", page: Light, needs: ["cameras"], state: ofLight },
   { id: "calibrate", page: Calibrate, needs: ["calibrations"], state: ofRig },
-  { id: "check", state: () => "none" },
+  { id: "check", page: Check, needs: ["checks"], state: ofCheck },
   { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
   { id: "try", state: () => "none" },
   { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
