@@ -91,7 +91,6 @@ class Workshop:
             cycle.capture,
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
-            self._calibrations.board_in_use,
         )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)

@@ -146,11 +146,6 @@ class Calibrations:
         """All of them."""
         return DraftList(calibrations=await asyncio.to_thread(self._lines))
 
-    async def board_in_use(self) -> str | None:
-        """The first board of the draft that the cell is calibrated by, where it was made here."""
-        lines = await asyncio.to_thread(self._lines)
-        return next((line.boards[0] for line in lines if line.active and line.boards), None)
-
     async def document(self, identity: str) -> DraftDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
         one = await self._opened(identity)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
@@ -87,12 +88,19 @@ class RigInUse:
     content: bytes
     path: Path
 
+    @property
+    def boards(self) -> list[str]:
+        """It was calibrated with, as far as its file says so: that of another program does not."""
+        quality = json.loads(self.content).get("quality")
+        board = quality.get("board") if isinstance(quality, dict) else None
+        return board.split(",") if isinstance(board, str) and board else []
+
 
 class Checks:
     """Used on the event loop only.
 
     kept : file of the last verdict. capture : an exposure, for the token of who has the cell.
-    rig : the one in use; None without. jobs : by name. calibrated_with : the board of the calibration in use.
+    rig : the one in use; None without. jobs : by name.
     """
 
     def __init__(
@@ -103,7 +111,6 @@ class Checks:
         capture: Callable[[str], Awaitable[FramePair]],
         rig: Callable[[], RigInUse | None],
         jobs: Callable[[], Mapping[str, Job]],
-        calibrated_with: Callable[[], Awaitable[str | None]],
     ) -> None:
         self._kept = kept
         self._worker = worker
@@ -111,7 +118,6 @@ class Checks:
         self._capture = capture
         self._rig = rig
         self._jobs = jobs
-        self._calibrated_with = calibrated_with
 
     async def by_board(self, token: str, author: str, board: NominalBoard) -> CheckDocument:
         """Take a pair of a board. Raises `SetupRefused`, `CaptureError`, `ImageError`, `OSError`."""
@@ -136,9 +142,9 @@ class Checks:
         """What is known."""
         last, rig = await asyncio.to_thread(self._read), self._rig()
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
-        boards = [last.board if last is not None else None, await self._calibrated_with()]
-        known = [board for board in dict.fromkeys(boards) if board is not None]
-        return Checked(last=last, is_current=is_current, boards=known)
+        boards = [] if last is None or last.board is None else [last.board]
+        boards += [] if rig is None else rig.boards
+        return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)))
 
     async def _seen(self, token: str) -> tuple[RigInUse, FramePair]:
         rig = self._rig()

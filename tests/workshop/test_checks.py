@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from smallcell import SmallCell, pictures
 from stagecell import Newcomer, run
 
 from edged.commands.stage import USER
-from edged.files.rig import save_rig
+from edged.domain.frames import Frame, FramePair
+from edged.errors import UserError
+from edged.files.jobs import load_job
+from edged.files.rig import rig_text, save_rig
+from edged.session.notices import Notices
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
+from edged.workshop.calibrations import FUNCTIONS
+from edged.workshop.checks import CheckDocument, Checked, Checks, RigInUse
+from edged.workshop.worker import Worker
 
 BOARD = "chessboard:11x8:4"
 
@@ -84,9 +93,57 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
         noted = [one for one in noted if one[1] not in ("input", "invalid")]
         assert [("checks", "setup_refused"), *((f"checks/{one}", "ok") for one in judged)] == noted
 
-        save_rig(tmp_path / "rig.json", replace(true, calibration_id="another"))
+        quality = {"board": f"dots:7x7:5,{BOARD}"}
+        save_rig(tmp_path / "rig.json", replace(true, calibration_id="another"), quality)
         assert await newcomer.daemon.reload()
-        known = await newcomer.ask("GET", "checks")
-        assert (unseen, False) == (known["last"], known["is_current"])
+        known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"]}
+        assert known == await newcomer.ask("GET", "checks")
 
     run(tmp_path, test, gige=False)
+
+
+def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
+    """Its diameter comes out as drawn; a baseline one percent too long makes it one percent too large."""
+    cell = SmallCell(tmp_path / "cell", source="virtual-inprocess")
+    left, right = pictures(cell.virtual, 1)[0]
+    pair = FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
+    job, true = load_job(tmp_path / "cell" / "jobs" / "flange"), cell.virtual.rig
+    relation = true.right_from_left.copy()
+    relation[:3, 3] *= 1.01
+    wide = replace(true, right_from_left=relation, calibration_id="wide")
+    in_use = [true]
+
+    async def capture(token: str) -> FramePair:
+        assert "theirs" == token
+        return pair
+
+    async def checked() -> list[CheckDocument]:
+        worker, kept = Worker(FUNCTIONS), tmp_path / "state" / "check.json"
+        checks = Checks(
+            kept,
+            worker,
+            Notices(),
+            capture,
+            lambda: RigInUse(in_use[-1].calibration_id, rig_text(in_use[-1]), tmp_path / "rig.json"),
+            lambda: {job.name: job},
+        )
+        found = []
+        try:
+            for rig in (true, wide):
+                in_use.append(rig)
+                found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
+                assert Checked(last=found[-1], is_current=True, boards=[]) == await checks.last()
+            with pytest.raises(UserError, match="length c9: the job has c0"):
+                await checks.by_part("theirs", "Anna", job.name, {"c9": 28.0})
+            kept.write_text("{")
+            assert None is (await checks.last()).last
+        finally:
+            await worker.close()
+        return found
+
+    good, wrong = asyncio.run(checked())
+    (true_length,), (long_length,) = good.lengths, wrong.lengths
+    assert abs(true_length.error_percent) <= true_length.spread_percent
+    assert "NOT_OK" == wrong.verdict == long_length.verdict
+    assert 1.0 == pytest.approx(long_length.error_percent - true_length.error_percent, abs=0.05)
+    assert (job.name, None) == (good.job, good.board)
