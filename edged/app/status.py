@@ -7,16 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from edged import __version__
 from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.recorder import Recorder
 from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.capture.stereohead import StereoHead
-from edged.cellfiles import UnfinishedCell
+from edged.cellfiles import CellFiles, UnfinishedCell
 from edged.cycle import Cycle
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
+from edged.vision.geometry.uncertainty import calibration_covariance
 
 if TYPE_CHECKING:  # a cell without the page does not load it
     from edged.adapters.web import Overview
@@ -131,6 +134,7 @@ def overview(running: Running) -> Overview:
             drift.verdict.name.lower(),
             drift.rows_px,
             drift.length_percent,
+            _calibration_sigma_um(loaded),
         )
     missing = loaded.cell.missing if isinstance(loaded.cell, UnfinishedCell) else ()
     lacking = {line.partition(":")[0] for line in missing}
@@ -146,6 +150,16 @@ def overview(running: Running) -> Overview:
         auto_lock=running.cycle.setup_locked,
         stage=running.staged,
     )
+
+
+def _calibration_sigma_um(loaded: LoadedCell) -> tuple[float, float, float] | None:
+    """Of X, Y, Z in the rig's frame, rms over where the jobs' parts were taught; None: not known."""
+    if loaded.rig is None or loaded.rig.rig.covariance is None or not isinstance(loaded.cell, CellFiles):
+        return None
+    points_mm = np.array([job.rig_from_part[:3, 3] for job in loaded.cell.jobs])
+    variances = np.einsum("nii->ni", calibration_covariance(loaded.rig.rig, points_mm))
+    x, y, z = 1e3 * np.sqrt(variances.mean(axis=0))
+    return float(x), float(y), float(z)
 
 
 def job_list(loaded: LoadedCell) -> list[tuple[int, str]]:

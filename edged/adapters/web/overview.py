@@ -30,6 +30,14 @@ class Plc(Answer):
     auto_lock: bool = Field(description="SETUP is forbidden")
 
 
+class RigSigma(Answer):
+    """Of a point in the rig's frame, µm."""
+
+    x: float
+    y: float
+    z: float
+
+
 class RigNow(Answer):
     """The rig in use. robot : yes, no, on_flange."""
 
@@ -38,6 +46,9 @@ class RigNow(Answer):
     verdict: str
     rows_px: float | None
     length_percent: float | None
+    sigma_um: RigSigma | None = Field(
+        description="by the calibration alone, where parts were taught; null: not known"
+    )
 
 
 class JobName(Answer):
@@ -124,6 +135,7 @@ class OverviewRoutes:
                 verdict=rig.verdict,
                 rows_px=_known(rig.rows_px),
                 length_percent=_known(rig.length_percent),
+                sigma_um=_sigma(rig.sigma_um),
             ),
             jobs=[JobName(number=number, name=name) for number, name in self._page.jobs()],
             stage=asked.stage,
@@ -132,3 +144,10 @@ class OverviewRoutes:
 
 def _known(number: float) -> float | None:
     return None if number != number else number
+
+
+def _sigma(axes_um: tuple[float, float, float] | None) -> RigSigma | None:
+    if axes_um is None:
+        return None
+    x, y, z = axes_um
+    return RigSigma(x=x, y=y, z=z)

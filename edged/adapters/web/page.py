@@ -50,13 +50,17 @@ OUTLINE_POINTS = 72
 
 @dataclass(frozen=True, slots=True)
 class RigFigures:
-    """The rig in use. deviations are NaN where they are not known."""
+    """The rig in use. deviations are NaN where they are not known.
+
+    sigma_um : of X, Y, Z of a point where parts were taught, by the calibration alone; None: not known.
+    """
 
     calibration_id: str
     robot: str
     verdict: str
     rows_px: float
     length_percent: float
+    sigma_um: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,6 +118,7 @@ fact-cameras-found =
     }
 fact-unknown = noch nicht nachgesehen
 fact-rig = Kalibrierung
+fact-rig-sigma = (±{ $sigma } µm, wo Teile eingelernt wurden)
 fact-no-rig = noch keine
 fact-jobs = Aufträge
 fact-no-jobs = noch keine

@@ -118,6 +118,7 @@ fact-cameras-found =
     }
 fact-unknown = not looked at yet
 fact-rig = Calibration
+fact-rig-sigma = (±{ $sigma } µm where parts were taught)
 fact-no-rig = none yet
 fact-jobs = Jobs
 fact-no-jobs = none yet

@@ -2,7 +2,7 @@
 import { html } from "../vendor/ui.js";
 import { cameras, cell } from "./live.js";
 import { isBuilt, next, STEPS, State } from "./steps.js";
-import { t } from "./texts.js";
+import { number, t } from "./texts.js";
 
 // Steps that still are commands, and where the manual tells them.
 const MANUAL = { cameras: "cameras", light: "cameras", calibrate: "calibrate", check: "calibrate", teach: "teach", try: "operate", robot: "robot-frame", plc: "plc" };
@@ -19,7 +19,7 @@ export function Welcome() {
         <dt>${t("fact-cameras")}</dt>
         <dd>${cameras.value ? t("fact-cameras-found", { count: found.length, troubled: found.filter(({ trouble }) => trouble).length }) : t("fact-unknown")}</dd>
         <dt>${t("fact-rig")}</dt>
-        <dd>${rig ? html`<span translate=${false}>${rig.id}</span>` : t("fact-no-rig")}</dd>
+        <dd>${rig ? html`<span translate=${false}>${rig.id}</span>${rig.sigma_um && html` ${t("fact-rig-sigma", { sigma: number(Math.max(...Object.values(rig.sigma_um)), 1) })}`}` : t("fact-no-rig")}</dd>
         <dt>${t("fact-jobs")}</dt>
         <dd>${jobs.length ? html`<span translate=${false}>${jobs.map((job) => `${job.number} ${job.name}`).join(", ")}</span>` : t("fact-no-jobs")}</dd>
         <dt>${t("fact-plc")}</dt>
