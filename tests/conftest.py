@@ -13,8 +13,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 pytest_plugins = ["skips"]
 
-ALONE = ("tests/cameras/", "tests/system/")
+ALONE = (
+    "tests/cameras/",
+    "tests/commands/test_doctor.py",
+    "tests/commands/test_grab.py",
+    "tests/system/",
+    "tests/tools/test_rerun.py",
+)
 """Cameras at fixed addresses (GVCP knows one port), broadcasts that all of them hear, throwaway machines."""
+NICE = 10
 
 
 class ByRoom(LoadScopeScheduling):
@@ -22,6 +29,13 @@ class ByRoom(LoadScopeScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return "cameras" if nodeid.startswith(ALONE) else nodeid.partition("::")[0]
+
+
+def pytest_runtest_setup(item):
+    """Where tests run beside each other, those without cameras let those with them go first."""
+    waits = "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(ALONE)
+    if waits and os.getpriority(os.PRIO_PROCESS, 0) < NICE:
+        os.nice(NICE)
 
 
 def pytest_xdist_make_scheduler(config, log):

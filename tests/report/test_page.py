@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import pytest
@@ -63,10 +64,21 @@ def test_a_value_that_is_missing_is_an_error() -> None:
         render("teaching.html", **{name: value for name, value in MODEL.items() if name != "reference"})
 
 
-@pytest.mark.parametrize("name", ["index.html", "login.html", "nomanual.html"])
-def test_the_status_page_has_the_same_frame(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("index.html", {"setup": False}),
+        ("index.html", {"setup": True}),
+        ("invite.html", {"min_length": 8}),
+        ("login.html", {"users": False, "one": True}),
+        ("login.html", {"users": True, "one": False}),
+        ("nomanual.html", {}),
+        ("setup.html", {"modules": ["/static/setup/main.js"], "offers": ["cell"]}),
+    ],
+)
+def test_the_status_page_has_the_same_frame(name: str, values: dict[str, Any]) -> None:
     """Well formed, its own style and script, and nothing inline, which its security policy forbids."""
-    text = render(name, "edged.adapters.web", cell="demo")
+    text = render(name, "edged.adapters.web", cell="demo", **values)
     page = HtmlPage(text)
     assert text.startswith('<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n')
     assert [] == page.open

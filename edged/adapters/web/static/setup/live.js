@@ -19,7 +19,7 @@ export const isConnected = signal(false);
 export const pictures = { left: signal(null), right: signal(null) };
 export const liveState = signal({});
 export const token = signal(localStorage.getItem(KEPT) ?? "");
-export const isLiveWanted = signal(false);
+export const liveViews = signal(0);
 
 // Whether this cell has a route: a page without its routes is not entered.
 const offered = new Set(document.getElementById("setup").dataset.offers.split(" "));
@@ -139,8 +139,9 @@ function hear({ type, ...told }) {
   else if (type === "live") {
     const { width, height } = liveState.value;
     liveState.value = { width, height, ...told };
-    // it ends when nobody has looked for a while: a tablet that slept looks again
-    if (told.code === "unseen" && document.visibilityState === "visible") tellLive();
+    // it ends when nobody has looked for a while, or the last one goes as this one comes: who looks asks again
+    const isAskedAgain = !told.on && (told.code === "unseen" || !told.code) && liveViews.value > 0;
+    if (isAskedAgain && document.visibilityState === "visible") tellLive();
   }
 }
 
@@ -188,7 +189,7 @@ effect(() => {
   if (trouble.value?.code === "idle") ask("GET", "me").then((told) => (me.value = told), () => {});
 });
 
-const tellLive = () => say(isLiveWanted.value && holds.value ? { live: true, token: token.value } : { live: false });
+const tellLive = () => say(liveViews.value > 0 && holds.value ? { live: true, token: token.value } : { live: false });
 
 export async function start() {
   me.value = await ask("GET", "me");
@@ -200,7 +201,7 @@ export async function start() {
   for (const name of ["pointerdown", "keydown"]) addEventListener(name, sign, { passive: true });
   addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());
   effect(() => {
-    void isLiveWanted.value;
+    void liveViews.value;
     void holds.value;
     tellLive();
   });

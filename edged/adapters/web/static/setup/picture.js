@@ -1,6 +1,6 @@
 // The live pictures: drawn on a canvas, whose pixels can be read, with shapes over them in raw image pixels.
 import { effect, html, useEffect, useRef } from "../vendor/ui.js";
-import { cell, holds, isLiveWanted, liveState, pictures, rawSize, SIDES } from "./live.js";
+import { cell, holds, liveState, liveViews, pictures, rawSize, SIDES } from "./live.js";
 import { sentence } from "./api.js";
 import { t } from "./texts.js";
 
@@ -57,9 +57,9 @@ function View({ side, children, isStriped, label }) {
 // Both pictures; over : draws over one side. Capturing runs while one of these is on a page of whoever has the cell.
 export function Pair({ over, isStriped, below }) {
   useEffect(() => {
-    isLiveWanted.value = true;
+    liveViews.value += 1; // the next page's may come before the last one's have gone
     return () => {
-      isLiveWanted.value = false;
+      liveViews.value -= 1;
     };
   }, []);
   return html`<div class="pair">

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from cameras.test_daemon import Cell, free_port, until
 from prometheus_client.parser import text_string_to_metric_families
-from wire.test_daemon import Cell, free_port, until
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 DASHBOARD = json.loads((CONFIG / "grafana-dashboard.json").read_text())
