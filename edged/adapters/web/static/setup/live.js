@@ -139,9 +139,8 @@ function hear({ type, ...told }) {
   else if (type === "live") {
     const { width, height } = liveState.value;
     liveState.value = { width, height, ...told };
-    // it ends when nobody has looked for a while, or the last one goes as this one comes: who looks asks again
-    const isAskedAgain = !told.on && (told.code === "unseen" || !told.code) && liveViews.value > 0;
-    if (isAskedAgain && document.visibilityState === "visible") tellLive();
+    // it ends when nobody has looked for a while: a tablet that slept looks again
+    if (told.code === "unseen" && document.visibilityState === "visible") tellLive();
   }
 }
 
