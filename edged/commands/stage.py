@@ -24,8 +24,8 @@ WEB_PORT = 8080
 USER = "me"
 """Who sets the stage up: an engineer."""
 
-TODO = """\
-A virtual cell without a calibration and without a job: whatever it is to do, you teach it on its page.
+STEPS = """\
+A virtual cell without a calibration and without a job: set it up on its page, as far as its calibration.
   1  open    http://127.0.0.1:{port}/setup
   2  log in  name {name}, password {password}   (made for this run)
   3  take the cell; the stage on the page moves a hand that shows the board and follows the drawn outline
@@ -44,7 +44,7 @@ def run_stage(
     warm_up(loaded)
     routes = StageRoutes(world.stage)
     console.print(
-        TODO.format(port=ports[0], name=USER, password=password, folder=folder),
+        STEPS.format(port=ports[0], name=USER, password=password, folder=folder),
         highlight=False,
         soft_wrap=True,
     )
