@@ -39,7 +39,15 @@ from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import BREAK_MM, levelled
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves, triangle_normals
-from edged.vision.teaching.drawing import BACKGROUND, BLUR_PX, MARGIN_PX, MIN_CIRCLE_PX, MIN_EDGE_PX, PART
+from edged.vision.teaching.drawing import (
+    BACKGROUND,
+    BLUR_PX,
+    MARGIN_PX,
+    MIN_CIRCLE_PX,
+    MIN_EDGE_PX,
+    PART,
+    px_per_mm,
+)
 from edged.vision.teaching.levels import mask_along
 from edged.vision.teaching.pair import for_solid
 
@@ -75,10 +83,8 @@ def teach_model(
     left camera.
     Raises `TeachError` for a part that does not fit the image, or shows nothing that can be measured.
     """
-    if not np.isfinite(depth_mm) or depth_mm <= 0:
-        raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
+    scale = px_per_mm(rectification, depth_mm)
     level = transform(levelled(curves.up), np.zeros(3))
-    scale = rectification.focal_px / depth_mm
     circles, edges = _shown(*_features(curves, level, scale), model, level, rectification.rig, depth_mm)
     main_mm = _main_face(circles, edges)
     circles, edges = _in_order(circles, edges, main_mm)

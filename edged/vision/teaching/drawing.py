@@ -59,6 +59,13 @@ class Outline:
     circle: tuple[float, float, float] | None
 
 
+def px_per_mm(rectification: Rectification, depth_mm: float) -> float:
+    """Of a face at this distance, nearly. Raises `TeachError` for what is no distance."""
+    if not np.isfinite(depth_mm) or depth_mm <= 0:
+        raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
+    return rectification.focal_px / depth_mm
+
+
 def teach_drawing(
     outlines_mm: Sequence[FloatArray],
     rectification: Rectification,
@@ -73,12 +80,10 @@ def teach_drawing(
     depth_mm : nominal distance of the face, z of the left camera.  params : of the shape model.
     Raises `TeachError` for a part that does not fit the image, or shows nothing that can be measured.
     """
-    if not np.isfinite(depth_mm) or depth_mm <= 0:
-        raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
+    scale = px_per_mm(rectification, depth_mm)
     outlines = _arranged(outlines_mm)
     everything = np.concatenate([one.points for one in outlines])
     middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
-    scale = rectification.focal_px / depth_mm  # px per mm, nearly
     circles, edges, corners = _features(outlines, scale)
     origin, reference = _reference(circles, edges, corners)
     rig_from_part = transform(np.eye(3), np.array([*(origin - middle), depth_mm]))
