@@ -50,7 +50,7 @@ async def take(page: Browser) -> None:
 async def go(page: Browser, step: str) -> None:
     """To a step, by its link."""
     await page.value(f"""location.hash = "#/{step}" """)
-    await page.until(f"""location.hash === "#/{step}" && document.querySelector("main h1")""")
+    await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
 
 
 async def press(page: Browser, text: str) -> None:

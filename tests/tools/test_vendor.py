@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import subprocess
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 
-from edged.adapters.web.assets import read_assets, type_of
+from edged.adapters.web.assets import in_shell, read_assets, type_of
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "edged" / "adapters" / "web" / "static"
@@ -67,13 +68,25 @@ def test_a_script_is_served_by_its_name_and_a_licence_is_not() -> None:
 
 
 def test_the_shell_is_small() -> None:
-    """Scripts, styles and one language of the pages that set a cell up, with what they take from others."""
-    sizes = {
-        name: len(text.encode())
-        for name, text in read_assets().items()
-        if name.startswith(("setup/", "vendor/"))
+    """Scripts, styles and one language around the pages that set a cell up, and with them any one page."""
+    assets = read_assets()
+    sizes = {name: len(text.encode()) for name, text in assets.items()}
+    shell = {name for name in sizes if in_shell(name) and not name.endswith(".ftl")}
+    pages = {
+        PurePosixPath(name).name.split(".")[0]
+        for name in sizes
+        if "/pages/" in name and name.endswith(".ftl")
     }
-    languages = [size for name, size in sizes.items() if name.endswith(".ftl")]
 
-    assert len(languages) >= 2
-    assert sum(sizes.values()) - sum(languages) + max(languages) <= SHELL_BYTES
+    assert len(pages) >= 6
+    for page in pages:
+        names, wanted = set(shell), [f"setup/pages/{page}.js"]
+        while wanted:
+            name = wanted.pop()
+            if name not in names:
+                names.add(name)
+                wanted += [f"setup/pages/{other}.js" for other in re.findall(r'"\./(\w+)\.js"', assets[name])]
+        texts = max(
+            sizes[f"setup/{tag}.ftl"] + sizes[f"setup/pages/{page}.{tag}.ftl"] for tag in ("en", "de")
+        )
+        assert sum(sizes[name] for name in names) + texts <= SHELL_BYTES, page

@@ -9,7 +9,19 @@ from collections.abc import Awaitable, Callable
 import pytest
 from browser import Browser, browser
 from scriptedhead import Ear, until
-from setuppage import DIALOG, LEASE, SMALL_TARGETS, STATE, TOO_WIDE, UNTRANSLATED, log_in, press, said, take
+from setuppage import (
+    DIALOG,
+    LEASE,
+    SMALL_TARGETS,
+    STATE,
+    TOO_WIDE,
+    UNTRANSLATED,
+    go,
+    log_in,
+    press,
+    said,
+    take,
+)
 from webcell import PASSWORD, Cell, running
 
 from edged.domain.cell import CellPhase
@@ -203,6 +215,20 @@ def test_a_keyboard_is_enough() -> None:
         await page.until(f'{focused} === "Take it"')
         await key(page, "Enter", 13, text="\r")
         await page.until('document.querySelector(".lease.mine")')
+
+    on_the_page(test)
+
+
+def test_a_page_that_does_not_come_says_so() -> None:
+    """It is fetched when it is first entered; what happened is said, and what is there stays."""
+
+    async def test(page: Browser, _cell: Cell) -> None:
+        await page.ask("Network.enable")
+        await page.ask("Network.setBlockedURLs", urls=["*/pages/system.js"])
+        await page.value('location.hash = "#/system"')
+        await page.until(said("This page could not be fetched."))
+        await go(page, "welcome")
+        page.complaints.clear()  # of the page that was kept away
 
     on_the_page(test)
 

@@ -30,6 +30,11 @@ def type_of(name: str) -> str:
     return TYPES.get(PurePosixPath(name).suffix, "")
 
 
+def in_shell(name: str) -> bool:
+    """Whether it stands around the pages that set a cell up; a page comes when it is entered."""
+    return name.startswith(("setup/", "vendor/")) and not name.startswith("setup/pages/")
+
+
 def modules(assets: Iterable[str]) -> list[str]:
-    """Scripts of the pages that set a cell up: a browser is told of all at once, and need not find them."""
-    return sorted(name for name in assets if name.endswith(".js") and name.startswith(("setup/", "vendor/")))
+    """Scripts of that shell: a browser is told of all at once, and need not find them."""
+    return sorted(name for name in assets if name.endswith(".js") and in_shell(name))

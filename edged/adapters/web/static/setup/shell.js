@@ -4,7 +4,7 @@ import { ask, attempt, sentence, trouble } from "./api.js";
 import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./live.js";
 import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
 import { Stage } from "./stage.js";
-import { isBuilt, PAGES, State, STEPS } from "./steps.js";
+import { enter, isBuilt, pageOf, PAGES, State, STEPS } from "./steps.js";
 import { choose, language, LANGUAGES, t } from "./texts.js";
 
 const hash = () => location.hash.replace(/^#\//, "");
@@ -124,6 +124,10 @@ export function Shell() {
     return () => removeEventListener("hashchange", follow);
   }, []);
   const step = PAGES.find((one) => isBuilt(one) && one.id === here.value) ?? STEPS[0];
+  const page = pageOf(step);
+  useEffect(() => {
+    attempt(() => enter(step));
+  }, [step.id]);
   useEffect(() => {
     if (step.id !== here.value) history.replaceState(null, "", `#/${step.id}`);
     follow();
@@ -140,7 +144,7 @@ export function Shell() {
       <div class="column">
         <${Lease} />
         <${Trouble} />
-        <main id="main" ref=${main} tabindex="-1"><${step.page} key=${step.id} /></main>
+        <main id="main" ref=${main} tabindex="-1" data-page=${page ? step.id : undefined} aria-busy=${!page}>${page && html`<${page} key=${step.id} />`}</main>
         ${cell.value.stage && html`<${Stage} />`}
       </div>
     </div>

@@ -1,14 +1,9 @@
 // The way from unboxed cameras to a picked part: nine steps, whose ticks come from facts and never from clicks.
-import { computed, html } from "../vendor/ui.js";
-import { Calibrate } from "./calibrate.js";
-import { Cameras } from "./cameras.js";
-import { Check } from "./check.js";
-import { Light } from "./light.js";
+import { computed, html, signal } from "../vendor/ui.js";
+import { Problem } from "./api.js";
 import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES } from "./live.js";
 import { Shape } from "./pieces.js";
-import { System } from "./system.js";
-import { t } from "./texts.js";
-import { Welcome } from "./welcome.js";
+import { learn, t } from "./texts.js";
 
 const MOST_FACTOR = 1.25;
 
@@ -39,19 +34,33 @@ function ofCheck() {
 
 const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
 export const STEPS = [
-  { id: "welcome", page: Welcome, state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
-  { id: "cameras", page: Cameras, needs: ["cameras"], state: ofCameras },
-  { id: "light", page: Light, needs: ["cameras"], state: ofLight },
-  { id: "calibrate", page: Calibrate, needs: ["calibrations"], state: ofRig },
-  { id: "check", page: Check, needs: ["checks"], state: ofCheck },
+  { id: "welcome", load: () => import("./pages/welcome.js"), state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
+  { id: "cameras", load: () => import("./pages/cameras.js"), needs: ["cameras"], state: ofCameras },
+  { id: "light", load: () => import("./pages/light.js"), needs: ["cameras"], state: ofLight },
+  { id: "calibrate", load: () => import("./pages/calibrate.js"), needs: ["calibrations"], state: ofRig },
+  { id: "check", load: () => import("./pages/check.js"), needs: ["checks"], state: ofCheck },
   { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
   { id: "try", state: () => "none" },
   { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
 // Not a step: what runs, and what ran before.
-export const PAGES = [...STEPS, { id: "system", page: System, needs: ["releases", "users"], state: () => "none" }];
-export const isBuilt = ({ page, needs }) => page && (!needs || needs.some(offers));
+export const PAGES = [...STEPS, { id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" }];
+export const isBuilt = ({ load, needs }) => load && (!needs || needs.some(offers));
 export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));
 
 export const State = ({ is }) => html`<span class="state ${is}"><${Shape} is=${is} /><span class="unseen">${t(`state-${is}`)}</span></span>`;
+
+// A page comes with its texts when it is first entered: what is not looked at is not sent.
+const come = signal({});
+export const pageOf = ({ id }) => come.value[id];
+export async function enter({ id, load }) {
+  if (come.value[id]) return;
+  let page;
+  try {
+    [{ default: page }] = await Promise.all([load(), learn(id)]);
+  } catch {
+    throw new Problem({ code: "page" });
+  }
+  come.value = { ...come.value, [id]: page };
+}

@@ -4,13 +4,17 @@ import { computed, FluentBundle, FluentResource, signal } from "../vendor/ui.js"
 export const LANGUAGES = { en: "English", de: "Deutsch" };
 const PSEUDO = new URLSearchParams(location.search).has("pseudo");
 const KEPT = "edged.language";
-const resources = new Map();
+const parts = new Set([""]); // what is spoken: around the pages, and of each page that was entered
+const resources = new Map(); // of a file's path
+const path = (part, tag) => (part ? `pages/${part}.${tag}` : tag);
 export const language = signal("en");
 
+const heard = signal(0); // counts files: a bundle made before is made again
 const bundle = computed(() => {
+  void heard.value;
   // no isolating marks: every text is one sentence in one language, and tests compare what is seen
   const made = new FluentBundle(language.value, { useIsolating: false, transform: PSEUDO ? stretched : (text) => text });
-  if (resources.has(language.value)) made.addResource(resources.get(language.value));
+  for (const part of parts) if (resources.has(path(part, language.value))) made.addResource(resources.get(path(part, language.value)));
   return made;
 });
 
@@ -22,14 +26,21 @@ function stretched(text) {
   return `⟦${accented}${"~".repeat(Math.round(text.trim().length * 0.4))}⟧`;
 }
 
-async function load(tag) {
-  if (resources.has(tag)) return;
-  const answer = await fetch(`/static/setup/${tag}.ftl`);
-  if (answer.ok) resources.set(tag, new FluentResource(await answer.text()));
+async function load(part, tag) {
+  if (resources.has(path(part, tag))) return;
+  const answer = await fetch(`/static/setup/${path(part, tag)}.ftl`);
+  if (answer.ok) resources.set(path(part, tag), new FluentResource(await answer.text()));
+}
+
+// The texts of a page, before it is shown.
+export async function learn(part) {
+  await load(part, language.value);
+  parts.add(part);
+  heard.value += 1;
 }
 
 export async function speak(tag) {
-  await load(tag);
+  await Promise.all([...parts].map((part) => load(part, tag)));
   language.value = tag;
   document.documentElement.lang = tag;
 }

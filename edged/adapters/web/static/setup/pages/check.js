@@ -1,11 +1,11 @@
 // The check: one fresh pair of a board of known size, and whether the calibration in use still holds.
-import { html, useState } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
+import { html, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
-import { cell, checked, holds, lookAtCheck, sign, token } from "./live.js";
+import { cell, checked, holds, lookAtCheck, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
-import { NumberField, say, Shape } from "./pieces.js";
-import { moment, number, sign as signed, t } from "./texts.js";
+import { NumberField, say, Shape } from "../pieces.js";
+import { moment, number, sign as signed, t } from "../texts.js";
 
 const SHAPES = { OK: "tick", NOT_OK: "gap", UNDECIDED: "doubt" };
 const inWords = (verdict) => t(`checked-${verdict.toLowerCase().replace("_", "-")}`);
@@ -84,7 +84,7 @@ function Verdict() {
 }
 
 const OTHER = "";
-export function Check() {
+export default function Check() {
   const known = checked.value?.boards ?? [];
   const [chosen, setChosen] = useState(null); // null: the first that is known
   const [size, setSize] = useState(SIZE);

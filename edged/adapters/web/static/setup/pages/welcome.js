@@ -1,13 +1,13 @@
 // What the cell has and what it lacks, and the next useful step as the one big button.
-import { html } from "../vendor/ui.js";
-import { cameras, cell } from "./live.js";
-import { isBuilt, next, STEPS, State } from "./steps.js";
-import { number, t } from "./texts.js";
+import { html } from "../../vendor/ui.js";
+import { cameras, cell } from "../live.js";
+import { isBuilt, next, STEPS, State } from "../steps.js";
+import { number, t } from "../texts.js";
 
 // Steps that still are commands, and where the manual tells them.
 const MANUAL = { cameras: "cameras", light: "cameras", calibrate: "calibrate", check: "calibrate", teach: "teach", try: "operate", robot: "robot-frame", plc: "plc" };
 
-export function Welcome() {
+export default function Welcome() {
   const { name, missing, rig, jobs, plc, error } = cell.value;
   const found = cameras.value?.found ?? [];
   return html`<h1>${t("welcome-title", { cell: name })}</h1>

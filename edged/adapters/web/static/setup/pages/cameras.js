@@ -1,11 +1,11 @@
 // Which camera is which: what was found on the wire, live pictures, a wave of the hand, and a test pair.
-import { html, useEffect, useState } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { cameras, holds, lookAtCameras, SIDES, token } from "./live.js";
+import { html, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { cameras, holds, lookAtCameras, SIDES, token } from "../live.js";
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
-import { say, Shape } from "./pieces.js";
-import { has, number, t } from "./texts.js";
+import { say, Shape } from "../pieces.js";
+import { has, number, t } from "../texts.js";
 
 // The cell looks itself: it compares whole pictures, and exchanges the cameras where they are swapped.
 function Wave() {
@@ -55,7 +55,7 @@ const inWords = (trouble) => {
   return has(id) ? t(id) : trouble;
 };
 
-export function Cameras() {
+export default function Cameras() {
   useEffect(() => {
     lookAtCameras();
   }, []);

@@ -1,12 +1,12 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
-import { html, useEffect, useRef, useState } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
+import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
-import { draft, holds, look, mayTake, offers, sign, task, token } from "./live.js";
+import { draft, holds, look, mayTake, offers, sign, task, token } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
-import { Dialog, NumberField, say, Shape } from "./pieces.js";
-import { has, number, t } from "./texts.js";
+import { Dialog, NumberField, say, Shape } from "../pieces.js";
+import { has, number, t } from "../texts.js";
 
 const GOAL_UM = 5;
 const FEW = 3; // views give no calibration yet, whatever they are
@@ -230,7 +230,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
     <//>`;
 }
 
-export function Calibrate() {
+export default function Calibrate() {
   useEffect(() => {
     if (!draft.value || draft.value.active) attempt(find);
   }, []);

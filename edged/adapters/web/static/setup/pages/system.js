@@ -1,10 +1,10 @@
 // What runs: the releases of this cell, newest first, and the way back to an older one.
-import { html, signal, useEffect, useState } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { holds, look, mayTake, offers, token } from "./live.js";
+import { html, signal, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { holds, look, mayTake, offers, token } from "../live.js";
 import { People } from "./people.js";
-import { Dialog, say, Shape } from "./pieces.js";
-import { moment, t } from "./texts.js";
+import { Dialog, say, Shape } from "../pieces.js";
+import { moment, t } from "../texts.js";
 
 const releases = signal(null);
 const find = () =>
@@ -56,6 +56,6 @@ function Releases() {
   </section>`;
 }
 
-export const System = () => html`<h1>${t("nav-system")}</h1>
+export default () => html`<h1>${t("nav-system")}</h1>
   ${offers("releases") && html`<${Releases} />`}
   <${People} />`;

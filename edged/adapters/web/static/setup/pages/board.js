@@ -1,7 +1,7 @@
 // Which board somebody holds, as they state it: its kind and how many marks it has; how large they are is asked apart.
-import { html } from "../vendor/ui.js";
-import { NumberField } from "./pieces.js";
-import { t } from "./texts.js";
+import { html } from "../../vendor/ui.js";
+import { NumberField } from "../pieces.js";
+import { t } from "../texts.js";
 
 export const KINDS = ["chessboard", "charuco", "dots", "circles"];
 export const SIZE = { kind: KINDS[0], columns: 11, rows: 8, marker: 3, dictionary: "5X5_250" };

@@ -1,11 +1,11 @@
 // Exposure, gain and focus of both lenses, while one looks at what they cost.
-import { html, signal, useEffect } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, token } from "./live.js";
+import { html, signal, useEffect } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, token } from "../live.js";
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
-import { NumberField, Shape, Slider } from "./pieces.js";
-import { number, t } from "./texts.js";
+import { NumberField, Shape, Slider } from "../pieces.js";
+import { number, t } from "../texts.js";
 
 const SETTINGS = [
   { name: "exposure_us", unit: "µs", digits: 0, isLogarithmic: true },
@@ -102,7 +102,7 @@ function fields(side) {
   </g>`;
 }
 
-export function Light() {
+export default function Light() {
   useEffect(() => {
     lookAtCameras(); // what they are set to is told to who has the cell
   }, [holds.value]);

@@ -1,9 +1,9 @@
 // What was tried with the cameras goes with SETUP, unless it is kept.
-import { html } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { cameras, holds, lookAtCameras, SIDES, token } from "./live.js";
-import { say, Shape } from "./pieces.js";
-import { t } from "./texts.js";
+import { html } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { cameras, holds, lookAtCameras, SIDES, token } from "../live.js";
+import { say, Shape } from "../pieces.js";
+import { t } from "../texts.js";
 
 export function Keep() {
   const isTried = SIDES.some((side) => Object.keys(cameras.value?.configured?.[side]?.tried ?? {}).length);

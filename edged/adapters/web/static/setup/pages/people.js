@@ -1,9 +1,9 @@
 // Who may come in, and who did what: for engineers.
-import { html, signal, useEffect, useState } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { mayTake, me, offers } from "./live.js";
-import { Dialog, say, Shape } from "./pieces.js";
-import { moment, t } from "./texts.js";
+import { html, signal, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { mayTake, me, offers } from "../live.js";
+import { Dialog, say, Shape } from "../pieces.js";
+import { moment, t } from "../texts.js";
 
 const ROLES = ["viewer", "operator", "engineer"];
 const LEAST_LETTERS = 8;

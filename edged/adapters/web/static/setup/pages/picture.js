@@ -1,8 +1,8 @@
 // The live pictures: drawn on a canvas, whose pixels can be read, with shapes over them in raw image pixels.
-import { effect, html, useEffect, useRef } from "../vendor/ui.js";
-import { cell, holds, liveState, liveViews, pictures, rawSize, SIDES } from "./live.js";
-import { sentence } from "./api.js";
-import { t } from "./texts.js";
+import { effect, html, useEffect, useRef } from "../../vendor/ui.js";
+import { cell, holds, liveState, liveViews, pictures, rawSize, SIDES } from "../live.js";
+import { sentence } from "../api.js";
+import { t } from "../texts.js";
 
 const READ_PX = 480;
 const CLIPPED = 252; // JPEG: what was 255 comes back as 252 and more

@@ -1,8 +1,8 @@
 // Every view that was taken, with what it says of itself; each can be left out, and that undone.
-import { html, useEffect, useRef } from "../vendor/ui.js";
-import { draft, mayTake, SIDES } from "./live.js";
-import { say, Shape } from "./pieces.js";
-import { number, t } from "./texts.js";
+import { html, useEffect, useRef } from "../../vendor/ui.js";
+import { draft, mayTake, SIDES } from "../live.js";
+import { say, Shape } from "../pieces.js";
+import { number, t } from "../texts.js";
 
 // "view_003" is view 3.
 export const short = (name) => name.replace(/^view_0*/, "");

@@ -1,0 +1,27 @@
+# Texts of cameras.js.
+cameras-title = Kameras
+cameras-what = Beide Kameras müssen da sein, ohne Problem, und jede auf ihrer Seite, von den Kameras zum Teil gesehen.
+cameras-found = Gefunden
+cameras-none = Keine Kamera antwortet. Prüfen Sie Strom und Netzwerkkabel; auch eine Kamera in einem anderen Subnetz wird gezeigt, und was zu ändern ist.
+cameras-again = Neu suchen
+is-left = linke Kamera
+is-right = rechte Kamera
+is-neither = von dieser Zelle nicht benutzt
+trouble-controlled-by-another-program-or-host = von einem anderen Programm oder PC belegt: beenden Sie jenes
+trouble-wrong-subnet = ihre Adresse gehört zu einem anderen Subnetz als die Netzwerkkarte
+wave-title = Welche ist die linke?
+wave-what = Winken Sie nur vor der linken Kamera. Die Kamera, vor der sich etwas bewegt, wird die linke.
+wave-start = Ich winke jetzt
+wave-again = Noch einmal
+wave-now = Winken Sie jetzt vor der linken Kamera.
+wave-nobody = Vor einer Kamera allein war keine Hand zu sehen. Gehen Sie näher an die linke, und weg von der anderen.
+wave-right = Das linke Bild hat sich bewegt: die Kameras sind auf ihren Seiten.
+wave-swapped = Das andere Bild hat sich bewegt: links und rechts sind jetzt getauscht.
+test-title = Probepaar
+test-what = Eine Belichtung beider Kameras. Wie weit sie auseinanderliegen, bestimmt, wie schnell sich ein Teil bewegen darf.
+test-take = Probepaar aufnehmen
+test-left = Probebild der linken Kamera
+test-right = Probebild der rechten Kamera
+test-skew = { $skew } ms zwischen den beiden Belichtungen.
+test-together = Nahe genug für ein Teil, das sich bewegt.
+test-apart = Zu weit auseinander für ein Teil, das sich bewegt: prüfen Sie den Trigger.

@@ -1,0 +1,27 @@
+# Texts of cameras.js.
+cameras-title = Cameras
+cameras-what = Both cameras must be there, without trouble, and each on its own side, seen from the cameras towards the part.
+cameras-found = Found
+cameras-none = No camera answers. Look at power and network cable; a camera in another subnet is shown too, with what to change.
+cameras-again = Search again
+is-left = left camera
+is-right = right camera
+is-neither = not used by this cell
+trouble-controlled-by-another-program-or-host = in use by another program or PC: end that one
+trouble-wrong-subnet = its address is of another subnet than the network card
+wave-title = Which one is left?
+wave-what = Wave a hand before the left camera only. The camera before which something moves becomes the left one.
+wave-start = I wave now
+wave-again = Once more
+wave-now = Looking: wave before the left camera now.
+wave-nobody = No hand was seen before one camera alone. Go nearer to the left one, and keep away from the other.
+wave-right = The left picture moved: the cameras are on their right sides.
+wave-swapped = The other picture moved: left and right have been exchanged.
+test-title = Test pair
+test-what = One exposure of both cameras. How far apart they were taken decides how fast a part may move.
+test-take = Take a test pair
+test-left = Test picture of the left camera
+test-right = Test picture of the right camera
+test-skew = { $skew } ms between the two exposures.
+test-together = Close enough for a part that moves.
+test-apart = Too far apart for a part that moves: look at the trigger.

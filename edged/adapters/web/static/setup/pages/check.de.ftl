@@ -1,0 +1,26 @@
+# Texts of check.js.
+check-title = Prüfen
+check-what = Halten Sie eine Tafel vor beide Kameras, ruhig und ganz im Bild. Ein frisches Bildpaar sagt, ob die Kalibrierung noch gilt.
+check-no-rig = Es gibt noch keine Kalibrierung zu prüfen.
+check-other = Eine andere Tafel
+check-now = Jetzt prüfen
+check-running = Es wird gemessen …
+check-take = Nehmen Sie die Zelle, um zu prüfen: ihre Kameras werden gebraucht.
+check-proof = Eine Tafel, deren mm ebenso falsch sind wie beim Kalibrieren, sieht richtig aus. Am besten ist eine andere Tafel, oder eine mit dem Messschieber gemessene.
+check-rows = Zeilen beider Bilder
+check-rows-now = { $now } px auseinander, gut ist höchstens { $limit } px
+check-px = { $limit } px
+check-diagonal = Diagonale der Tafel
+check-length-now = { $error } % (dieses Bildpaar: ± { $spread } %), gut ist höchstens ± { $limit } %
+check-length-mm = gemessen { $measured } mm, wahr { $truth } mm
+check-percent = { $limit } %
+checked-last = Letzte Prüfung
+checked-never = Noch nicht geprüft.
+checked-before = Das war eine andere Kalibrierung als die jetzige: prüfen Sie nochmals.
+checked-ok = Die Kalibrierung gilt.
+checked-not-ok = Die Kalibrierung gilt nicht mehr.
+checked-undecided = Dieses Bildpaar kann es nicht sagen.
+remedy-unseen = Halten Sie die ganze Tafel vor beide Kameras, ohne Glanz, und prüfen Sie nochmals. Ist es die Tafel, die oben gewählt ist?
+remedy-undecided = Die Tafel ist in diesen Bildern zu klein oder unscharf: bringen Sie sie näher oder nehmen Sie eine größere, und prüfen Sie nochmals.
+remedy-rows = Die Kameras haben sich gegeneinander bewegt, oder ein Objektiv. Ziehen Sie fest, was lose ist, und kalibrieren Sie neu.
+remedy-length = Die Zeilen stimmen, die Längen nicht. Messen Sie zuerst die Felder der Tafel: stimmen die mm oben? Wenn ja, kalibrieren Sie neu.

@@ -1,0 +1,26 @@
+# Texts of check.js.
+check-title = Check
+check-what = Hold a board before both cameras, still and whole. One fresh pair says whether the calibration in use still holds.
+check-no-rig = There is no calibration to check yet.
+check-other = Another board
+check-now = Check now
+check-running = Measuring …
+check-take = Take the cell to check: its cameras are needed.
+check-proof = A board whose mm are wrong by as much as at the calibration looks right. Best is another board, or one measured with a calliper.
+check-rows = Rows of both pictures
+check-rows-now = { $now } px apart, at most { $limit } px is good
+check-px = { $limit } px
+check-diagonal = Diagonal of the board
+check-length-now = { $error } % (this pair: ± { $spread } %), at most ± { $limit } % is good
+check-length-mm = measured { $measured } mm, true { $truth } mm
+check-percent = { $limit } %
+checked-last = Last check
+checked-never = Not checked yet.
+checked-before = That was another calibration than the one in use: check again.
+checked-ok = The calibration holds.
+checked-not-ok = The calibration does not hold.
+checked-undecided = This pair cannot tell.
+remedy-unseen = Hold the whole board before both cameras, without glare, then check again. Is it the board that is chosen above?
+remedy-undecided = The board is too small in these pictures, or not sharp: bring it nearer or take a larger one, then check again.
+remedy-rows = The cameras have moved against each other, or a lens has. Tighten what is loose, then calibrate again.
+remedy-length = Rows agree and lengths do not. First measure the squares of the board: are the mm above right? If they are, calibrate again.
