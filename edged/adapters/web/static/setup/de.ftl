@@ -92,6 +92,7 @@ problem-invalid = Das nimmt die Zelle nicht an: { $detail }
 problem-unknown = Das gibt es nicht, oder nicht mehr. Laden Sie die Seite neu.
 problem-input = Das nimmt die Zelle nicht an: { $detail }
 problem-storage = Die Platte des Zellen-PCs ist voll. Schaffen Sie Platz und versuchen Sie es noch einmal.
+problem-stale = Jemand anderes, oder ein anderer Bildschirm, hat das inzwischen geändert. Sie sehen jetzt das Neuere: sehen Sie es an, dann machen Sie Ihres noch einmal.
 problem-gone = Dieses Bild ist nicht mehr da. Nehmen Sie ein neues auf.
 problem-status-404 = Diese Zelle bietet das nicht an. Bringen Sie edged auf dem Zellen-PC auf den neuen Stand und laden Sie die Seite neu.
 problem-status-500 = Die Zelle hat selbst einen Fehler gemacht: sehen Sie in ihr Protokoll (journalctl -u edged).

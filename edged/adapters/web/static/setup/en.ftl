@@ -92,6 +92,7 @@ problem-invalid = The cell does not take this: { $detail }
 problem-unknown = There is no such thing, or not any more. Load the page again.
 problem-input = The cell does not take this: { $detail }
 problem-storage = The disk of the cell PC is full. Make room, then try again.
+problem-stale = Somebody else, or another screen, changed this meanwhile. You see the newer one now: look at it, then do yours again.
 problem-gone = This picture is no longer kept. Take a new one.
 problem-status-404 = This cell does not offer that. Update edged on the cell PC, and load this page again.
 problem-status-500 = The cell made a mistake of its own: look at its log (journalctl -u edged).

@@ -127,21 +127,28 @@ function open() {
   };
 }
 
-function hear({ type, ...told }) {
+// What a page alone listens to: the newest message of a type, as "teaching"; null before the first.
+const others = new Map();
+export function told(type) {
+  if (!others.has(type)) others.set(type, signal(null));
+  return others.get(type);
+}
+
+function hear({ type, ...message }) {
   if (type === "cell") {
-    const isOther = told.rig?.id !== cell.value?.rig?.id;
-    cell.value = told;
+    const isOther = message.rig?.id !== cell.value?.rig?.id;
+    cell.value = message;
     if (isOther) attempt(lookAtCheck);
-  } else if (type === "check") checked.value = told;
-  else if (type === "draft") draft.value = told;
-  else if (type === "task") task.value = told;
-  else if (type === "quality") quality.value = told;
+  } else if (type === "check") checked.value = message;
+  else if (type === "draft") draft.value = message;
+  else if (type === "task") task.value = message;
+  else if (type === "quality") quality.value = message;
   else if (type === "live") {
     const { width, height } = liveState.value;
-    liveState.value = { width, height, ...told };
+    liveState.value = { width, height, ...message };
     // it ends when nobody has looked for a while: a tablet that slept looks again
-    if (told.code === "unseen" && document.visibilityState === "visible") tellLive();
-  }
+    if (message.code === "unseen" && document.visibilityState === "visible") tellLive();
+  } else told(type).value = message;
 }
 
 // Of a whole image of a camera, whatever the size of the picture that is shown.

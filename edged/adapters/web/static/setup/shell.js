@@ -4,7 +4,7 @@ import { ask, attempt, sentence, trouble } from "./api.js";
 import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./live.js";
 import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
 import { Stage } from "./stage.js";
-import { enter, isBuilt, pageOf, PAGES, State, STEPS } from "./steps.js";
+import { BESIDE, enter, isBuilt, pageOf, PAGES, State, STEPS } from "./steps.js";
 import { choose, language, LANGUAGES, t } from "./texts.js";
 
 const hash = () => location.hash.replace(/^#\//, "");
@@ -39,7 +39,7 @@ function Head() {
     <${StateChip} />
     <${PlcChip} />
     ${!isConnected.value && html`<${Chip} kind="bad" shape="gap" role="alert">${t("connection-lost")}<//>`}
-    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current=${here.value !== "system"}>${t("nav-setup")}</a>${isBuilt(PAGES.at(-1)) && html`<a href="#/system" aria-current=${here.value === "system"}>${t("nav-system")}</a>`}<a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
+    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current=${!BESIDE.some(({ id }) => id === here.value)}>${t("nav-setup")}</a>${BESIDE.filter(isBuilt).map(({ id }) => html`<a href="#/${id}" aria-current=${here.value === id}>${t(`nav-${id}`)}</a>`)}<a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
     <label class="language"><span class="unseen">${t("language")}</span>
       <select onChange=${(event) => speakFrom(event.currentTarget.value)}>${Object.entries(LANGUAGES).map(([tag, name]) => html`<option value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}>${name}</option>`)}</select></label>
     <form method="post" action="/logout" class="user"><span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button></form>
@@ -131,7 +131,7 @@ export function Shell() {
   useEffect(() => {
     if (step.id !== here.value) history.replaceState(null, "", `#/${step.id}`);
     follow();
-    document.title = `${cell.value.name}: ${t(`step-${step.id}`)}`;
+    document.title = `${cell.value.name}: ${t(STEPS.includes(step) ? `step-${step.id}` : `nav-${step.id}`)}`;
   }, [step.id, language.value]);
   const skip = (event) => {
     event.preventDefault();

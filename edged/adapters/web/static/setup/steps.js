@@ -44,8 +44,9 @@ export const STEPS = [
   { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
-// Not a step: what runs, and what ran before.
-export const PAGES = [...STEPS, { id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" }];
+// Not steps: what runs, and what ran before; in the head of every page.
+export const BESIDE = [{ id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" }];
+export const PAGES = [...STEPS, ...BESIDE];
 export const isBuilt = ({ load, needs }) => load && (!needs || needs.some(offers));
 export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));
 
