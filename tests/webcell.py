@@ -78,6 +78,7 @@ class Cell(BrowserSession):
         self.cycle, self.web, self.head, self.ear, self.state = cycle, web, head, ear, state
         self.asleep_s = asleep_s
         self.plant = Overview()
+        self.runs_by = ""
 
     def sleep(self, seconds: float) -> None:
         """Nobody does anything for so long."""
@@ -123,6 +124,7 @@ async def running(
             metrics=bytes,
             convention=lambda: Convention.FIXED_XYZ,
             overview=lambda: seen[0].plant if seen else Overview(),
+            fingerprint=lambda: seen[0].runs_by if seen else "",
         )
         settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
         asleep_s = [0.0]

@@ -266,6 +266,7 @@ class Servers:
                     metrics=self._metrics,
                     convention=lambda: Convention[running().loaded.cell.config.modbus.convention.upper()],
                     overview=lambda: overview(running()),
+                    fingerprint=lambda: running().loaded.setup.fingerprint,
                 )
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": self._state})

@@ -8,8 +8,10 @@ import pytest
 from scriptedhead import until
 from webcell import PASSWORD, Cell, run
 
-from edged.adapters.web.auditing import REFUSED_BURST
+from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase
+from edged.domain.events import Idle
+from edged.files.audit import AuditFile
 
 
 def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
@@ -77,6 +79,26 @@ def test_setup_that_the_plant_ends_is_noted() -> None:
         deeds = [(one["user"], one["verb"], one["object"]) for one in told["records"]]
         anna = [("Anna", "POST", "setup"), ("Anna", "DELETE", "setup")]
         assert [("Anna", "log in", "page"), anna[0], ("", "end", "setup"), *anna] == deeds
+
+    run(test)
+
+
+def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
+    """Also by a command, an editor, or while the daemon was away; once, with what was there before."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in()
+        for fingerprint in ("0000000a", "0000000a", "0000000b"):
+            cell.runs_by = fingerprint
+            cell.web.announce(Idle())
+        after = Auditor(AuditFile(cell.state))
+        for fingerprint in ("0000000b", "0000000c"):
+            after.note_run(fingerprint)
+        await after.close()
+        _, told = await cell.ask("GET", "/api/v1/audit", None)
+        runs = [(one["before"], one["after"]) for one in told["records"] if one["verb"] == RUN]
+        assert [(None, "0000000a"), ("0000000a", "0000000b"), ("0000000b", "0000000c")] == runs
+        assert told["problem"] is None
 
     run(test)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 from aiohttp import web
@@ -12,6 +13,7 @@ from pydantic import Field
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, RouteTable
 from edged.door import Rate
+from edged.errors import FileFormatError
 from edged.files.audit import AuditFile, Deed, shown
 from edged.logs import LogLimit, fields
 
@@ -20,6 +22,8 @@ log = logging.getLogger(__name__)
 REFUSED_PER_S, REFUSED_BURST = 0.1, 20.0
 """What is refused more often is in the journal alone: who only may look must not fill the disc."""
 MAX_RECORDS = 500
+RUN = "run"
+"""The cell runs by other files than before, whoever has changed them."""
 WAIT_S = 5.0
 
 
@@ -64,6 +68,7 @@ class Auditor:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="audit")
         self._refused = Rate(REFUSED_PER_S, burst=REFUSED_BURST)
         self._limit = LogLimit(__name__)
+        self._runs_by = ""
         self._is_closed = False
 
     def add_to(self, table: RouteTable) -> None:
@@ -111,6 +116,13 @@ class Auditor:
             return done
         return self._thread.submit(self._keep, deed)
 
+    def note_run(self, fingerprint: str) -> None:
+        """What the cell runs by, where it was not noted last: also what a command or an editor has changed."""
+        if self._file is None or self._is_closed or fingerprint == self._runs_by:
+            return
+        self._runs_by = fingerprint
+        self._thread.submit(self._keep_run, self._file, fingerprint)
+
     async def close(self) -> None:
         """Everything is on the disc."""
         self._is_closed = True
@@ -125,6 +137,14 @@ class Auditor:
             except OSError as error:
                 log.error("the audit cannot be kept: %s", error)  # noqa: TRY400  (it says where)
         log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
+
+    def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
+        before: str | None = None
+        with suppress(FileFormatError):  # who reads the audit is told
+            runs = (one for one in reversed(file.verify().records) if one["verb"] == RUN)
+            before = next((one["after"] for one in runs), None)
+        if before != fingerprint:
+            self._keep(Deed("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
 
     async def _read(self, call: Call[Asked]) -> AuditNow:
         if self._file is None:

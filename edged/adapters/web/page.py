@@ -85,7 +85,7 @@ class Sources:
     rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
     shown.  registers : each with its value; empty without a Modbus server.
     metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
-    overview : for who sets the cell up.
+    overview : for who sets the cell up.  fingerprint : of what the cell runs by.
     """
 
     rectification: Callable[[], Rectification]
@@ -95,6 +95,7 @@ class Sources:
     metrics: Callable[[], bytes]
     convention: Callable[[], Convention]
     overview: Callable[[], Overview] = Overview
+    fingerprint: Callable[[], str] = str
 
 
 @dataclass(frozen=True, slots=True, eq=False)

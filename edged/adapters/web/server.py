@@ -233,6 +233,8 @@ class WebPublisher:
             self._viewers.wake()
         if self._taking is not None and isinstance(event, CellState) and self._taking.ended_by(event):
             self._auditor.post(Deed("", "", "", "end", "setup", "ok", reason="by the plant (AUTO_LOCK)"))
+        if is_new or isinstance(event, Idle):
+            self._auditor.note_run(self._sources.fingerprint())
         # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event
         if self._sockets is not None and (is_new or isinstance(event, Idle)):
             self._sockets.cell_changed()
