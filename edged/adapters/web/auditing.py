@@ -117,7 +117,7 @@ class Auditor:
         return self._thread.submit(self._keep, deed)
 
     def note_run(self, fingerprint: str) -> None:
-        """What the cell runs by, where it was not noted last: also what a command or an editor has changed."""
+        """What the cell runs by, where it was not noted last: also what a command or an editor changed."""
         if self._file is None or self._is_closed or fingerprint == self._runs_by:
             return
         self._runs_by = fingerprint

@@ -11,14 +11,17 @@ import asyncio
 import errno
 import logging
 import math
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from aiohttp import web
 from pydantic import BaseModel, ValidationError
 
 from edged.adapters.web.access import TooManyAttempts
+from edged.adapters.web.repeats import Repeats
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
 from edged.adapters.web.visitors import Role, Visitor
 from edged.errors import (
@@ -71,7 +74,9 @@ class Gate:
         visitor_of: Callable[[web.Request], Visitor | None],
         note: Note,
         active: Callable[[str], None] = lambda _session: None,
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._repeats = Repeats(clock_s)
         self._active = active
         self._table = table
         self._commissioner = commissioner
@@ -93,10 +98,12 @@ class Gate:
                 if route.changes and not route.is_by_itself:
                     self._active(visitor.session)
                 call = replace(call, body=await _body(route, request))
-                if route.needs_lease:
-                    self._commissioner.renew_setup(call.body.token)
-                response = _response(route, await route.handler(call))
-                outcome = "ok"
+                if route.changes:
+                    do = partial(self._done, route, call)
+                    response, is_repeat = await self._repeats.once(visitor, request, call.body, do)
+                    outcome = "again" if is_repeat else "ok"
+                else:
+                    response, outcome = await self._done(route, call), "ok"
             except (Problem, TooManyAttempts, EdgedError, OSError) as error:
                 problem = _problem(error)
                 outcome = problem.code
@@ -107,6 +114,11 @@ class Gate:
             return response
 
         return serve
+
+    async def _done(self, route: Route, call: Call[Any]) -> web.StreamResponse:
+        if route.needs_lease:
+            self._commissioner.renew_setup(call.body.token)
+        return _response(route, await route.handler(call))
 
 
 def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:

@@ -117,6 +117,7 @@ class WebPublisher:
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._cell = cell
+        self._clock_s = clock_s
         self._sources = sources
         self._notices = notices or Notices()
         self._live = live
@@ -224,7 +225,14 @@ class WebPublisher:
         self._html["setup"] = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
         )
-        return Gate(table, commissioner, self._visitor, self._auditor.note, active=self._access.note_activity)
+        return Gate(
+            table,
+            commissioner,
+            self._visitor,
+            self._auditor.note,
+            active=self._access.note_activity,
+            clock_s=self._clock_s,
+        )
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""

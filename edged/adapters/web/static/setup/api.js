@@ -12,17 +12,28 @@ export class Problem extends Error {
 // The last thing that went wrong, until somebody has read it.
 export const trouble = signal(null);
 
-export async function ask(method, path, body) {
-  let answer;
+const AGAIN_MS = 700;
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+
+// Sent again once when no answer came: with the same key, so that nothing is done twice.
+async function send(path, request, isAgain) {
   try {
-    answer = await fetch(`/api/v1/${path}`, {
-      method,
-      headers: body === undefined ? {} : { "Content-Type": "application/json" },
-      body: body === undefined ? undefined : JSON.stringify(body),
-    });
+    return await fetch(`/api/v1/${path}`, request);
   } catch {
-    throw new Problem({ code: "unreachable" });
+    if (isAgain) throw new Problem({ code: "unreachable" });
+    await wait(AGAIN_MS);
+    return send(path, request, true);
   }
+}
+
+export async function ask(method, path, body) {
+  const request = { method };
+  if (method !== "GET") {
+    const key = [...crypto.getRandomValues(new Uint32Array(4))].map((word) => word.toString(36)).join("");
+    request.headers = { "Content-Type": "application/json", "Idempotency-Key": key };
+    request.body = JSON.stringify(body ?? {});
+  }
+  const answer = await send(path, request);
   const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
   const document = isJson ? await answer.json() : {};
   if (answer.ok) return document;
