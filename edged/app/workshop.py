@@ -17,9 +17,11 @@ from edged.files.statefolder import state_folder
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
+from edged.workshop import calibrations, cycles
 from edged.workshop.activating import Activation, CellNow
-from edged.workshop.calibrations import FUNCTIONS, Calibrations
+from edged.workshop.calibrations import Calibrations
 from edged.workshop.checks import Checks, RigInUse
+from edged.workshop.cycles import Cycles
 from edged.workshop.tasks import Tasks
 from edged.workshop.worker import Worker
 
@@ -50,6 +52,12 @@ def _jobs(running: Running) -> dict[str, Job]:
     return {job.name: job for job in cell.jobs} if isinstance(cell, CellFiles) else {}
 
 
+def _recordings(running: Running) -> Path | None:
+    """Where cycles are recorded; None where they are not."""
+    recorder = running.loaded.cell.config.recorder
+    return None if recorder is None else recorder.folder
+
+
 class Workshop:
     """Built for the first page that may set the cell up; outlives its reloads.
 
@@ -69,7 +77,8 @@ class Workshop:
         self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
-        self._worker = Worker(FUNCTIONS, lambda: 2 if cycle.in_setup else 1)
+        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS}
+        self._worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
         self._tasks = Tasks(notices)
         self._calibrations = Calibrations(
             folder / "drafts",
@@ -92,6 +101,7 @@ class Workshop:
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
+        self._cycles = Cycles(lambda: _recordings(running()), self._worker)
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)
 
@@ -99,12 +109,14 @@ class Workshop:
         """What adds the routes of all this."""
         from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
         from edged.workshop.checkroutes import CheckRoutes
+        from edged.workshop.cycleroutes import CycleRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,
             ReleaseRoutes(self._calibrations, self._activation).add_to,
             CheckRoutes(self._checks).add_to,
+            CycleRoutes(self._cycles).add_to,
         ]
 
     def _cell_now(self) -> CellNow:
@@ -125,4 +137,5 @@ class Workshop:
         await cancel_and_await(self._finishing)
         await self._calibrations.close()
         await self._tasks.close()
+        await self._cycles.close()
         await self._worker.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -13,19 +13,13 @@ from rich.console import Console
 from rich.progress import track
 
 from edged.commissioning.regression import COMPARED, compare, decided, drawn, inspected
-from edged.config.reading import limits_of
-from edged.domain.picking import Bounds
+from edged.commissioning.setups import Setups
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import write_atomically, write_file
-from edged.files.jobs import job_folders, load_job
 from edged.files.outputs import check_folder
-from edged.files.rig import load_rig
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
-from edged.pipeline import PreparedRig, prepare
-from edged.robot.picking import narrowed, within
-from edged.vision.part.job import Job
 
 SHOWN = 12
 
@@ -61,14 +55,14 @@ def replay(
     if overlays is not None:
         check_folder(overlays)
         overlays.mkdir(parents=True, exist_ok=True)
-    report, setups = Report(recording.versions()), _Setups()
+    report, setups = Report(recording.versions()), Setups()
     for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:
             taken = recording.load(file)
             if taken.pair is None:
                 report.skipped.append({"file": file.name, "reason": "no images: " + _text(taken.snapshot)})
                 continue
-            setup = setups.of(file, taken)
+            setup = setups.of(file, taken.snapshot)
             inspection = inspected(taken, *setup)
             again = decided(taken, inspection, *setup)
             if overlays is not None and inspection is not None:
@@ -94,40 +88,6 @@ def replay(
         _print(report, console)
     damaged = [entry for entry in report.skipped if not entry["reason"].startswith("no images")]
     return 1 if report.different or damaged else 0
-
-
-class _Setups:
-    """Rigs and jobs of the fingerprints met so far."""
-
-    def __init__(self) -> None:
-        self._loaded: dict[Path, tuple[PreparedRig, dict[int, Job], Bounds]] = {}
-
-    def of(self, file: Path, taken: recording.Recording) -> tuple[PreparedRig, Job]:
-        fingerprint, number = str(taken.snapshot.get("fingerprint")), int(taken.snapshot["job_number"])
-        folder = recording.setup_folder(file.parent.parent, fingerprint)
-        if not folder.is_dir():
-            raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
-        if folder not in self._loaded:
-            bounds = _bounds(folder / "cell.toml")
-            found = [load_job(one) for one in job_folders(folder / "jobs")]
-            rig = prepare(load_rig(folder / "rig.json"))
-            self._loaded[folder] = rig, {job.number: job for job in found}, bounds
-        rig, known, bounds = self._loaded[folder]
-        if number not in known:
-            raise FileFormatError(f"{folder}: no job {number}")
-        job, command = known[number], taken.snapshot.get("command")
-        box = command.get("box", 0) if isinstance(command, dict) else 0
-        return rig, replace(job, picking=within(job.picking, narrowed(bounds, box)))
-
-
-def _bounds(path: Path) -> Bounds:
-    """The cell's; none where it was recorded before there were any."""
-    if not path.is_file():
-        return Bounds()
-    try:
-        return limits_of(path.read_bytes()).bounds()
-    except (OSError, ValueError) as error:
-        raise FileFormatError(f"{path}: cannot be read: {error}") from error
 
 
 def _files(path: Path) -> list[Path]:

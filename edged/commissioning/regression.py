@@ -27,6 +27,8 @@ from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""
+SHOWN = (*COMPARED, "dismissed", "nearest")
+"""Also what is told to people only."""
 
 
 def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
@@ -46,9 +48,17 @@ def decided(taken: Recording, inspection: Inspection | None, rig: PreparedRig, j
     """What of a published snapshot an inspection decides."""
     if inspection is None:
         return {key: taken.snapshot.get(key) for key in COMPARED}
+    told = shown(taken, inspection, rig, job)
+    return {key: told[key] for key in COMPARED}
+
+
+def shown(
+    taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job, *, drifts: bool = True
+) -> Json:
+    """The same, with what was seen and not measured. drifts : what the rig then was worth counts."""
     outcome = judge(inspection)
     drift = taken.snapshot.get("drift")
-    if isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
+    if drifts and isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
     return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
 
@@ -100,12 +110,14 @@ def _json_of(
             exposed_ns=0,
             published_ns=0,
             targets=outcome.targets,
+            dismissed=outcome.dismissed,
+            nearest=outcome.nearest,
             robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
         )
     )
     # through text, as the recorded one went
-    return dict(json.loads(json.dumps({key: document[key] for key in COMPARED})))
+    return dict(json.loads(json.dumps({key: document[key] for key in SHOWN})))
 
 
 def compare(place: str, old: Any, new: Any) -> Iterator[str]:

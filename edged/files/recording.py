@@ -16,6 +16,7 @@ import re
 import shutil
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,7 +27,7 @@ from typing import Any
 import cv2
 
 from edged import __version__
-from edged.domain.arrays import SIDES, Image
+from edged.domain.arrays import SIDES, Image, Side
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.errors import FileFormatError, ImageError
@@ -46,6 +47,20 @@ VERSION = 1
 NAME = re.compile(
     r"(?P<index>\d{9})_(?P<utc>\d{8}T\d{6}\.\d{6}Z)_(?P<status>[A-Z_]+)_(?P<fingerprint>[0-9a-f]{8})\.zip"
 )
+DOCUMENT = "recording.json"
+MAX_DOCUMENT_BYTES = 8 * 1024 * 1024
+"""Eight parts of fifty features each are a twentieth of it."""
+MAX_PIXELS = 1 << 26
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    KeyError,
+    ValueError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+)
+"""What reading a ZIP and its JSON raises for what is neither."""
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
 
@@ -108,7 +123,7 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
         for side, frame in frames.items():
             archive.writestr(_member(f"{side}.png"), _png(frame.image))
-        archive.writestr(_member("recording.json"), json.dumps(document, allow_nan=False, indent=1))
+        archive.writestr(_member(DOCUMENT), json.dumps(document, allow_nan=False, indent=1))
     return buffer.getvalue()
 
 
@@ -120,21 +135,69 @@ def decode(data: bytes, place: str) -> Recording:
             if sum(sizes.values()) > MAX_FILE_BYTES:
                 raise FileFormatError(f"{place}: {sum(sizes.values())} bytes are too many for a recording")
             members = {name: archive.read(name) for name in sizes}
-        document = json.loads(members["recording.json"])
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
+        document = json.loads(members[DOCUMENT])
+    except _DAMAGE as error:
         raise FileFormatError(f"{place}: not a recording: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FileFormatError(f'{place}: not a recording (expected "format": "{FORMAT}")')
-    if document.get("version") != VERSION:
-        raise FileFormatError(f"{place}: version {document.get('version')!r}, this edged reads {VERSION}")
-    snapshot, made_by, frames = (_table(document, key, place) for key in ("snapshot", "versions", "frames"))
-    for key, kind in (("status", str), ("job", str), ("job_number", int), ("cycle", int)):
-        if not isinstance(snapshot.get(key), kind):
-            raise FileFormatError(f"{place}: snapshot.{key}: expected {kind.__name__}")
+    snapshot = _snapshot_of(document, place)
+    made_by, frames = (_table(document, key, place) for key in ("versions", "frames"))
     pair = None
     if frames:
         pair = FramePair(*(_frame(side, frames, members, place) for side in SIDES))
     return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair)
+
+
+def _snapshot_of(document: Any, place: str) -> Json:
+    """The snapshot in a recording's document, as far as everybody needs it looked at."""
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise FileFormatError(f'{place}: not a recording (expected "format": "{FORMAT}")')
+    if document.get("version") != VERSION:
+        raise FileFormatError(f"{place}: version {document.get('version')!r}, this edged reads {VERSION}")
+    snapshot = _table(document, "snapshot", place)
+    for key, kind in (("status", str), ("job", str), ("job_number", int), ("cycle", int)):
+        if not isinstance(snapshot.get(key), kind):
+            raise FileFormatError(f"{place}: snapshot.{key}: expected {kind.__name__}")
+    return snapshot
+
+
+def load_snapshot(path: Path) -> tuple[Json, bool]:
+    """The snapshot of one recording, and whether there are pictures; these are not read.
+
+    Raises `FileFormatError`.
+    """
+    members, names = _members_of(path, (DOCUMENT,), MAX_DOCUMENT_BYTES)
+    try:
+        document = json.loads(members[DOCUMENT])
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not a recording: {error}") from error
+    return _snapshot_of(document, str(path)), all(f"{side}.png" in names for side in SIDES)
+
+
+def load_picture(path: Path, side: Side) -> Image:
+    """One picture of a recording. Raises `FileFormatError`."""
+    name = f"{side}.png"
+    data = _members_of(path, (name,), MAX_FILE_BYTES)[0][name]
+    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))
+    if width * height > MAX_PIXELS:  # a few bytes of PNG unpack to more than a PC holds
+        raise FileFormatError(f"{path}: {name}: {width}x{height} pixels are too many for a recording")
+    try:
+        return decode_image(data, f"{path}/{name}")
+    except ImageError as error:
+        raise FileFormatError(str(error)) from error
+
+
+def _members_of(path: Path, wanted: Iterable[str], limit_bytes: int) -> tuple[dict[str, bytes], set[str]]:
+    """Some members of a file, each of sane size, and the names of all."""
+    try:
+        if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
+            raise FileFormatError(f"{path}: no file of a recording")
+        with zipfile.ZipFile(path) as archive:
+            sizes = {info.filename: info.file_size for info in archive.infolist()}
+            for name in wanted:
+                if sizes[name] > limit_bytes:
+                    raise FileFormatError(f"{path}: {name}: {sizes[name]} bytes are too many")
+            return {name: archive.read(name) for name in wanted}, set(sizes)
+    except (*_DAMAGE, OSError) as error:
+        raise FileFormatError(f"{path}: not a recording: {error}") from error
 
 
 def load(path: Path) -> Recording:
@@ -154,15 +217,25 @@ def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair:
 
 def entries(folder: Path) -> list[Entry]:
     """The recordings of a folder, oldest first; other files are no recordings."""
-    found = []
-    for path in (folder / "cycles").glob("*.zip"):
-        if parts := NAME.fullmatch(path.name):
-            try:
-                recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
-            except ValueError:  # a date that does not exist: somebody else named it
-                continue
-            found.append(Entry(path, int(parts["index"]), recorded, parts["status"], parts["fingerprint"]))
-    return sorted(found, key=lambda entry: entry.index)
+    found = (_entry(path) for path in (folder / "cycles").glob("*.zip"))
+    return sorted((one for one in found if one is not None), key=lambda entry: entry.index)
+
+
+def find(folder: Path, index: int) -> Entry | None:
+    """The recording with a number; None where there is none."""
+    found = (_entry(path) for path in (folder / "cycles").glob(f"{index:09d}_*.zip"))
+    return next((one for one in found if one is not None), None)
+
+
+def _entry(path: Path) -> Entry | None:
+    parts = NAME.fullmatch(path.name)
+    if parts is None:
+        return None
+    try:
+        recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
+    except ValueError:  # a date that does not exist: somebody else named it
+        return None
+    return Entry(path, int(parts["index"]), recorded, parts["status"], parts["fingerprint"])
 
 
 def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> None:

@@ -1,0 +1,200 @@
+"""Recorded cycles as a list for people: newest first, by status, job and reason; damaged ones are told.
+
+Files of recordings never change: what one says is read once, without its pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from edged.domain.events import CommandKind
+from edged.domain.measurement import Reject, Status
+from edged.errors import FileFormatError
+from edged.files import recording
+from edged.payload import Json
+
+MOST = 200
+"""Of one answer."""
+NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
+"""Beside the names of `Reject`: nothing was like the part; the cameras gave no pair."""
+REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A recorded cycle. reasons : of `REASONS`; none of a good one.
+
+    number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
+    parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; None: there is none.
+    """
+
+    number: int
+    at: str
+    status: str
+    cycle: int
+    kind: str
+    job: str
+    job_number: int
+    calibration: str
+    fingerprint: str
+    reasons: tuple[str, ...]
+    parts: int
+    sigma_um: float | None
+    error: str
+    has_pictures: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Damaged:
+    """A recording that cannot be read."""
+
+    file: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Some of the list. counts : all recordings by status, by their names. has_more : older ones follow."""
+
+    lines: tuple[Line, ...]
+    damaged: tuple[Damaged, ...]
+    counts: dict[str, int]
+    has_more: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What to list; None: any. before : only recordings with a smaller number."""
+
+    status: str | None = None
+    reason: str | None = None
+    job: str | None = None
+    before: int | None = None
+    most: int = 50
+
+
+class Records:
+    """The recordings of a folder; whoever asks waits for the disc."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[str, Line | Damaged] = {}
+
+    def entries(self) -> list[recording.Entry]:
+        """By their names, newest first."""
+        return recording.entries(self.folder)[::-1]
+
+    def entry(self, number: int) -> recording.Entry:
+        """Raises `KeyError` for a number that is not there."""
+        found = recording.find(self.folder, number)
+        if found is None:
+            raise KeyError(number)
+        return found
+
+    def page(self, wanted: Wanted) -> Page:
+        """What is wanted of the list."""
+        entries = self.entries()
+        names = {one.path.name for one in entries}
+        for gone in [name for name in self._known if name not in names]:
+            self._known.pop(gone, None)
+        counts: dict[str, int] = {}
+        for one in entries:
+            counts[one.status] = counts.get(one.status, 0) + 1
+        lines: list[Line] = []
+        damaged: list[Damaged] = []
+        for found in self._found(entries, wanted):
+            if isinstance(found, Damaged):
+                damaged.append(found)
+            elif len(lines) == wanted.most:
+                return Page(tuple(lines), tuple(damaged), counts, has_more=True)
+            else:
+                lines.append(found)
+        return Page(tuple(lines), tuple(damaged), counts, has_more=False)
+
+    def newest_good(self, job_number: int, calibration: str, but: int) -> recording.Entry | None:
+        """A good cycle of a job, measured by a calibration, if it can be: to look at beside another one."""
+        other = None
+        for one in self.entries():
+            if one.status != Status.OK or one.index == but:
+                continue
+            line = self.line(one)
+            if isinstance(line, Damaged) or line.job_number != job_number or not line.parts:
+                continue
+            if line.calibration == calibration:
+                return one
+            other = other or one
+        return other
+
+    def line(self, entry: recording.Entry) -> Line | Damaged:
+        """What a recording says in short."""
+        name = entry.path.name
+        known = self._known.get(name)
+        if known is None:
+            try:
+                known = _line(entry, *recording.load_snapshot(entry.path))
+            except FileFormatError as error:
+                known = Damaged(name, str(error))
+            self._known[name] = known
+        return known
+
+    def _found(self, entries: Sequence[recording.Entry], wanted: Wanted) -> Iterator[Line | Damaged]:
+        for entry in entries:
+            if wanted.before is not None and entry.index >= wanted.before:
+                continue
+            if wanted.status is not None and entry.status != wanted.status:
+                continue
+            line = self.line(entry)
+            if isinstance(line, Line):
+                if wanted.reason is not None and wanted.reason not in line.reasons:
+                    continue
+                if wanted.job is not None and wanted.job != line.job:
+                    continue
+            yield line
+
+
+def reasons_of(snapshot: Json) -> tuple[str, ...]:
+    """Why a recorded cycle is not good, in the order of `REASONS`."""
+    status, command = snapshot.get("status"), snapshot.get("command")
+    if status == Status.OK or (isinstance(command, dict) and command.get("kind") == CommandKind.GRAB.name):
+        return ()
+    if status == Status.CAPTURE_FAULT:
+        return (CAPTURE,)
+    lists = [one.get("reject") for key in ("rejected", "dismissed") for one in _objects(snapshot, key)]
+    told = [name for names in lists if isinstance(names, list) for name in names]
+    return tuple(name for name in REASONS if name in told) or (NOT_FOUND,)
+
+
+def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> Line:
+    targets, command = _objects(snapshot, "targets"), snapshot.get("command")
+    kind = command.get("kind", "") if isinstance(command, dict) else ""
+    return Line(
+        number=entry.index,
+        at=entry.recorded.isoformat(timespec="milliseconds"),
+        status=entry.status,
+        cycle=snapshot["cycle"],
+        kind=str(kind)[:40],
+        job=snapshot["job"][:200],
+        job_number=snapshot["job_number"],
+        calibration=str(snapshot.get("calibration", ""))[:200],
+        fingerprint=str(snapshot.get("fingerprint", ""))[:64],
+        reasons=reasons_of(snapshot),
+        parts=len(targets),
+        sigma_um=_worst_um(targets[0]) if targets else None,
+        error=str(snapshot.get("error", ""))[:500],
+        has_pictures=has_pictures,
+    )
+
+
+def _worst_um(target: Json) -> float | None:
+    sigmas = target.get("sigma_mm")
+    numbers = [one for one in sigmas if isinstance(one, int | float)] if isinstance(sigmas, list) else []
+    return round(1e3 * max(numbers), 2) if numbers else None
+
+
+def _objects(snapshot: Json, key: str) -> list[dict[str, Any]]:
+    """A list of objects, whatever is there."""
+    value = snapshot.get(key)
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
