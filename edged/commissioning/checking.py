@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,9 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.stereoimages import linear_image
 from edged.vision.part.consistency import undoubted
 from edged.vision.part.job import Job
+
+MAX_OFFERED = 12
+"""Lengths of a part that whoever checks is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +117,24 @@ def by_part(
     target = undoubted(measured[0], rig.baseline_mm)
     lengths = tuple(_length_of(target, name, true_mm) for name, true_mm in known.items())
     return _judged(target.epipolar_rms_px, lengths, limits, None)
+
+
+def offered_lengths(job: Job) -> list[tuple[str, float | None]]:
+    """What `by_part` may be asked of a job, with its size as taught, mm, where that is known; the longest first.
+
+    A long length tells a scale best, and of many circles there are more pairs than anybody measures.
+    """
+    sizes: list[tuple[str, float | None]] = [
+        (one.name, one.nominal)
+        for one in job.measurements
+        if one.kind not in ("angle", "flatness", "radius")  # a circle is asked for by its diameter
+    ]
+    taught = [(circle.name, 2 * circle.radius_mm) for circle in job.circles]
+    for first, second in itertools.combinations(job.circles, 2):
+        distance_mm = float(np.linalg.norm(second.centre_mm - first.centre_mm))
+        taught.append((f"{first.name}-{second.name}", distance_mm))
+    taught.sort(key=lambda one: -one[1])
+    return [*sizes, *taught][:MAX_OFFERED]
 
 
 def _judged(

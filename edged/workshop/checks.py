@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from edged.commissioning.checking import Finding, Limits
+from edged.commissioning.checking import Finding, Limits, offered_lengths
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
@@ -71,13 +71,30 @@ class CheckDocument(BaseModel):
     remarks: list[str]
 
 
+class OfferedLength(BaseModel):
+    """What a part may be measured by. taught_mm : as the job has it; null: not known."""
+
+    model_config = ConfigDict(frozen=True)
+    name: str
+    taught_mm: float | None
+
+
+class OfferedPart(BaseModel):
+    """A part, by the name of its job."""
+
+    model_config = ConfigDict(frozen=True)
+    job: str
+    lengths: list[OfferedLength]
+
+
 class Checked(BaseModel):
-    """The last check. is_current : it judged the rig that is in use. boards : to check with."""
+    """The last check. is_current : it judged the rig that is in use. boards, parts : to check with."""
 
     model_config = ConfigDict(frozen=True)
     last: CheckDocument | None
     is_current: bool
     boards: list[str] = Field(description="of the last check, and of the calibration in use, as far as known")
+    parts: list[OfferedPart]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +161,8 @@ class Checks:
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
         boards = [] if last is None or last.board is None else [last.board]
         boards += [] if rig is None else rig.boards
-        return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)))
+        parts = [_offered(job) for job in self._jobs().values()]
+        return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)), parts=parts)
 
     async def _seen(self, token: str) -> tuple[RigInUse, FramePair]:
         rig = self._rig()
@@ -169,6 +187,11 @@ class Checks:
         except (OSError, ValidationError) as error:
             log.warning("the last check cannot be read, as if there were none: %s", error)
             return None
+
+
+def _offered(job: Job) -> OfferedPart:
+    lengths = [OfferedLength(name=name, taught_mm=taught_mm) for name, taught_mm in offered_lengths(job)]
+    return OfferedPart(job=job.name, lengths=lengths)
 
 
 def _document(

@@ -169,8 +169,8 @@ def test_an_engineer_says_who_may_come_in() -> None:
         await page.click('header nav a[href="#/system"]')
         await page.until(f"{people}.length === 4")
         assert await page.value("document.querySelector(\"[aria-label='Role of Anna']\").disabled")
-        await page.type("section form label:nth-child(1) input", "Rita")
-        await page.type("section form [type=password]", "correct horse")
+        await page.type("#users ~ form label:nth-child(1) input", "Rita")
+        await page.type("#users ~ form [type=password]", "correct horse")
         await press(page, "Add")
         await page.until(f'{people}.includes("Rita")')
         assert await cell.comes_in("Rita")
@@ -185,6 +185,27 @@ def test_an_engineer_says_who_may_come_in() -> None:
         await page.until(f"{people}.length === 4")
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
+
+    on_the_page(test)
+
+
+def test_everybody_has_a_password_of_their_own() -> None:
+    """Who knows the present one changes it; it is said aloud, and counts at once."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await go(page, "system")
+        await page.type(".own [autocomplete=current-password]", "wrong")
+        await page.type(".own [autocomplete=new-password]", "another horse")
+        await press(page, "Change it")
+        await page.until(said("This is not the password."))
+        page.complaints.clear()  # of the refusal
+        await press(page, "Understood")
+        await page.value('document.querySelector(".own [autocomplete=current-password]").select()')
+        await page.type(".own [autocomplete=current-password]", PASSWORD)
+        await press(page, "Change it")
+        await page.until(said("Your password is changed"))
+        assert not await cell.comes_in("Anna")
+        assert await cell.comes_in("Anna", "another horse")
 
     on_the_page(test)
 

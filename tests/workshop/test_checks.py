@@ -20,7 +20,7 @@ from edged.session.notices import Notices
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.workshop.calibrations import FUNCTIONS
-from edged.workshop.checks import CheckDocument, Checked, Checks, RigInUse
+from edged.workshop.checks import CheckDocument, Checked, Checks, OfferedLength, RigInUse
 from edged.workshop.worker import Worker
 
 BOARD = "chessboard:11x8:4"
@@ -35,7 +35,7 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
     async def test(newcomer: Newcomer) -> None:
         body = {**newcomer.token, "board": BOARD}
         true = newcomer.world.cell.rig
-        nothing = {"last": None, "is_current": False, "boards": []}
+        nothing = {"last": None, "is_current": False, "boards": [], "parts": []}
         assert nothing == await newcomer.ask("GET", "checks")
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         refused = await newcomer.ask("POST", "checks", body, 409)
@@ -76,7 +76,7 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
         assert abs(length["error_percent"]) + length["spread_percent"] < 0.1
         assert np.hypot(40, 28) == pytest.approx(length["true_mm"])
         known = await newcomer.ask("GET", "checks")
-        assert {"last": good, "is_current": True, "boards": [BOARD]} == known
+        assert {"last": good, "is_current": True, "boards": [BOARD], "parts": []} == known
 
         await newcomer.ask("PUT", "stage", {"showing": "nothing"})
         unseen = await newcomer.ask("POST", "checks", body, 201)
@@ -96,10 +96,14 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
         quality = {"board": f"dots:7x7:5,{BOARD}"}
         save_rig(tmp_path / "rig.json", replace(true, calibration_id="another"), quality)
         assert await newcomer.daemon.reload()
-        known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"]}
+        known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"], "parts": []}
         assert known == await newcomer.ask("GET", "checks")
 
     run(tmp_path, test, gige=False)
+
+
+def _size(length: OfferedLength) -> tuple[str, float | None]:
+    return length.name, length.taught_mm and round(length.taught_mm, 1)
 
 
 def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
@@ -132,7 +136,10 @@ def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None
             for rig in (true, wide):
                 in_use.append(rig)
                 found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
-                assert Checked(last=found[-1], is_current=True, boards=[]) == await checks.last()
+                known = await checks.last()
+                assert Checked(last=found[-1], is_current=True, boards=[], parts=known.parts) == known
+                (part,) = known.parts
+                assert (job.name, "c0", 28.0) == (part.job, *_size(part.lengths[0]))
             with pytest.raises(UserError, match="length c9: the job has c0"):
                 await checks.by_part("theirs", "Anna", job.name, {"c9": 28.0})
             kept.write_text("{")

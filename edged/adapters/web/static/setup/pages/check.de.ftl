@@ -1,7 +1,11 @@
 # Texts of check.js.
 check-title = Prüfen
-check-what = Halten Sie eine Tafel vor beide Kameras, ruhig und ganz im Bild. Ein frisches Bildpaar sagt, ob die Kalibrierung noch gilt.
+check-what = Halten Sie eine Tafel oder ein Teil, dessen Größe bekannt ist, vor beide Kameras, ruhig und ganz im Bild. Ein frisches Bildpaar sagt, ob die Kalibrierung noch gilt.
 check-no-rig = Es gibt noch keine Kalibrierung zu prüfen.
+check-by = Womit?
+check-part = Ein Teil bekannter Größe: { $job }
+check-lengths = Legen Sie das Teil vor beide Kameras und tragen Sie ein, was der Messschieber sagt; ein Kreis steht für seinen Durchmesser, zwei Namen für den Abstand ihrer Mitten. Ein Maß genügt, ein langes ist am besten.
+check-taught = (eingelernt: { $mm } mm)
 check-other = Eine andere Tafel
 check-now = Jetzt prüfen
 check-running = Es wird gemessen …

@@ -1,7 +1,11 @@
 # Texts of check.js.
 check-title = Check
-check-what = Hold a board before both cameras, still and whole. One fresh pair says whether the calibration in use still holds.
+check-what = Hold a board, or a part whose size is known, before both cameras, still and whole. One fresh pair says whether the calibration in use still holds.
 check-no-rig = There is no calibration to check yet.
+check-by = By what?
+check-part = A part of known size: { $job }
+check-lengths = Lay the part before both cameras, and fill in what a calliper says; a circle stands for its diameter, two names for the distance of their centres. One length is enough, a long one is best.
+check-taught = (taught: { $mm } mm)
 check-other = Another board
 check-now = Check now
 check-running = Measuring …

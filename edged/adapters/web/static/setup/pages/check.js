@@ -83,22 +83,45 @@ function Verdict() {
   </section>`;
 }
 
+// --- by what ---
+
 const OTHER = "";
+const PART = "part ";
+
+// Whoever measured a part fills in what they know; the taught size is beside each, and is no truth.
+function Lengths({ part, known, onKnown }) {
+  return html`<p class="hint">${t("check-lengths")}</p>
+    <div class="row">
+      ${part.lengths.map(({ name, taught_mm }) => {
+        const label = html`<span translate=${false}>${name}</span>${taught_mm !== null && html` <span class="muted">${t("check-taught", { mm: number(taught_mm, 2) })}</span>`}`;
+        return html`<${NumberField} key=${name} label=${label} unit="mm" digits=${3} low=${0.001} high=${100000} value=${known[name] ?? null} onValue=${(mm) => onKnown({ ...known, [name]: mm })} name=${name} />`;
+      })}
+    </div>`;
+}
+
 export default function Check() {
   const known = checked.value?.boards ?? [];
+  const parts = (checked.value?.parts ?? []).filter(({ lengths }) => lengths.length);
   const [chosen, setChosen] = useState(null); // null: the first that is known
   const [size, setSize] = useState(SIZE);
   const [mm, setMm] = useState(null);
+  const [lengths, setLengths] = useState({});
   const [isMeasuring, setMeasuring] = useState(false);
   const choice = chosen ?? known[0] ?? OTHER;
+  const part = parts.find(({ job }) => choice === PART + job);
   const board = choice === OTHER ? mm && specOf(size, mm) : choice;
+  const by = part ? Object.keys(lengths).length > 0 && { job: part.job, lengths } : board && { board };
+  const choose = (one) => {
+    setChosen(one);
+    setLengths({});
+  };
   const check = async () => {
     sign();
     setMeasuring(true);
-    const last = await attempt(() => ask("POST", "checks", { token: token.value, board }));
+    const last = await attempt(() => ask("POST", "checks", { token: token.value, ...by }));
     setMeasuring(false);
     if (!last) return;
-    setChosen(last.board);
+    setChosen(last.board ?? PART + last.job);
     await attempt(lookAtCheck);
     say(inWords(last.verdict));
   };
@@ -108,16 +131,17 @@ export default function Check() {
   return html`${head}
     <${Pair} />
     <section aria-labelledby="board">
-      <h2 id="board">${t("board-title")}</h2>
-      ${known.length > 0 &&
-      html`<div class="choices" role="radiogroup" aria-label=${t("board-title")}>
-        ${[...known, OTHER].map((one) => html`<label class="choice" key=${one}><input type="radio" name="board" checked=${one === choice} onChange=${() => setChosen(one)} /> ${one === OTHER ? t("check-other") : html`<span translate=${false}>${one}</span>`}</label>`)}
+      <h2 id="board">${t("check-by")}</h2>
+      ${known.length + parts.length > 0 &&
+      html`<div class="choices" role="radiogroup" aria-label=${t("check-by")}>
+        ${[...known, OTHER, ...parts.map(({ job }) => PART + job)].map((one) => html`<label class="choice" key=${one}><input type="radio" name="board" checked=${one === choice} onChange=${() => choose(one)} /> ${one === OTHER ? t("check-other") : one.startsWith(PART) ? t("check-part", { job: one.slice(PART.length) }) : html`<span translate=${false}>${one}</span>`}</label>`)}
       </div>`}
+      ${part && html`<${Lengths} part=${part} known=${lengths} onKnown=${setLengths} />`}
       ${choice === OTHER &&
       html`<${BoardFields} size=${size} onSize=${setSize} />
         <div class="row"><${NumberField} label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${mm} onValue=${setMm} name="mm" /></div>`}
-      <p class="hint">${t("check-proof")}</p>
-      <div class="actions"><button type="button" class="primary big" disabled=${!holds.value || !board || isMeasuring} onClick=${check}>${t(isMeasuring ? "check-running" : "check-now")}</button></div>
+      ${!part && html`<p class="hint">${t("check-proof")}</p>`}
+      <div class="actions"><button type="button" class="primary big" disabled=${!holds.value || !by || isMeasuring} onClick=${check}>${t(isMeasuring ? "check-running" : "check-now")}</button></div>
       ${!holds.value && html`<p class="hint">${t("check-take")}</p>`}
     </section>
     <${Verdict} />`;

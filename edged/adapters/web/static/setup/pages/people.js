@@ -47,6 +47,29 @@ function Newcomer() {
   </form>`;
 }
 
+// Whoever has a name has a password of their own: other screens of theirs are logged out.
+export function OwnPassword() {
+  const [old, setOld] = useState("");
+  const [next, setNext] = useState("");
+  const change = async (event) => {
+    event.preventDefault();
+    const isDone = await attempt(() => ask("PUT", "me/password", { old, new: next }).then(() => true));
+    if (!isDone) return;
+    say(t("own-changed"));
+    setOld("");
+    setNext("");
+  };
+  const field = (key, value, set, purpose) => html`<label class="field"><span>${t(key, { least: LEAST_LETTERS })}</span><input type="password" autocomplete=${purpose} value=${value} onInput=${(event) => set(event.currentTarget.value)} /></label>`;
+  return html`<section aria-labelledby="own">
+    <h2 id="own">${t("own-title")}</h2>
+    <form class="own" onSubmit=${change}>
+      <input type="text" autocomplete="username" value=${me.value.name} readonly hidden />
+      <div class="row">${field("own-old", old, setOld, "current-password")} ${field("own-new", next, setNext, "new-password")}</div>
+      <div class="actions"><button disabled=${!old || next.length < LEAST_LETTERS}>${t("own-change")}</button></div>
+    </form>
+  </section>`;
+}
+
 export function Users() {
   const [leaving, setLeaving] = useState(null);
   useEffect(() => {
@@ -102,4 +125,4 @@ export function Audit() {
   </section>`;
 }
 
-export const People = () => html`${mayTake.value && offers("users") && html`<${Users} />`}${mayTake.value && offers("audit") && html`<${Audit} />`}`;
+export const People = () => html`${me.value.name && offers("users") && html`<${OwnPassword} />`}${mayTake.value && offers("users") && html`<${Users} />`}${mayTake.value && offers("audit") && html`<${Audit} />`}`;
