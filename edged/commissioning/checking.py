@@ -120,9 +120,9 @@ def by_part(
 
 
 def offered_lengths(job: Job) -> list[tuple[str, float | None]]:
-    """What `by_part` may be asked of a job, with its size as taught, mm, where that is known; the longest first.
+    """What `by_part` may be asked of a job, and its size as taught, mm, where that is known.
 
-    A long length tells a scale best, and of many circles there are more pairs than anybody measures.
+    The longest first: they tell a scale best, and of many circles there are more pairs than anybody measures.
     """
     sizes: list[tuple[str, float | None]] = [
         (one.name, one.nominal)
