@@ -110,7 +110,10 @@ def _budget(budget: Budget | None) -> Json | None:
     if budget is None:
         return None
     names = ("edges", "calibration", "registration", "doubt")
-    return {name: _numbers(term) for name, term in zip(names, budget.terms, strict=True)}
+    return {
+        **{name: _numbers(term[:3]) for name, term in zip(names, budget.terms, strict=True)},
+        "rotation": {name: _numbers(term[3:]) for name, term in zip(names, budget.terms, strict=True)},
+    }
 
 
 def snapshot_to_json(snapshot: Snapshot) -> Json:

@@ -190,8 +190,8 @@ class Target:
     reported : what is published in place of the reference point's pose; None: that one.
     doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
     rows that do not meet, sizes that are all wrong alike.
-    by_edges, by_doubt (3, 3) : what of the position's covariance comes from the edges, and from the doubt;
-    the rest comes from the calibration. by_edges None: not known.
+    by_edges, by_doubt (6, 6) : what of the covariance comes from the edges, and from the doubt; the rest
+    comes from the calibration. by_edges None: not known.
     """
 
     job: str
@@ -208,7 +208,7 @@ class Target:
     free_axis: FloatArray | None = None
     doubt_mm: float = 0.0
     by_edges: FloatArray | None = None
-    by_doubt: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    by_doubt: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     grasp: GraspPose | None = None
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None

@@ -1,4 +1,4 @@
-"""Where the uncertainty of a position comes from: terms that add up to what is published, to the last bit."""
+"""Where the uncertainty of a pose comes from: terms that add up to what is published, to the last bit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Target
-from edged.robot.covariance import robot_covariance
+from edged.robot.covariance import robot_covariance, rotate_covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """Variances (3,) of X, Y, Z in mm², each at least 0, in the frame of `frame_name`.
+    """Variances (6,), each at least 0, in the frame that the pose is published in.
+
+    Of X, Y, Z in mm², then of the rotation about these axes in rad².
 
     edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
     registration : of the rig in the robot's frame. doubt : of what contradicts the rig (`Target.doubt_mm`).
@@ -35,23 +37,23 @@ class Budget:
 def budget_of(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None
 ) -> Budget | None:
-    """The budget of a position as it is published; None where the edges' part is not known, or not finite."""
+    """The budget of a pose as it is published; None where the edges' part is not known, or not finite."""
     if target.by_edges is None:
         return None
-    rotation = np.eye(3) if robot_from_rig is None else robot_from_rig[:3, :3]
     own = whole = target.covariance
+    by_edges, by_doubt = target.by_edges, target.by_doubt
     if robot_from_rig is not None:
         own = robot_covariance(target, robot_from_rig, None)
         whole = robot_covariance(target, robot_from_rig, registration)
-    edges, doubt = (np.diag(rotation @ part @ rotation.T) for part in (target.by_edges, target.by_doubt))
-    total = np.diag(whole)[:3]
+        by_edges, by_doubt = (rotate_covariance(part, robot_from_rig) for part in (by_edges, by_doubt))
+    edges, doubt, total = np.diag(by_edges), np.diag(by_doubt), np.diag(whole)
     terms = np.stack(
-        [edges, np.diag(own)[:3] - edges - doubt, total - np.diag(own)[:3], doubt]
+        [edges, np.diag(own) - edges - doubt, total - np.diag(own), doubt]
     )  # differences are as exact as their sums: what is below 0 is rounding
     if not (np.isfinite(terms).all() and np.isfinite(total).all()):
         return None
     terms = np.maximum(terms, 0.0)
-    for axis in range(3):
+    for axis in range(6):
         _settle(terms[:, axis], float(total[axis]))
     return Budget(*terms)
 

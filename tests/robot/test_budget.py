@@ -23,6 +23,7 @@ from edged.vision.part.consistency import doubted, undoubted
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
+TERMS = ("edges", "calibration", "registration", "doubt")
 MAGNITUDES = st.sampled_from([0.0, 1e-9, 1e-6, 1e-5, 3e-4, 1e-2])
 
 
@@ -49,10 +50,10 @@ def spread(size: float, seed: int) -> FloatArray:
 
 
 def published(target: Target, robot: FloatArray | None, registration: FloatArray | None) -> FloatArray:
-    """Variances of X, Y, Z."""
+    """Variances of X, Y, Z and of the rotation about them."""
     if robot is None:
-        return np.diag(target.covariance)[:3]
-    return np.diag(robot_covariance(target, robot, registration))[:3]
+        return np.diag(target.covariance)
+    return np.diag(robot_covariance(target, robot, registration))
 
 
 @settings(max_examples=300, deadline=None)
@@ -63,7 +64,7 @@ def test_the_terms_add_up_to_the_last_bit(
     """Added exactly and rounded once, for any sizes of the terms and any frame; none is below 0."""
     by_edges = spread(edges, seed)
     target = replace(
-        make_target(), covariance=by_edges + spread(rig, seed + 1), by_edges=by_edges[:3, :3], doubt_mm=0.0
+        make_target(), covariance=by_edges + spread(rig, seed + 1), by_edges=by_edges, doubt_mm=0.0
     )
     target = doubted(target, share, 60.0)
     robot = make_transform((0.4, -1.0, 2.0), (600.0, -30.0, 800.0)) if in_robot else None
@@ -76,13 +77,16 @@ def test_the_terms_add_up_to_the_last_bit(
     assert published(target, robot, of_robot).tobytes() == total.tobytes()
     assert min(term.min() for term in budget.terms) >= 0.0
     scale = total.max()
-    rotation = np.eye(3) if robot is None else robot[:3, :3]
+    rotation = np.eye(6)
+    if robot is not None:
+        rotation[:3, :3] = rotation[3:, 3:] = robot[:3, :3]
     np.testing.assert_allclose(
-        budget.edges, np.diag(rotation @ by_edges[:3, :3] @ rotation.T), atol=1e-12 * scale, rtol=1e-9
+        budget.edges, np.diag(rotation @ by_edges @ rotation.T), atol=1e-12 * scale, rtol=1e-9
     )
     np.testing.assert_allclose(
         budget.doubt, np.diag(rotation @ target.by_doubt @ rotation.T), atol=1e-12 * scale, rtol=1e-9
     )
+    assert not budget.doubt[3:].any()
     if robot is None or of_robot is None:
         assert budget.registration.max() <= 1e-12 * scale
 
@@ -92,7 +96,7 @@ def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
     exact = located(job, None)
     budget = budget_of(exact, None, None)
     assert budget is not None
-    assert np.diag(exact.covariance)[:3].tobytes() == budget.edges.tobytes()
+    assert np.diag(exact.covariance).tobytes() == budget.edges.tobytes()
     assert not (budget.calibration.any() or budget.registration.any() or budget.doubt.any())
 
     uncertain = {f"{side}.{name}" for side in ("left", "right") for name in ("fx", "cx", "cy")}
@@ -101,10 +105,25 @@ def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
     more = budget_of(known, None, None)
     assert more is not None
     assert (more.calibration > 0).all()
-    np.testing.assert_allclose(more.edges, budget.edges, rtol=1e-6)
+    np.testing.assert_allclose(more.edges[:5], budget.edges[:5], rtol=1e-6)
     np.testing.assert_allclose(
-        more.calibration, np.diag(known.covariance)[:3] - np.diag(exact.covariance)[:3], rtol=1e-6
+        more.calibration[:5], (np.diag(known.covariance) - np.diag(exact.covariance))[:5], rtol=1e-6
     )
+    assert more.edges[5] == pytest.approx(budget.edges[5], rel=0.01)  # holes are weighted by both
+
+
+def test_the_turn_errs_with_the_rig_by_what_its_term_says(job: Job) -> None:
+    """A focal length that is wrong by a sigma turns the part by the calibration's, however many holes."""
+    flat = cells.flange()
+    names = flat.rig.parameter_names
+    known = located(job, np.diag([9.0 * (name == "right.fx") for name in names]))
+    wrong = prepare(replace(flat.rig, right=replace(flat.rig.right, fx=flat.rig.right.fx + 3.0)))
+    (moved,) = locate(cells.frame_pair(flat.left, flat.right), job, wrong).targets
+    turned = moved.rig_from_part[:3, :3] @ known.rig_from_part[:3, :3].T
+    budget = budget_of(known, None, None)
+    assert budget is not None
+    by_axis = 0.5 * np.abs([turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    np.testing.assert_allclose(np.sqrt(budget.calibration[4:]), by_axis, rtol=0.2)
 
 
 def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
@@ -131,8 +150,10 @@ def test_it_is_in_what_locate_prints(job: Job) -> None:
         )
     )
     first, second = json.loads(text)["targets"]
-    terms = [np.array(first["budget"][name]) for name in ("edges", "calibration", "registration", "doubt")]
-    total = np.array([math.fsum(axis) for axis in zip(*terms, strict=True)])
-    assert np.diag(np.array(first["pose_robot"]["covariance_6x6"]))[:3].tobytes() == total.tobytes()
+    terms = [np.array(first["budget"][name]) for name in TERMS]
+    turns = [np.array(first["budget"]["rotation"][name]) for name in TERMS]
+    total = np.array([math.fsum(axis) for one in (terms, turns) for axis in zip(*one, strict=True)])
+    assert np.diag(np.array(first["pose_robot"]["covariance_6x6"])).tobytes() == total.tobytes()
     assert terms[2].min() > 0
+    assert turns[2].min() > 0
     assert second["budget"] is None

@@ -130,6 +130,27 @@ def solve(samples: Samples, unknowns: int, priors: int, settled: float = SETTLED
     return solution
 
 
+def precise(
+    samples: Samples, unknowns: int, priors: int, precision: FloatArray, bias: FloatArray
+) -> Solution | None:
+    """The solution of samples that are all where they should be, of known precision; None: undetermined.
+
+    precision (Q,), bias (K, F) : as `Solution` has them.
+    """
+    count = len(samples.values)
+    solution = Solution(
+        np.zeros(unknowns),
+        np.empty((unknowns, unknowns)),
+        np.empty(count),
+        np.zeros(count),
+        np.array(precision, np.float64),
+        np.array(bias, np.float64),
+    )
+    plain = Samples._make(np.ascontiguousarray(field) for field in samples)
+    good = _weigh_all(plain, int(priors), solution) and np.isfinite(solution.covariance).all()
+    return solution if good else None
+
+
 def propagate(samples: Samples, solution: Solution, causes: FloatArray) -> FloatArray:
     """(P, Q): how the solution moves when causes (N, Q) shift each sample, per unit of each cause.
 
@@ -457,3 +478,13 @@ def _solve(samples: Samples, priors: int, settled: float, solution: Solution) ->
         if round_ > (SPREAD_ROUNDS[1] if many > 0 else MEDIAN_ROUNDS) and moved < settled:
             break
     return rounds
+
+
+@kernel("b1(Samples, i8, Solution)", tuples=(Samples, Solution))
+def _weigh_all(samples: Samples, priors: int, solution: Solution) -> bool:
+    """Fill weights and covariance for the precision and the bias that the solution has."""
+    memory = _memory_for(samples, len(solution.delta))
+    for q in range(len(samples.starts) - 1):
+        memory.scale[q] = 1.0 / np.sqrt(solution.precision[q])
+    solution.weights[:] = samples.base
+    return bool(_add_curves(samples, memory, priors, solution) and invert(memory.matrix, solution.covariance))

@@ -31,6 +31,9 @@ _APART = 8
 _CLIP = 2.5
 _MIN_SHARE = 0.1  # of either camera in the mean
 _MIN_RATIO = 0.2  # of the prior weights: a saturated edge would spoil the good one of the other camera
+LEAST_GAIN = 1e-9
+PARTS = ("means", "differences", "left alone", "right alone")
+"""Of the rows of a curve, as `Pairs.rows` numbers them."""
 _MIN_GAIN = 0.05  # of the largest: where a camera looks along the plane, it tells nothing of the curve
 
 
@@ -95,7 +98,7 @@ def pair(
     gain (2, N) : motion along the normals of the images per motion of the curve along its own, px/mm.
     starts (K + 1,).  together : False keeps all edges as they are, for curves not yet in their place.
     """
-    gain = np.where(np.abs(gain) > 1e-9, gain, 1e-9)
+    gain = np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN)
     both, share, paired, alone = np.zeros(len(gain[0]), bool), np.full(len(gain[0]), 0.5), 0.0 * base[0], base
     if together:
         both = np.abs(gain).min(axis=0) > _MIN_GAIN * np.abs(gain).max()

@@ -23,10 +23,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.adjustment import propagate
-from edged.vision.curves.outlineprojection import circle_axes
+from edged.vision.curves.commonmode import PARTS
+from edged.vision.curves.outlineprojection import ProjectedOutline, circle_axes
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planestate import (
     DEFAULT_PARAMS,
@@ -51,12 +53,30 @@ STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """How well the edges of a curve can be seen, wherever it lies.
+
+    information (4,) : 1/px² by px of arc, of what both images have in common, of what they have against each
+    other, and of what the left or the right one shows alone.  share : of the left image in what they have in
+    common.  shift_px (F,) : sigmas of the systematic shifts.  clipped, soft : most samples of the left and
+    of the right image are so.
+    """
+
+    information: FloatArray
+    share: float
+    shift_px: FloatArray
+    clipped: tuple[bool, bool]
+    soft: tuple[bool, bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CurveFit:
     """A fitted curve and how well it is supported.
 
     support (2,), left and right : share of the samples with an edge that agrees.  rms_px : weighted,
     of those.  mismatch_px : mean offset in the left image minus that in the right one.
     points (2, N, 2) raw px, NaN where there is no edge; weights (2, N) in [0, 1].
+    scatter : how well its edges could be seen.
     """
 
     curve: Curve
@@ -65,6 +85,7 @@ class CurveFit:
     mismatch_px: float
     points: FloatArray
     weights: FloatArray
+    scatter: Scatter
 
     @property
     def name(self) -> str:
@@ -217,10 +238,10 @@ def _fitted(start: State) -> PlaneFit | None:
         state = moved
         if step.moved_px.max() < STILL_PX:
             break
-    return None if step is None else _result(state, step)
+    return None if step is None else result_of(state, step)
 
 
-def _result(state: State, step: Step) -> PlaneFit | None:
+def result_of(state: State, step: Step) -> PlaneFit | None:
     """What was measured; None for nothing."""
     kept = step.supported(state.params.min_support)
     if not kept:
@@ -228,7 +249,7 @@ def _result(state: State, step: Step) -> PlaneFit | None:
     fits, support = [], step.support()
     whole = _known(step.problem, state.rig, state.unknowns)
     first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
-    for k in kept:
+    for k, scatter in zip(kept, _scatters_of(step, kept), strict=True):
         rows = slice(*step.starts[k : k + 2])
         weights = step.weights[:, rows]
         curve = state.curves[k]
@@ -245,6 +266,7 @@ def _result(state: State, step: Step) -> PlaneFit | None:
                 float(means[0] - means[1]),
                 step.points[:, rows],
                 weights,
+                scatter,
             )
         )
     unknowns = np.concatenate([np.arange(state.shared), *(np.arange(*first[k : k + 2]) for k in kept)])
@@ -267,6 +289,41 @@ def _result(state: State, step: Step) -> PlaneFit | None:
     return PlaneFit(
         state.face, tuple(fits), covariance, by_edges, step.row_shift_px, whole.row_sigma_px, rigid
     )
+
+
+def _scatters_of(step: Step, numbers: Sequence[int]) -> list[Scatter]:
+    """The scatters of some curves of a step."""
+    arcs = arcs_px(step.problem.sides, step.starts)
+    lengths = np.add.reduceat(arcs, step.starts[:-1])
+    return [_scatter_of(step, number, float(lengths[number])) for number in numbers]
+
+
+def _scatter_of(step: Step, number: int, arc_px: float) -> Scatter:
+    problem = step.problem
+    samples, solution, pairs = problem.samples, problem.solution, problem.pairs
+    rows = slice(*step.starts[number : number + 2])
+    information = np.zeros(len(PARTS))
+    for part in range(*samples.parts[number : number + 2]):
+        first, last = samples.starts[part : part + 2]
+        kind = pairs.rows[first] // len(pairs.both)
+        information[kind] = solution.precision[part] * solution.weights[first:last].sum() / arc_px
+    clipped, soft = (one[:, rows].mean(axis=1) > 0.5 for one in (problem.edges.clipped, problem.edges.soft))
+    return Scatter(
+        information,
+        float(pairs.share[rows].mean()),
+        solution.bias[number].copy(),
+        (bool(clipped[0]), bool(clipped[1])),
+        (bool(soft[0]), bool(soft[1])),
+    )
+
+
+def arcs_px(sides: tuple[ProjectedOutline, ProjectedOutline], starts: npt.NDArray[np.int64]) -> FloatArray:
+    """(N,) length of the images of curves, mean of both, that each sample stands for."""
+    arcs = np.zeros(starts[-1])
+    for seen in sides:
+        arcs[:-1] += 0.5 * np.linalg.norm(np.diff(seen.pixels, axis=0), axis=1)
+    arcs[starts[1:] - 1] = arcs[starts[1:] - 2]  # not to where the next curve begins
+    return np.nan_to_num(arcs)
 
 
 class _Known(NamedTuple):
@@ -365,6 +422,14 @@ def derived(
 
     of : the curves, beside the plane, that the function asks for; None: any.
     """
+    values, jacobian = differentiated(fit, function, of)
+    return values, np.asarray(jacobian @ fit.covariance @ jacobian.T)
+
+
+def differentiated(
+    fit: PlaneFit, function: Callable[[FloatArray], FloatArray], of: Sequence[str] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """The same values, and their derivative (M, P) by the parameters."""
     parameters = fit.parameters
     step = 1e-5  # mm and rad; curves are smooth over far more
     asked = np.ones(len(parameters), bool)
@@ -379,4 +444,4 @@ def derived(
         unit = np.zeros(len(parameters))
         unit[k] = step
         jacobian[..., k] = (function(parameters + unit) - function(parameters - unit)) / (2 * step)
-    return values, np.asarray(jacobian @ fit.covariance @ jacobian.T)
+    return values, jacobian

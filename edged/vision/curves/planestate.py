@@ -172,7 +172,7 @@ class State:
         scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / PROBE_MM
         return np.where(space[::3, 2] > 0, scales, np.nan)
 
-    def _sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
+    def sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
         """Samples of all curves, and where each curve's begin (K + 1,).
 
         None when one lies behind the cameras, or has a size that no image can show.
@@ -205,7 +205,7 @@ class State:
         """Of the whole problem."""
         return self.shared + sum(curve.free for curve in self.curves)
 
-    def _columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """(K, C): which unknown each column of the design is, -1 where a curve has none, or it is held.
 
         seen (K,) : of the others nothing is known.
@@ -225,7 +225,7 @@ class State:
 
     def with_polarity(self, reach: float, spacing_px: float) -> State:
         """Give curves of unknown polarity the sign of most of their contrast."""
-        sampled = None if all(curve.polarity for curve in self.curves) else self._sampled(spacing_px)
+        sampled = None if all(curve.polarity for curve in self.curves) else self.sampled(spacing_px)
         if sampled is None:
             return self
         outline, starts = sampled
@@ -249,25 +249,25 @@ class State:
 
         final : each curve chooses its operator width, and systematic shifts are reckoned with.
         """
-        sampled = self._sampled(spacing_px)
+        sampled = self.sampled(spacing_px)
         if sampled is None:
             return None
         outline, starts = sampled
         sides, edges = self._measure(outline, starts, reach, final)
         gain = np.stack([side.gain for side in sides])
         pairs = pair(edges.offset_px, edges.base, gain, starts, together=final)
-        columns = self._columns(np.diff(pairs.parts) > 0)
+        columns = self.columns(np.diff(pairs.parts) > 0)
         # unknowns that are held leave no gap: the solver would find them undetermined
         used = np.unique(columns[columns >= 0])
         dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
         samples, priors = samples_of(
             pairs,
-            self._with_row_shift(outline, sides) if final else tuple(side.design for side in sides),
+            self.with_row_shift(outline, sides) if final else tuple(side.design for side in sides),
             np.pad(dense, ((0, 0), (0, 1)), constant_values=-1) if final else dense,
             edges.offset_px,
             edges.bias_px,
             np.array([curve.polarity for curve in self.curves]),
-            self._shift_basis(outline, sides, gain) if final else None,
+            self.shift_basis(outline, sides, gain) if final else None,
             len(used),
         )
         if final:
@@ -348,10 +348,10 @@ class State:
             offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
         )
 
-    def _with_row_shift(
+    def with_row_shift(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]
     ) -> tuple[FloatArray, FloatArray]:
-        """The designs of both images with a column for a shift of one against the other across the rows.
+        """The designs (N, C) of both images with a column for a shift of one against the other across rows.
 
         No place in space explains such a shift: it is what a knocked camera, or a calibration that is a
         little wrong, does to all curves alike. Without it every curve would seem displaced by itself. Half of
@@ -374,7 +374,7 @@ class State:
         )
         return left, right
 
-    def _shift_basis(
+    def shift_basis(
         self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(N, A) each: the shapes of systematic shifts in both images."""
@@ -390,7 +390,7 @@ class State:
         starts: npt.NDArray[np.int64],
     ) -> FloatArray:
         """(K,) farthest that a step of the unknowns moves each curve, px."""
-        by_curve = np.append(delta, 0.0)[self._columns(np.ones(len(self.curves), bool))]
+        by_curve = np.append(delta, 0.0)[self.columns(np.ones(len(self.curves), bool))]
         by_sample = by_curve.repeat(np.diff(starts), axis=0)
         moved = np.abs([np.sum(side.design * by_sample, axis=1) for side in sides]).max(axis=0)
         return np.asarray(np.maximum.reduceat(moved, starts[:-1]))

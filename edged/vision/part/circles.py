@@ -7,11 +7,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.measurement import Circle3D, Reject, Target
+from edged.domain.measurement import Circle3D, Match, Reject, Target
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.curves.planestate import FitParams
@@ -71,23 +72,14 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Non
     main, radius_mm = measured, job.reference_circle.radius_mm
     if abs(main.circle.radius_mm - radius_mm) > 0.1 * radius_mm:
         return None
-    beside = [one for one in circles_in_rig(fit) if one.circle.name != job.reference]
     start = _start_rotation(images, job, match, main.circle) @ about_z(turn)
-    rotation, sigma_turn, used = _rotation(job, main.circle, [one.circle for one in beside], start)
-    agreeing = [beside[index] for index in used]
-    circles = _in_order(job, [main, *agreeing])
-    by_edges = circle_in_rig(fit.by_edges(), job.reference)
-    target = Target(
-        job=job.name,
-        match=match_in_raw(images.rectification, match),
-        rig_from_part=transform(rotation, main.circle.centre_mm),
-        covariance=_pose_covariance(main, sigma_turn),
-        by_edges=None if by_edges is None else by_edges.pose_covariance[:3, :3],
-        circles=circles,
+    agreeing, target = placed(job, match_in_raw(images.rectification, match), fit, start)
+    target = replace(
+        target,
         epipolar_rms_px=_epipolar_rms(images.rectification, main.fit),
         reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,
     )
-    if is_doubtful(images, job, main, agreeing, rotation):
+    if is_doubtful(images, job, main, agreeing, target.rig_from_part[:3, :3]):
         target = replace(target, reject=target.reject | Reject.AMBIGUOUS_EDGE)
     evidence = Evidence(
         main.fit.least_support,
@@ -97,6 +89,30 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Non
         *_growth(images, job, fit),
     )
     return Measured(target, evidence, tuple(one.fit for one in (main, *agreeing)))
+
+
+def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
+    """Where the circles of a fit put the part: those beside the reference that agree, and the target.
+
+    start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
+    without the reference circle.
+    """
+    main, by_edges = (circle_in_rig(one, job.reference) for one in (fit, fit.by_edges()))
+    if main is None or by_edges is None:
+        raise ValueError("the reference circle was not measured")
+    beside = [one for one in circles_in_rig(fit) if one.circle.name != job.reference]
+    turned = _rotation(job, fit, main, beside, start)
+    agreeing = [beside[index] for index in turned.agreeing]
+    target = Target(
+        job=job.name,
+        match=match,
+        rig_from_part=transform(turned.rotation, main.circle.centre_mm),
+        covariance=_pose_covariance(main, turned.sigma),
+        by_edges=_pose_covariance(by_edges, turned.sigma_by_edges),
+        circles=_in_order(job, [main, *agreeing]),
+        epipolar_rms_px=math.nan,
+    )
+    return agreeing, target
 
 
 def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float]:
@@ -351,41 +367,66 @@ def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> Floa
     return np.column_stack([x, cross(z, x), z])
 
 
+class _Turned(NamedTuple):
+    """rotation (3, 3) rig_from_part; sigma about the normal, rad, and what of it comes from the edges.
+
+    agreeing : the indices of the circles that agree.
+    """
+
+    rotation: FloatArray
+    sigma: float
+    sigma_by_edges: float
+    agreeing: list[int]
+
+
 def _rotation(
-    job: Job, main: Circle3D, others: list[Circle3D], start: FloatArray
-) -> tuple[FloatArray, float, list[int]]:
+    job: Job, fit: PlaneFit, main: FoundCircle, others: list[FoundCircle], start: FloatArray
+) -> _Turned:
     """Turn the start rotation about the normal until the circles lie where they were taught.
 
-    Returns the rotation, its sigma about the normal in rad, and the indices of the circles that agree.
-    A part with one circle, or only concentric ones, keeps the shape's rotation.
+    A part with one circle, or only concentric ones, keeps the shape's rotation. The edges of each circle
+    err by themselves; a rig that is wrong turns all of them alike.
     """
     taught = {circle.name: circle.centre_mm for circle in job.circles}
     reference = taught[job.reference]
-    angles, variances, indices = [], [], []
-    for index, circle in enumerate(others):
+    angles, by_fit, indices = [], [], []
+    for index, circle in enumerate(one.circle for one in others):
         arm = (taught[circle.name] - reference)[:2]
         lever = float(np.linalg.norm(arm))
         if lever < 0.15 * job.reference_circle.radius_mm:
             continue
-        seen = (start.T @ (circle.centre_mm - main.centre_mm))[:2]
+        seen = (start.T @ (circle.centre_mm - main.circle.centre_mm))[:2]
         angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
-        in_face = start[:, :2].T @ (circle.covariance[:3, :3] + main.covariance[:3, :3]) @ start[:, :2]
-        across = np.array([-arm[1], arm[0]]) / lever
-        variances.append(float(across @ in_face @ across) / lever**2)
+        across = fit.face.axes[:2] @ start[:, :2] @ np.array([-arm[1], arm[0]]) / lever**2
+        by_fit.append(np.zeros(len(fit.covariance)))
+        for name, sign in ((circle.name, 1.0), (job.reference, -1.0)):
+            where = fit.place(name)
+            assert where is not None
+            by_fit[-1][where] += sign * np.append(across, 0.0)
         indices.append(index)
     concentric = [index for index in range(len(others)) if index not in indices]
     if not angles:
         # the shape's own precision: a few hundredths of a pixel at the rim
-        return start, 0.05 * job.reference_circle.radius_mm / job.shape.radius_px, concentric
-    values, weights = np.array(angles), 1 / np.maximum(np.array(variances), 1e-10)
+        sigma = 0.05 * job.reference_circle.radius_mm / job.shape.radius_px
+        return _Turned(start, sigma, sigma, concentric)
+    values, rows = np.array(angles), np.array(by_fit)
+    weights = 1 / np.maximum(np.einsum("ij,jk,ik->i", rows, fit.edge_covariance, rows), 1e-10)
     middle = median(angles)
     spread = max(mad_sigma(values - middle), 2e-4)
     good = np.abs(values - middle) < 4 * spread
     turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
     chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
-    sigma = float(np.sqrt(max(chi2, 1.0) / np.sum(weights[good])))
+    gain = weights[good] @ rows[good] / np.sum(weights[good])
+    # no result is known better than the least that one hole is taken to be
+    by_edges = max(chi2, 1.0) * max(float(gain @ fit.edge_covariance @ gain), 1 / float(weights[good].sum()))
+    by_rig = float(gain @ (fit.covariance - fit.edge_covariance) @ gain)
     agreeing = [index for index, use in zip(indices, good, strict=True) if use]
-    return start @ about_z(turn), sigma, sorted(concentric + agreeing)
+    return _Turned(
+        start @ about_z(turn),
+        math.sqrt(by_edges + max(by_rig, 0.0)),
+        math.sqrt(by_edges),
+        sorted(concentric + agreeing),
+    )
 
 
 def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:

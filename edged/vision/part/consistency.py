@@ -118,7 +118,7 @@ def doubted(target: Target, share: float, baseline_mm: float) -> Target:
 def undoubted(target: Target, baseline_mm: float) -> Target:
     """The target as if the rig were beyond doubt: for who wants to know from it whether the rig is."""
     share = target.doubt_mm / float(np.linalg.norm(target.position_mm))
-    return replace(_widened(target, -(share**2), baseline_mm), doubt_mm=0.0, by_doubt=np.zeros((3, 3)))
+    return replace(_widened(target, -(share**2), baseline_mm), doubt_mm=0.0, by_doubt=np.zeros((6, 6)))
 
 
 def _widened(target: Target, square: float, baseline_mm: float) -> Target:
@@ -128,16 +128,17 @@ def _widened(target: Target, square: float, baseline_mm: float) -> Target:
     the share of half a baseline.
     """
     normal = target.rig_from_part[:3, 2]
-    covariance = target.covariance.copy()
+    covariance, by_doubt = target.covariance.copy(), target.by_doubt.copy()
     along = square * np.outer(target.position_mm, target.position_mm)
     covariance[:3, :3] += along
     ray = target.position_mm / np.linalg.norm(target.position_mm)
     aside = square * (0.5 * baseline_mm) ** 2 * (np.eye(3) - np.outer(ray, ray))
     covariance[:3, :3] += aside
+    by_doubt[:3, :3] += along + aside
     return replace(
         target,
         covariance=covariance,
-        by_doubt=target.by_doubt + (along + aside),
+        by_doubt=by_doubt,
         circles=tuple(_grown(one, square, aside, one.centre_mm, one.radius_mm) for one in target.circles),
         edges=tuple(
             _grown(one, square, _aside_of(one, normal, aside), _across(one, normal), 0.0)

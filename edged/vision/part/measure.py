@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.measurement import Reject, ReportedPose, Target
+from edged.domain.measurement import Match, Reject, ReportedPose, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
-from edged.vision.curves.planefit import PlaneFit, derived, fit_plane
+from edged.vision.curves.planefit import PlaneFit, differentiated, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
@@ -69,16 +69,20 @@ def _is_beyond_doubt(job: Job, whole: Measured) -> bool:
 
 
 def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
-    """The same, with where the frame of the job's CAD model lies."""
-    if job.part_from_model is None or isinstance(result, Reject):
-        return result
-    target = result.target
+    """The same, as the job wants it published."""
+    return result if isinstance(result, Reject) else replace(result, target=published(job, result.target))
+
+
+def published(job: Job, target: Target) -> Target:
+    """The target with where the job's CAD model lies, and with the pose that the job wants published."""
+    if job.part_from_model is None:
+        return target
     from_reference = transform(np.eye(3), -job.place_of(job.reference))
     placed = target.rig_from_part @ from_reference @ job.part_from_model
     target = replace(target, rig_from_model=placed)
     if job.sigma_mm:
         target = _as_vague_as_taught(job, target)
-    return replace(result, target=_with_reported(job, target, target.rig_from_part @ from_reference))
+    return _with_reported(job, target, target.rig_from_part @ from_reference)
 
 
 def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target:
@@ -91,8 +95,8 @@ def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target
     pose = rig_from_own @ job.part_from_reported
     covariance = levered_covariance(target.covariance, pose[:3, 3] - target.position_mm)
     by_edges = target.by_edges
-    if by_edges is not None:  # the rig turns a part by far less than its edges leave open
-        by_edges = by_edges + covariance[:3, :3] - target.covariance[:3, :3]
+    if by_edges is not None:
+        by_edges = levered_covariance(by_edges, pose[:3, 3] - target.position_mm)
     vague = not float(np.sqrt(np.diag(covariance)[:3].max())) <= job.limits.max_sigma_mm
     reject = target.reject | (Reject.SIGMA_LIMIT if vague else Reject.NONE)
     return replace(target, reported=ReportedPose(pose, covariance, by_edges), reject=reject)
@@ -107,10 +111,10 @@ def _as_vague_as_taught(job: Job, target: Target) -> Target:
     size_mm = np.linalg.norm(np.ptp(np.array([job.place_of(name)[:2] for name in names]), axis=0))
     reach_mm = max([0.5 * float(size_mm), *(circle.radius_mm for circle in job.circles)])
     normal = target.rig_from_part[:3, 2]
-    taught = job.sigma_mm**2 * (np.eye(3) + (ACROSS**2 - 1) * np.outer(normal, normal))
-    covariance = target.covariance.copy()
-    covariance[:3, :3] += taught
-    covariance[3:, 3:] += (job.sigma_mm / reach_mm) ** 2 * np.eye(3)
+    taught = np.zeros((6, 6))
+    taught[:3, :3] = job.sigma_mm**2 * (np.eye(3) + (ACROSS**2 - 1) * np.outer(normal, normal))
+    taught[3:, 3:] = (job.sigma_mm / reach_mm) ** 2 * np.eye(3)
+    covariance = target.covariance + taught
     vague = float(np.sqrt(np.diag(covariance)[:3].max())) > job.limits.max_sigma_mm
     reject = target.reject | (Reject.SIGMA_LIMIT if vague else Reject.NONE)
     by_edges = None if target.by_edges is None else target.by_edges + taught
@@ -151,7 +155,7 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
     if isinstance(result, Reject):
         return result
     result = _with_sizes_apart(result, images, job)
-    target = judged(job, images.rectification, _with_free_axis(job, result.target), result.evidence)
+    target = judged(job, images.rectification, with_free_axis(job, result.target), result.evidence)
     return replace(result, target=target)
 
 
@@ -161,20 +165,34 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
 def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
-    alone = _circles_tell_rotation(job, {circle.name for circle in measured.target.circles})
-    if (not alone and (job.edges or job.slots)) or _sizes_need_all(job):
-        fit = _fit_beside(images, job, measured)
-    target = measured.target
-    if fit is not None and not alone:
+    if needs_all(job, measured.target):
+        polarity = {one.name: one.curve.polarity for one in measured.fits}
+        face, curves = all_curves(job, measured.target, polarity)
+        fit = fit_plane(images.rig, images.raw, face, curves, NEAR_PARAMS)
+    beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
+    return replace(measured, target=completed(job, measured.target, fit), fits=measured.fits + beside)
+
+
+def needs_all(job: Job, target: Target) -> bool:
+    """Whether the circles that were found do not say everything, and all features are measured together."""
+    return (not _is_turn_known(job, target) and bool(job.edges or job.slots)) or _sizes_need_all(job)
+
+
+def completed(job: Job, target: Target, fit: PlaneFit | None) -> Target:
+    """A target of measured circles with its other features and its sizes, from one fit of them all."""
+    if fit is not None and not _is_turn_known(job, target):
         target = _turned(job, fit, target)
     target = replace(target, measurements=measure_sizes(job, fit, target.circles))
     if fit is not None:
         target = with_features(target, job, fit)
-    target = _with_free_axis(job, target)
+    target = with_free_axis(job, target)
     if job.kind_of(job.reference) not in ("circle", None):
         target = _referred(job, fit, target)
-    beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
-    return replace(measured, target=target, fits=measured.fits + beside)
+    return target
+
+
+def _is_turn_known(job: Job, target: Target) -> bool:
+    return _circles_tell_rotation(job, {circle.name for circle in target.circles})
 
 
 def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
@@ -196,20 +214,19 @@ def _sizes_need_all(job: Job) -> bool:
     return bool(kinds - {"radius", *APART}) or job.kind_of(job.reference) != "circle"
 
 
-def _fit_beside(images: StereoImages, job: Job, measured: Measured) -> PlaneFit | None:
-    """One fit of the measured circles and the edges and slots where the pose puts them."""
-    part = _part_pose(job, measured.target)
+def all_curves(job: Job, target: Target, polarity: dict[str, int]) -> tuple[Face, list[Curve]]:
+    """The measured circles, with their polarity, and the edges and slots where the pose puts them."""
+    part = _part_pose(job, target)
     face = Face(part[:3, 3], part[:3, :3].T)
     curves = []
-    polarity = {one.name: one.curve.polarity for one in measured.fits}
-    for circle in measured.target.circles:
+    for circle in target.circles:
         x, y, height = face.from_rig(circle.centre_mm)
         parameters = np.array([x, y, circle.radius_mm])
         curves.append(Curve(circle.name, "circle", parameters, polarity[circle.name], height_mm=height))
     free = job.search.polarity != "same"
     curves += [edge_curve(edge, free) for edge in job.edges]
     curves += [slot_curve(slot, free) for slot in job.slots]
-    return fit_plane(images.rig, images.raw, face, curves, NEAR_PARAMS)
+    return face, curves
 
 
 def _part_pose(job: Job, target: Target) -> FloatArray:
@@ -225,10 +242,20 @@ def _turned(job: Job, fit: PlaneFit, target: Target) -> Target:
         return target
     rotation = target.rig_from_part[:3, :3] @ about_z(motion.turn)
     normal = target.rig_from_part[:3, 2]
-    covariance = target.covariance.copy()
+    covariance = _with_turn(target.covariance, normal, motion.covariance[2, 2])
+    by_edges = target.by_edges
+    if by_edges is not None:
+        by_edges = _with_turn(by_edges, normal, motion.edge_covariance[2, 2])
+    pose = transform(rotation, target.position_mm)
+    return replace(target, rig_from_part=pose, covariance=covariance, by_edges=by_edges)
+
+
+def _with_turn(covariance: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+    """The covariance (6, 6) of a pose, but for the turn about the normal (3,), which has this variance."""
     known = normal @ covariance[3:, 3:] @ normal
-    covariance[3:, 3:] += (motion.covariance[2, 2] - known) * np.outer(normal, normal)
-    return replace(target, rig_from_part=transform(rotation, target.position_mm), covariance=covariance)
+    turned = covariance.copy()
+    turned[3:, 3:] += (variance - known) * np.outer(normal, normal)
+    return turned
 
 
 def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
@@ -243,22 +270,31 @@ def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
     def in_rig(parameters: FloatArray) -> FloatArray:
         return lifted(face, parameters, point(parameters))
 
-    position, spread = derived(fit, in_rig)
-    _, by_edges = derived(fit.by_edges(), in_rig)
-    covariance = target.covariance.copy()
-    covariance[:3, :3], covariance[:3, 3:], covariance[3:, :3] = spread, 0.0, 0.0
+    position, jacobian = differentiated(fit, in_rig)
+    covariance = _with_place(target.covariance, jacobian @ fit.covariance @ jacobian.T)
+    by_edges = target.by_edges
+    if by_edges is not None:
+        by_edges = _with_place(by_edges, jacobian @ fit.edge_covariance @ jacobian.T)
     pose = transform(target.rig_from_part[:3, :3], position)
     return replace(target, rig_from_part=pose, covariance=covariance, by_edges=by_edges)
 
 
-def _with_free_axis(job: Job, target: Target) -> Target:
+def _with_place(covariance: FloatArray, place: FloatArray) -> FloatArray:
+    """The covariance (6, 6) of a pose whose position, known apart from its rotation, has this one (3, 3)."""
+    placed = np.zeros((6, 6))
+    placed[:3, :3], placed[3:, 3:] = place, covariance[3:, 3:]
+    return placed
+
+
+def with_free_axis(job: Job, target: Target) -> Target:
     """A round part's turn about its axis is not known."""
     if not _is_round(job):
         return target
     axis = target.rig_from_part[:3, 2]
-    covariance = target.covariance.copy()
-    covariance[3:, 3:] += UNKNOWN_TURN**2 * np.outer(axis, axis)
-    return replace(target, free_axis=axis, covariance=covariance)
+    unknown = np.zeros((6, 6))
+    unknown[3:, 3:] = UNKNOWN_TURN**2 * np.outer(axis, axis)
+    by_edges = None if target.by_edges is None else target.by_edges + unknown
+    return replace(target, free_axis=axis, covariance=target.covariance + unknown, by_edges=by_edges)
 
 
 def _is_round(job: Job) -> bool:
@@ -302,7 +338,7 @@ def _from_start(
     motion = None if fit is None else find_motion(job, fit)
     if fit is None or motion is None:
         return Reject.FEW_EDGES
-    target = _target_from(images.rectification, job, match, fit, motion)
+    target = target_from(images.rectification, job, match_in_raw(images.rectification, match), fit, motion)
     reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
     if len(fit.fits) < min(MIN_EDGES, len(curves)) and not any(one.curve.kind == "slot" for one in fit.fits):
         reject |= Reject.FEW_EDGES
@@ -313,26 +349,27 @@ def _from_start(
         float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
         fit.row_shift_px,
         fit.row_sigma_px,
-        *_growth(images, job, match, fit, motion),
+        *_growth(images, job, fit, motion, target.match),
         form_mm(job, fit, motion),
     )
     return Measured(replace(target, reject=reject), evidence, fit.fits)
 
 
 def _growth(
-    images: StereoImages, job: Job, match: ShapeMatch, fit: PlaneFit, motion: Motion
+    images: StereoImages, job: Job, fit: PlaneFit, motion: Motion, match: Match
 ) -> tuple[float, float]:
     """By which share the features lie farther apart than taught, and its sigma, the distance's included."""
     if job.calibration_id == images.rig.calibration_id:
         fit = fit.by_edges()
     growth, sigma = scale_of_features(job, fit)
-    target = _target_from(images.rectification, job, match, fit, motion)
+    target = target_from(images.rectification, job, match, fit, motion)
     return growth, math.hypot(sigma, distance_share(target.position_mm, target.covariance[:3, :3]))
 
 
-def _target_from(
-    rectification: Rectification, job: Job, match: ShapeMatch, fit: PlaneFit, motion: Motion
+def target_from(
+    rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: Motion
 ) -> Target:
+    """A part without circles where the motion of its features puts it."""
     face = fit.face
     reference = job.place_of(job.reference)[:2]
     point = place(job, fit, job.reference)
@@ -343,20 +380,23 @@ def _target_from(
         tilt = slope_v * face.axes[0] - slope_u * face.axes[1]
         return np.concatenate([lifted(face, parameters, in_face), tilt])
 
-    values, covariance = derived(fit, pose)
-    _, by_edges = derived(fit.by_edges(), pose)
+    values, jacobian = differentiated(fit, pose)
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_edges = jacobian @ fit.edge_covariance @ jacobian.T
     if point is None:  # hidden: it lies where the others say
         arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T
-        by_edges[:3, :3] += in_rig @ motion.covariance @ in_rig.T
-    covariance[3:, 3:] += motion.covariance[2, 2] * np.outer(face.normal, face.normal)
+        by_edges[:3, :3] += in_rig @ motion.edge_covariance @ in_rig.T
+    about_normal = np.outer(face.normal, face.normal)
+    covariance[3:, 3:] += motion.covariance[2, 2] * about_normal
+    by_edges[3:, 3:] += motion.edge_covariance[2, 2] * about_normal
     target = Target(
         job=job.name,
-        match=match_in_raw(rectification, match),
+        match=match,
         rig_from_part=transform(face.axes.T @ about_z(motion.turn), values[:3]),
         covariance=covariance,
-        by_edges=by_edges[:3, :3],
+        by_edges=by_edges,
         circles=(),
         epipolar_rms_px=_row_mismatch_px(fit, rectification),
     )

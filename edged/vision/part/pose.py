@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,32 @@ ROUNDS = 8
 MIN_SPARE = 2
 """More observations than unknowns, before a growth is told from a feature that lies elsewhere."""
 
-Observation = tuple[FloatArray, FloatArray, FloatArray]
-"""Of one curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance."""
+
+class Observation(NamedTuple):
+    """Of one curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance.
+
+    by_fit (M, P) : how it moves with the parameters of the fit.  taught (M, M) : of the taught place.
+    """
+
+    gap: FloatArray
+    rows: FloatArray
+    inverse: FloatArray
+    by_fit: FloatArray
+    taught: FloatArray
+
+
+class _Solved(NamedTuple):
+    """The unknowns by robust least squares, and their covariance as if all curves erred independently.
+
+    by_fit (U, P) : how they move with the parameters of the fit.  taught (U, U) : what the taught places add.
+    excess : by which the curves' scatter exceeds what is expected of them, a factor of at least 1.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    by_fit: FloatArray
+    taught: FloatArray
+    excess: float
 
 
 def circle_curve(circle: CircleFeature, free_polarity: bool) -> Curve:
@@ -50,12 +75,14 @@ def slot_curve(slot: SlotFeature, free_polarity: bool, sign: int = 1) -> Curve:
 class Motion:
     """How the part lies in the fitted face against where the face's axes put it.
 
-    shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn).
+    shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn), edge_covariance what of it comes from the
+    edges and not from the calibration.
     """
 
     shift: FloatArray
     turn: float
     covariance: FloatArray
+    edge_covariance: FloatArray
 
     def apply(self, point: FloatArray) -> FloatArray:
         """(2,) where a taught point lies."""
@@ -66,33 +93,33 @@ def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
     """The motion in the face that lays the taught features onto the measured ones; robust.
 
     A feature that lies elsewhere (another edge beside it, a worn corner) loses its weight as a whole.
+    A rig that is wrong turns all features alike: what they have in common, the covariance has, too.
     None when the features leave the rotation open.
     """
     solved = _solved(_observations(job, fit), 3)
     if solved is None:
         return None
-    motion, covariance = solved
-    return Motion(motion[:2], float(motion[2]), covariance)
+    by_edges = solved.excess * (solved.by_fit @ fit.edge_covariance @ solved.by_fit.T + solved.taught)
+    by_rig = solved.by_fit @ (fit.covariance - fit.edge_covariance) @ solved.by_fit.T
+    return Motion(solved.values[:2], float(solved.values[2]), by_edges + by_rig, by_edges)
 
 
 def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
     """By which share the features lie farther apart than taught, and its sigma; NaN: they do not tell."""
     observations = _observations(job, fit)
-    if sum(len(gap) for gap, _, _ in observations) < 4 + MIN_SPARE:
+    if sum(len(one.gap) for one in observations) < 4 + MIN_SPARE:
         return math.nan, math.nan
     solved = _solved(observations, 4)
     if solved is None:
         return math.nan, math.nan
-    motion, covariance = solved
-    return float(motion[3]), math.sqrt(max(float(covariance[3, 3]), 0.0))
+    return float(solved.values[3]), math.sqrt(max(float(solved.covariance[3, 3]), 0.0))
 
 
 def form_mm(job: Job, fit: PlaneFit, motion: Motion) -> float:
     """Farthest that an edge or slot lies from its taught outline, laid there by the motion; at its middle."""
     unknowns = np.append(motion.shift, motion.turn)
     far = [
-        float(np.linalg.norm((gap - design[:, :3] @ unknowns)[:-1]))
-        for gap, design, _ in _observations(job, fit)
+        float(np.linalg.norm((one.gap - one.rows[:, :3] @ unknowns)[:-1])) for one in _observations(job, fit)
     ]
     seen = {one.curve.name: one.curve for one in fit.fits}
     for slot in job.slots:
@@ -102,31 +129,35 @@ def form_mm(job: Job, fit: PlaneFit, motion: Motion) -> float:
     return max(far)
 
 
-def _solved(observations: list[Observation], unknowns: int) -> tuple[FloatArray, FloatArray] | None:
-    """The first unknowns (3: shift and turn; 4: and growth) by robust least squares, and their covariance."""
+def _solved(observations: list[Observation], unknowns: int) -> _Solved | None:
+    """The first unknowns: 3: shift and turn; 4: and growth."""
     motion, weights, far = np.zeros(unknowns), np.ones(len(observations)), np.zeros(len(observations))
     normal = np.zeros((unknowns, unknowns))
     for _ in range(ROUNDS):
         normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-        for (gap, full, inverse), weight in zip(observations, weights, strict=True):
-            design = full[:, :unknowns]
-            normal += weight * design.T @ inverse @ design
-            right += weight * design.T @ inverse @ gap
+        for one, weight in zip(observations, weights, strict=True):
+            design = one.rows[:, :unknowns]
+            normal += weight * design.T @ one.inverse @ design
+            right += weight * design.T @ one.inverse @ one.gap
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e10:
             return None
         motion = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-        misfits = [gap - full[:, :unknowns] @ motion for gap, full, _ in observations]
+        misfits = [one.gap - one.rows[:, :unknowns] @ motion for one in observations]
         far = np.array(
-            [
-                math.sqrt(r @ inverse @ r / len(r))
-                for r, (_, _, inverse) in zip(misfits, observations, strict=True)
-            ]
+            [math.sqrt(r @ one.inverse @ r / len(r)) for r, one in zip(misfits, observations, strict=True)]
         )
         weights = tukey_weights(far, max(mad_sigma(far), 1.0))
-    freedom = sum(len(gap) for gap, _, _ in observations) - unknowns
-    chi2 = float(np.sum(weights * far**2 * [len(gap) for gap, _, _ in observations])) / max(freedom, 1)
-    return motion, np.asarray(np.linalg.inv(normal) * max(chi2, 1.0))
+    sizes = [len(one.gap) for one in observations]
+    freedom = sum(sizes) - unknowns
+    chi2 = float(np.sum(weights * far**2 * sizes)) / max(freedom, 1)
+    inverse = np.linalg.inv(normal)
+    by_fit, taught, excess = [], np.zeros((unknowns, unknowns)), max(chi2, 1.0)
+    for one, weight in zip(observations, weights, strict=True):
+        gain = weight * inverse @ one.rows[:, :unknowns].T @ one.inverse
+        by_fit.append(gain @ one.by_fit)
+        taught += gain @ one.taught @ gain.T
+    return _Solved(motion, np.asarray(inverse * excess), np.sum(by_fit, axis=0), taught, excess)
 
 
 def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
@@ -149,10 +180,14 @@ def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
             project = np.array([[-math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]])
         gap = curve.parameters[:3] - taught[curve.name]
         gap[2] = wrapped(gap[2], math.pi)
-        spread = np.zeros((3, 3))
-        known = fit.covariance[where, where][: sizes[curve.kind], : sizes[curve.kind]]
-        spread[: len(known), : len(known)] = known
-        spread += np.diag([TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM / lever]) ** 2
-        inverse = np.asarray(np.linalg.inv(project @ spread @ project.T), dtype=np.float64)
-        observations.append((project @ gap, project @ rows, inverse))
+        size = sizes[curve.kind]
+        by_fit = np.zeros((3, len(fit.covariance)))
+        by_fit[:size, where] = np.eye(size, where.stop - where.start)
+        by_fit = project @ by_fit
+        spread = np.diag([TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM / lever]) ** 2
+        taught_spread = project @ spread @ project.T
+        inverse = np.asarray(
+            np.linalg.inv(by_fit @ fit.covariance @ by_fit.T + taught_spread), dtype=np.float64
+        )
+        observations.append(Observation(project @ gap, project @ rows, inverse, by_fit, taught_spread))
     return observations

@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.domain.measurement import Reject, Target
+from edged.domain.measurement import Match, Reject, Target
 from edged.vision.curves.outlineprojection import project_outline
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.candidates import candidates
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.body import Body
@@ -126,7 +126,8 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     if whole is None or whole.fit.rigid is None:
         return Reject.FEW_EDGES
     fit, rigid = whole.fit, whole.fit.rigid
-    target = target_of(images.rectification, job, match, fit)
+    in_raw = match_in_raw(images.rectification, match)
+    target = target_of(job, in_raw, fit)
     reject = Reject.NONE
     if margin < MIN_MARGIN:
         reject |= Reject.AMBIGUOUS_ROTATION
@@ -147,7 +148,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
     by_edges = fit.by_edges() if job.calibration_id == images.rig.calibration_id else fit
     assert by_edges.rigid is not None
-    place = target_of(images.rectification, job, match, by_edges)
+    place = target_of(job, in_raw, by_edges)
     evidence = Evidence(
         best.share,
         float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
@@ -353,10 +354,15 @@ def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
     """All curves of the part measured together from a locked pose rig_from_part (4, 4)."""
     curves, clear, shown = _with_signs(images, curves_of(job), pose, job.body)
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    rigid_mm = RIGID_PX * float(pose[2, 3]) / images.rig.left.fx
+    rigid_mm = taught_sigma_mm(images.rig, pose)
     params = PARAMS if job.body is None else KNOWN_PARAMS
     fit = fit_plane(images.rig, images.raw, face, curves, params, rigid_mm=rigid_mm)
     return None if fit is None else _Whole(fit, tuple(curves), clear, shown)
+
+
+def taught_sigma_mm(rig: StereoRig, pose: FloatArray) -> float:
+    """What a feature's taught place and size are worth where the part lies, rig_from_part (4, 4)."""
+    return RIGID_PX * float(pose[2, 3]) / rig.left.fx
 
 
 def _with_signs(
@@ -424,7 +430,7 @@ def _beside_glare(image: Image, pixels: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(bright[y, x] > 0)
 
 
-def target_of(rectification: Rectification, job: Job, match: ShapeMatch, fit: PlaneFit) -> Target:
+def target_of(job: Job, match: Match, fit: PlaneFit) -> Target:
     """The part where a rigid fit puts it."""
     assert fit.rigid is not None
     face = fit.face
@@ -438,10 +444,10 @@ def target_of(rectification: Rectification, job: Job, match: ShapeMatch, fit: Pl
     lift[3:, 1], lift[3:, 2], lift[3:, 5] = -v, u, n
     return Target(
         job=job.name,
-        match=match_in_raw(rectification, match),
+        match=match,
         rig_from_part=transform(face.axes.T, face.to_rig(np.array([[x, y, z]]))[0]),
         covariance=lift @ fit.rigid.covariance @ lift.T,
-        by_edges=(lift @ fit.rigid.edge_covariance @ lift.T)[:3, :3],
+        by_edges=lift @ fit.rigid.edge_covariance @ lift.T,
         circles=(),
         epipolar_rms_px=math.nan,
     )

@@ -4,26 +4,40 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from blockpart import (
+    BOSS,
+    DARK,
+    PLATE,
+    REFERENCE_MM,
+    STEP_MM,
+    TaughtBlock,
+    block,
+    pair_of_block,
+    table,
+    taught,
+    up,
+)
+from cells import frame_pair, pictures, small_rig
 from flatparts import METAL, only
-from tilted import BELOW_MM, lying, stacked
+from tilted import lying, stacked
 
-from edged.domain.arrays import FloatArray, Image
-from edged.domain.measurement import Outcome, Reject, Target
-from edged.pipeline import PreparedRig, locate, prepare
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Reject, Target
+from edged.pipeline import locate, prepare
 from edged.report.teaching import Taught, teaching_report
-from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.sim.render.scene import Disc, Hole, Part, Scene, Surface
+from edged.vision.curves.foresight import Light, scatter_in
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part import measure as part_measure
 from edged.vision.part.frames import with_features
-from edged.vision.part.job import CornerFeature, Job, MeasurementSpec
+from edged.vision.part.job import CornerFeature, MeasurementSpec
 from edged.vision.part.measured import Measured
 from edged.vision.part.rigidlock import lock
 from edged.vision.part.solid import curves_of
@@ -31,67 +45,7 @@ from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
-STEP_MM = 4.0
-REFERENCE_MM = (10.0, -6.0)
-PLATE = Part(
-    "plate",
-    Polygon(((-14, -10), (14, -10), (14, 1), (2, 1), (2, 10), (-14, 10))),
-    METAL,
-    (
-        Hole("a", Disc(*REFERENCE_MM, 2.2)),
-        Hole("b", Disc(-10, 6, 1.6)),
-        Hole("c", Disc(-2, 6.5, 1.8)),
-        Hole("through", Disc(-6, -3, 2.3)),
-    ),
-)
-BOSS = Part("boss", Disc(-6, -3, 4.5), replace(METAL, seed=5), (Hole("bore", Disc(-6, -3, 2.0)),))
-DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
-
-
-def block(where: FloatArray, wall: Surface = DARK, boss: Part = BOSS) -> Scene:
-    """A plate 6 mm thick with a boss on it, bored through."""
-    layers = [*stacked(PLATE, where, 6.0, wall), *stacked(boss, where @ up(STEP_MM), STEP_MM, wall)]
-    return Scene(table(), tuple(layers))
-
-
-def up(height_mm: float) -> FloatArray:
-    """(4, 4) from a face of the part to one that lies so much nearer to the cameras."""
-    moved = np.eye(4)
-    moved[2, 3] = -height_mm
-    return moved
-
-
-def table() -> Table:
-    """Below every tilted part."""
-    return Table(TEXTURED, pose((8.0, 0.0, 205.0 + BELOW_MM)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TaughtBlock:
-    """The block as it was taught."""
-
-    rig: PreparedRig
-    job: Job
-    part_from_job: FloatArray
-
-    def see(self, world: Scene, seed: int = 7) -> Outcome:
-        """What comes of a scene."""
-        job = replace(self.job, tilt_rad=math.radians(45.0))
-        left, right = pictures(self.rig.rig, world, seed)
-        return locate(frame_pair(left, right), job, self.rig)
-
-
-@functools.cache
-def taught() -> TaughtBlock:
-    """One job for all tests of a process."""
-    rig = prepare(small_rig())
-    where = lying(rig.rig, 0.0, 0.0, 0.0)
-    job = teach(*_pair(rig, block(where)), rig.rectification, None, "block")
-    return TaughtBlock(rig, job, invert(where) @ job.rig_from_part)
-
-
-def _pair(rig: PreparedRig, world: Scene) -> tuple[Image, Image]:
-    return pictures(rig.rig, world, 1)
+SEEN = scatter_in(Light(100.0, 2.0, 0.8), 0.03)
 
 
 def error_mm(target: Target, where: FloatArray) -> FloatArray:
@@ -134,7 +88,7 @@ def hub() -> TaughtBlock:
     """A round plate whose only tell of its turn is where three holes and a boss beside its middle are."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
-    job = teach(*_pair(rig, hub_at(where)), rig.rectification, None, "hub")
+    job = teach(*pair_of_block(rig, hub_at(where)), rig.rectification, None, "hub")
     return TaughtBlock(rig, job, invert(where) @ job.rig_from_part)
 
 
@@ -206,7 +160,7 @@ def test_a_flat_job_is_not_solid() -> None:
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     layers = stacked(PLATE, where, 6.0, DARK)
-    job = teach(*_pair(rig, Scene(table(), tuple(layers))), rig.rectification, None, "plate")
+    job = teach(*pair_of_block(rig, Scene(table(), tuple(layers))), rig.rectification, None, "plate")
     assert not job.solid
 
 
@@ -260,7 +214,7 @@ def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
         Curve("b", "edge", np.array([-11.0, -1.5, math.pi / 2]), 1, length_mm=11.0, height_mm=-STEP_MM),
     )
     nothing = np.zeros((2, 0))
-    fits = tuple(CurveFit(edge, np.ones(2), 0.1, 0.0, nothing[..., None], nothing) for edge in edges)
+    fits = tuple(CurveFit(edge, np.ones(2), 0.1, 0.0, nothing[..., None], nothing, SEEN) for edge in edges)
     fit = PlaneFit(Face(where[:3, 3], where[:3, :3].T), fits, np.eye(9), np.eye(9), 0.0, 0.1)
     job = replace(here.job, edges=(), corners=(CornerFeature("k", ("a", "b")),))
     (corner,) = with_features(only(here.see(block(where))), job, fit).corners
@@ -271,7 +225,7 @@ def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch:
     """Walls and what lies over a part displace single curves in one camera: as one whole it is still good."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
-    pair = _pair(rig, Scene(table(), tuple(stacked(PLATE, where, 6.0, DARK))))
+    pair = pair_of_block(rig, Scene(table(), tuple(stacked(PLATE, where, 6.0, DARK))))
     job = teach(*pair, rig.rectification, None, "plate")
     images = StereoImages.of(rig.rectification, *pair)
     (match,) = find_shapes(images.rectified_left, job.shape, job.search)

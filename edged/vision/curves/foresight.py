@@ -1,0 +1,186 @@
+"""What a fit of curves would be worth, before there are pictures of them.
+
+The covariance of a fit depends on where the curves lie in both images and on how well their edges can be
+seen, not on where the edges are found. So the normal equations of `planefit` are formed for any place, with
+the scatter that the same edges had where they were measured last: of what both cameras have in common, of
+what they have against each other, and of the systematic shifts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.vision.curves.adjustment import precise
+from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
+from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
+from edged.vision.curves.outlines import Curve, Face, Outline
+from edged.vision.curves.planefit import PlaneFit, Scatter, arcs_px, result_of
+from edged.vision.curves.planestate import Edges, FitParams, Problem, State, Step
+from edged.vision.geometry.camera import StereoRig
+
+SPACING_PX = 6.0
+"""Of the samples: what a curve is worth changes slowly along it."""
+BORDER_PX = 4.0
+"""Nearer to the border of a picture there is no room for the profile of an edge."""
+MIN_SAMPLES = 8
+NOTHING = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """How well an edge shows: contrast and noise in grey values, blur in px (one sigma)."""
+
+    contrast: float
+    noise: float
+    blur_px: float
+
+
+def scatter_in(light: Light, shift_px: float) -> Scatter:
+    """What an edge is worth at best: one px of arc tells its place to noise² 2 sqrt(pi) blur / contrast².
+
+    shift_px : one sigma of its systematic shifts.  That is the Cramér-Rao bound of a step under a Gaussian
+    blur and white noise; rounding to grey values is noise, too.
+    """
+    variance = (light.noise**2 + 1 / 12) * 2 * math.sqrt(math.pi) * light.blur_px / light.contrast**2
+    information = np.array([2.0, 0.5, 0.0, 0.0]) / variance
+    nowhere = (False, False)
+    return Scatter(information, 0.5, np.full(2, shift_px), nowhere, nowhere)
+
+
+def foresee_plane(
+    rig: StereoRig,
+    face: Face,
+    curves: Sequence[Curve],
+    scatters: Sequence[Scatter],
+    *,
+    rigid_mm: float | None = None,
+    min_support: float = 0.4,
+) -> PlaneFit | None:
+    """The fit that pictures of these curves would give where they lie; its edges are just there.
+
+    scatters : of each curve.  rigid_mm : as `fit_plane` has it.  min_support : share of a curve that both
+    pictures must hold. None where they hold none, or the plane would not be known.
+    """
+    params = FitParams(min_support=min_support)
+    state = State(rig, (NOTHING, NOTHING), face, tuple(curves), params, False, False, rigid_mm)
+    sampled = state.sampled(SPACING_PX)
+    if sampled is None:
+        return None
+    outline, starts = sampled
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left, right = (project_outline(rig, side, face, outline) for side in SIDES)
+    inside = _inside(rig, "left", left) & _inside(rig, "right", right)
+    counts = np.add.reduceat(inside, starts[:-1], dtype=np.int64)
+    kept = (counts >= MIN_SAMPLES) & (counts >= min_support * np.diff(starts))
+    if not kept.any():
+        return None
+    if not kept.all():
+        fewer = np.flatnonzero(kept).tolist()
+        return foresee_plane(
+            rig,
+            face,
+            [curves[k] for k in fewer],
+            [scatters[k] for k in fewer],
+            rigid_mm=rigid_mm,
+            min_support=min_support,
+        )
+    step = _step(state, scatters, sampled, (left, right), inside)
+    return None if step is None else result_of(state, step)
+
+
+def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[np.bool_]:
+    """(N,) which samples lie in a picture, with room for an edge."""
+    camera = rig.left if side == "left" else rig.right
+    most = np.array([camera.width, camera.height]) - 1 - BORDER_PX
+    good = (seen.pixels >= BORDER_PX) & (seen.pixels <= most)  # False for NaN
+    return np.asarray(good.all(axis=1) & np.isfinite(seen.design).all(axis=1))
+
+
+def _step(
+    state: State,
+    scatters: Sequence[Scatter],
+    sampled: tuple[Outline, npt.NDArray[np.int64]],
+    sides: tuple[ProjectedOutline, ProjectedOutline],
+    inside: npt.NDArray[np.bool_],
+) -> Step | None:
+    """The step that edges of this scatter, all of them where the curves lie, would give."""
+    outline, starts = sampled
+    counts = np.diff(starts)
+    pairs, precision = _pairs(scatters, starts, sides, inside)
+    columns = state.columns(np.ones(len(counts), bool))
+    used = np.unique(columns[columns >= 0])
+    dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
+    still, shifts = np.zeros((2, starts[-1])), np.array([one.shift_px for one in scatters])
+    samples, priors = samples_of(
+        pairs,
+        state.with_row_shift(outline, sides),
+        np.pad(dense, ((0, 0), (0, 1)), constant_values=-1),
+        still,
+        np.zeros((2, len(counts))),
+        np.array([curve.polarity for curve in state.curves]),
+        state.shift_basis(outline, sides, pairs.gain),
+        len(used),
+    )
+    samples.columns[:, -1] = len(used) + priors
+    known_before = int(np.count_nonzero(used >= state.shared - 1)) if state.rigid_mm is not None else 0
+    solution = precise(samples, len(used) + priors + 1, known_before + priors + 1, precision, shifts)
+    if solution is None:
+        return None
+    edges = Edges(
+        still,
+        np.ones_like(still),
+        np.zeros((2, len(counts))),
+        np.repeat(np.array([one.clipped for one in scatters]).T, counts, axis=1),
+        np.repeat(np.array([one.soft for one in scatters]).T, counts, axis=1),
+    )
+    problem = Problem(
+        samples, solution, pairs, state.face, state.curves, outline, sides, edges, starts, used, True
+    )
+    return Step(
+        np.zeros(state.unknowns),
+        problem,
+        np.zeros(len(counts)),
+        0.0,
+        starts,
+        np.stack([side.pixels for side in sides]),
+        still,
+        np.stack([inside, inside]).astype(np.float64),
+        still,
+    )
+
+
+def _pairs(
+    scatters: Sequence[Scatter],
+    starts: npt.NDArray[np.int64],
+    sides: tuple[ProjectedOutline, ProjectedOutline],
+    inside: npt.NDArray[np.bool_],
+) -> tuple[Pairs, FloatArray]:
+    """The parts of each curve of which its scatter tells anything, and their precision (Q,) by px of arc."""
+    counts, total = np.diff(starts), int(starts[-1])
+    arcs = np.where(inside, arcs_px(sides, starts), 0.0)
+    rows, lengths, parts, precision = [], [0], [0], []
+    for k, scatter in enumerate(scatters):
+        for kind in np.flatnonzero(scatter.information > 0):
+            rows.append(kind * total + np.arange(starts[k], starts[k + 1]))
+            lengths.append(counts[k])
+            precision.append(scatter.information[kind])
+        parts.append(len(rows))
+    chosen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
+    gain = np.stack([side.gain for side in sides])
+    pairs = Pairs(
+        np.ones(total, bool),
+        np.repeat([one.share for one in scatters], counts),
+        np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN),
+        chosen,
+        np.cumsum(lengths),
+        np.array(parts),
+        np.array([one.information[0] > 0 for one in scatters]),
+        np.tile(arcs, len(PARTS))[chosen],
+    )
+    return pairs, np.array(precision)

@@ -1,0 +1,122 @@
+"""What a measurement of a part would be worth wherever it lies: before anybody lays it there.
+
+The same terms as those of a measured target, from the same equations, but for the pictures: the edges are
+where the pose puts them, and as clear as they were where the job was measured last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Match, Reject, Target
+from edged.vision.curves.foresight import Light, foresee_plane, scatter_in
+from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply, transform
+from edged.vision.part.circles import placed
+from edged.vision.part.job import Job
+from edged.vision.part.measure import all_curves, completed, needs_all, published, target_from, with_free_axis
+from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_curve
+from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
+
+GOOD_LIGHT = Light(contrast=80.0, noise=2.0, blur_px=0.8)
+USUAL_SHIFT_PX = 0.03
+"""Of the edges of machined parts in even light: what a fit starts from, too (`systematic`)."""
+USUAL = scatter_in(GOOD_LIGHT, USUAL_SHIFT_PX)
+"""Of a job that nobody has measured yet."""
+
+Scatters = Mapping[str, Scatter]
+"""By the name of the feature."""
+
+
+def scatters_of(fits: Sequence[CurveFit]) -> Scatters:
+    """How well the features of a measured part could be seen."""
+    return {one.name: one.scatter for one in fits}
+
+
+def expected_target(
+    rectification: Rectification, job: Job, rig_from_part: FloatArray, scatters: Scatters
+) -> Target | None:
+    """The target that a job would give of a part at a pose, with its covariance and its terms.
+
+    rig_from_part (4, 4) : as `Target` has it, of the reference point.  scatters : of features that were
+    measured; the others are as clear as the middle one of these, or as usual.  Its sizes are the taught ones.
+    None where both pictures do not hold enough of it.
+    """
+    own = rig_from_part @ transform(np.eye(3), -job.place_of(job.reference))
+    x, y = rectification.rig.left.project(rig_from_part[None, :3, 3])[0]
+    sight = _Sight(rectification, job, own, Match(float(x), float(y), 0.0, 1.0, 1.0, 1.0), scatters)
+    if job.solid:
+        target = sight.whole()
+    elif job.circles:
+        target = sight.circles()
+    else:
+        target = sight.edges()
+    if target is None:
+        return None
+    target = published(job, target)
+    sigma_mm = max(float(one.sigma_mm.max()) for one in (target, target.as_reported))
+    vague = not sigma_mm <= job.limits.max_sigma_mm
+    return replace(target, reject=Reject.SIGMA_LIMIT if vague else Reject.NONE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sight:
+    """A job's part at a pose of the job's own frame, rig_from_own (4, 4)."""
+
+    rectification: Rectification
+    job: Job
+    rig_from_own: FloatArray
+    match: Match
+    scatters: Scatters
+
+    def whole(self) -> Target | None:
+        """A part of several heights, as one rigid whole."""
+        rig_mm = taught_sigma_mm(self.rectification.rig, self.rig_from_own)
+        fit = self._fit(self._face(np.zeros(3)), curves_of(self.job), rig_mm)
+        return None if fit is None else with_free_axis(self.job, target_of(self.job, self.match, fit))
+
+    def circles(self) -> Target | None:
+        """A part of one face with circles: these together, then what they do not say."""
+        main = self.job.reference_circle
+        job = replace(self.job, reference=main.name)
+        face, curves = self._face(main.centre_mm), []
+        for circle in job.circles:
+            x, y, height = circle.centre_mm - main.centre_mm
+            curve = circle_curve(circle, free_polarity=False)
+            curves.append(
+                replace(curve, parameters=np.array([x, y, circle.radius_mm]), height_mm=float(height))
+            )
+        fit = self._fit(face, curves)
+        if fit is None or fit.fit_of(main.name) is None:
+            return None
+        _, target = placed(job, self.match, fit, self.rig_from_own[:3, :3])
+        beside = None
+        if needs_all(self.job, target):
+            polarity = {circle.name: circle.polarity for circle in job.circles}
+            beside = self._fit(*all_curves(self.job, target, polarity))
+        return completed(self.job, target, beside)
+
+    def edges(self) -> Target | None:
+        """A part of edges and slots."""
+        curves = [edge_curve(edge, free_polarity=False) for edge in self.job.edges]
+        curves += [slot_curve(slot, free_polarity=False) for slot in self.job.slots]
+        fit = self._fit(self._face(np.zeros(3)), curves)
+        motion = None if fit is None else find_motion(self.job, fit)
+        if fit is None or motion is None:
+            return None
+        return target_from(self.rectification, self.job, self.match, fit, motion)
+
+    def _face(self, origin_mm: FloatArray) -> Face:
+        return Face(apply(self.rig_from_own, origin_mm), self.rig_from_own[:3, :3].T)
+
+    def _fit(self, face: Face, curves: Sequence[Curve], rigid_mm: float | None = None) -> PlaneFit | None:
+        known = sorted(self.scatters.values(), key=lambda one: float(one.information[0]))
+        usual = known[len(known) // 2] if known else USUAL
+        scatters = [self.scatters.get(curve.name, usual) for curve in curves]
+        return foresee_plane(self.rectification.rig, face, curves, scatters, rigid_mm=rigid_mm)

@@ -1,0 +1,130 @@
+"""What a measurement would be worth is what it then says it is worth, and by what it then errs."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import cells
+import numpy as np
+import pytest
+from blockpart import block, taught
+from flatparts import cell
+from tilted import lying
+
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Reject, Target
+from edged.robot.budget import budget_of
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import make_rectification
+from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.expected import Scatters, expected_target, scatters_of
+from edged.vision.part.job import Job
+from edged.vision.part.measure import measure_part
+from edged.vision.part.measured import Measured
+from edged.vision.shape.search import find_shapes
+
+
+@functools.cache
+def known_rig() -> StereoRig:
+    """The small rig as a calibration knows it: its focal lengths and principal points to some 0.1 px."""
+    rig = cells.small_rig()
+    sigma = {"fx": 0.2, "fy": 0.2, "cx": 0.1, "cy": 0.1}
+    variances = [sigma.get(name.split(".")[1], 0.0) ** 2 for name in rig.parameter_names]
+    return replace(rig, covariance=np.diag(variances))
+
+
+def measured(job: Job, pair: tuple[Image, Image], rig: StereoRig | None = None) -> Measured:
+    """The part in a pair of the small rig."""
+    rectification = make_rectification(rig or known_rig())
+    images = StereoImages.of(rectification, *pair)
+    match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
+    result = measure_part(images, job, match)
+    assert isinstance(result, Measured)
+    return result
+
+
+def expected(job: Job, pose: FloatArray, scatters: Scatters, rig: StereoRig | None = None) -> Target | None:
+    """What is expected there."""
+    return expected_target(make_rectification(rig or known_rig()), job, pose, scatters)
+
+
+def sigmas(covariance: FloatArray) -> FloatArray:
+    """(6,)"""
+    return np.sqrt(np.diag(covariance))
+
+
+def pair_of(name: str, turn_deg: float, tilt_deg: float, seed: int) -> tuple[Job, tuple[Image, Image]]:
+    """A job and a pair of its part."""
+    if name == "block":
+        here = taught()
+        scene = block(lying(here.rig.rig, tilt_deg, 80.0, turn_deg))
+        return replace(here.job, tilt_rad=math.radians(45.0)), cells.pictures(cells.small_rig(), scene, seed)
+    flat = cell(name)
+    return flat.job, flat.see(cells.pose(turn_deg=turn_deg, tilt_deg=tilt_deg), seed)
+
+
+@pytest.mark.parametrize("name", ["plate", "disc", "round", "block"])
+@pytest.mark.parametrize(("turn_deg", "tilt_deg"), [(20.0, 0.0), (160.0, 8.0)])
+def test_where_a_part_was_measured_its_sigma_is_expected(name: str, turn_deg: float, tilt_deg: float) -> None:
+    """With the edges as clear as they were there: all six sigmas and both terms, within 7 %."""
+    job, pair = pair_of(name, turn_deg, tilt_deg, seed=3)
+    found = measured(job, pair)
+    target = found.target
+    foreseen = expected(job, target.rig_from_part, scatters_of(found.fits))
+    assert foreseen is not None
+    assert target.by_edges is not None
+    assert foreseen.by_edges is not None
+    np.testing.assert_allclose(sigmas(foreseen.covariance), sigmas(target.covariance), rtol=0.07)
+    np.testing.assert_allclose(sigmas(foreseen.by_edges), sigmas(target.by_edges), rtol=0.07)
+    budget = budget_of(foreseen, None, None)
+    assert budget is not None
+    assert (budget.calibration[:3] > 0).all()
+    assert not budget.doubt.any()
+
+
+def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
+    """Taught flat, then turned, tilted and moved: squared errors over the edges' variances, 1 in the mean.
+
+    16 places, three axes each: chance leaves it open to a fifth, the textures of a real part to some more.
+    """
+    flat, rng = cell("disc"), np.random.default_rng(5)
+    exact = cells.small_rig()
+    scatters = scatters_of(measured(flat.job, flat.see(cells.pose()), exact).fits)
+    squares = []
+    for seed in range(16):
+        x, y, z = rng.uniform((-4, -9, 198), (18, 9, 212))
+        turn, tilt = rng.uniform((0.0, 0.0), (360.0, 8.0))
+        where = cells.pose((float(x), float(y), float(z)), float(turn), float(tilt))
+        foreseen = expected(flat.job, flat.true_pose(where), scatters, exact)
+        assert foreseen is not None
+        found = measured(flat.job, flat.see(where, seed), exact).target
+        squares.append(((found.position_mm - flat.true_pose(where)[:3, 3]) / foreseen.sigma_mm) ** 2)
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+def test_farther_away_the_depth_is_worse() -> None:
+    """Of edges that show equally well: as the square of the distance, but for the shorter arcs."""
+    flat = cell("disc")
+    scatters = scatters_of(measured(flat.job, flat.see(cells.pose())).fits)
+    near, far = (
+        expected(flat.job, flat.true_pose(cells.pose((8.0, 0.0, z_mm))), scatters, cells.small_rig())
+        for z_mm in (195.0, 215.0)
+    )
+    assert near is not None
+    assert far is not None
+    assert far.sigma_mm[2] / near.sigma_mm[2] == pytest.approx((215 / 195) ** 2.5, rel=0.1)
+
+
+def test_nothing_is_expected_of_what_the_pictures_do_not_hold() -> None:
+    """Far aside there is no result; and where the sigma is beyond the job's limit, that is said."""
+    flat = cell("disc")
+    assert expected(flat.job, flat.true_pose(cells.pose((80.0, 0.0, 205.0))), {}) is None
+    assert expected(flat.job, flat.true_pose(cells.pose((8.0, 0.0, -205.0))), {}) is None
+    strict = replace(flat.job, limits=replace(flat.job.limits, max_sigma_mm=1e-4))
+    here = flat.true_pose(cells.pose())
+    vague, usual = expected(strict, here, {}), expected(flat.job, here, {})
+    assert vague is not None
+    assert usual is not None
+    assert (Reject.SIGMA_LIMIT, Reject.NONE) == (vague.reject, usual.reject)
