@@ -13,7 +13,7 @@ from webcell import PASSWORD, BrowserSession
 
 ROLES = ("viewer", "operator", "engineer")
 BASIC = "Basic " + base64.b64encode(f"edged:{PASSWORD}".encode()).decode()
-FITTING = ("1", "left", "nobody", "0" * 12, "20260101-120000-0000", "view_001", "x")
+FITTING = ("1", "left", "nobody", "0" * 12, "20260101-120000-0000", "view_001", "pose_001", "x")
 """What stands for a parameter of a path: the first that fits its pattern, and names nothing that there is."""
 
 

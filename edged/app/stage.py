@@ -12,6 +12,7 @@ from pydantic import Field
 from edged.adapters.terminal import Comparison
 from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
 from edged.adapters.web.visitors import Role
+from edged.app.stagerobot import StageRobot
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.domain.events import Event, Snapshot
 from edged.sim.showing import Thing
@@ -83,6 +84,7 @@ class StageRoutes:
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
+        self._robot = StageRobot(stage)
         self._last: Snapshot | None = None
 
     # --- publisher -----------------------------------------------------------------------------
@@ -102,6 +104,7 @@ class StageRoutes:
 
     def add_to(self, table: RouteTable) -> None:
         """Add the routes."""
+        self._robot.add_to(table)
         table.route(
             "GET",
             "/stage",

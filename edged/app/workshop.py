@@ -17,11 +17,12 @@ from edged.files.statefolder import state_folder
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
-from edged.workshop import calibrations, cycles
+from edged.workshop import calibrations, cycles, registrations
 from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import Calibrations
 from edged.workshop.checks import Checks, RigInUse
 from edged.workshop.cycles import Cycles
+from edged.workshop.registrations import Registrations
 from edged.workshop.tasks import Tasks
 from edged.workshop.worker import Worker
 
@@ -77,7 +78,7 @@ class Workshop:
         self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
-        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS}
+        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS, **registrations.FUNCTIONS}
         self._worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
         self._tasks = Tasks(notices)
         self._calibrations = Calibrations(
@@ -102,6 +103,14 @@ class Workshop:
             lambda: _jobs(running()),
         )
         self._cycles = Cycles(lambda: _recordings(running()), self._worker)
+        self._registrations = Registrations(
+            folder / "registrations",
+            self._worker,
+            notices,
+            cycle.capture,
+            lambda: _rig_in_use(running()),
+            lambda: _jobs(running()),
+        )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)
 
@@ -110,6 +119,7 @@ class Workshop:
         from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
         from edged.workshop.checkroutes import CheckRoutes
         from edged.workshop.cycleroutes import CycleRoutes
+        from edged.workshop.registrationroutes import RegistrationRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
 
         return [
@@ -117,6 +127,7 @@ class Workshop:
             ReleaseRoutes(self._calibrations, self._activation).add_to,
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
+            RegistrationRoutes(self._registrations, self._activation).add_to,
         ]
 
     def _cell_now(self) -> CellNow:
@@ -136,6 +147,7 @@ class Workshop:
         self._stop()
         await cancel_and_await(self._finishing)
         await self._calibrations.close()
+        await self._registrations.close()
         await self._tasks.close()
         await self._cycles.close()
         await self._worker.close()

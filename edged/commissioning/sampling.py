@@ -27,8 +27,8 @@ from edged.domain.measurement import Outcome, Reject
 from edged.domain.registration import UNKNOWN_6, Method, Obstacle, Registration
 from edged.errors import CalibrationError, Undetermined
 from edged.robot.handeye import Mount
-from edged.vision.boards.board import NominalBoard, NotDetected
-from edged.vision.calibration.verification import check_board, pose_of_board
+from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
+from edged.vision.calibration.verification import BoardCheck, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, rotation_vector, skew
 
@@ -53,6 +53,38 @@ class Step:
     obstacle: Obstacle | None = None
     why: str = ""
     registered: Registered | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenBoard:
+    """A board in both pictures, numbered alike, sharp and as the rig expects it. rig_from_board (4, 4)."""
+
+    view: StereoView
+    rig_from_board: FloatArray
+    check: BoardCheck
+
+    @property
+    def worst_px(self) -> float:
+        """Of the marks against the board, and of both pictures' rows, rms."""
+        return max(self.check.epipolar_rms_px, self.check.reprojection_rms_px)
+
+
+def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | NotDetected:
+    """Look at it as critically as a registration has to. Raises `UserError`: pictures of another size."""
+    placed = pose_of_board(rig, view_of_board(rig, pair, board))
+    if isinstance(placed, NotDetected):
+        return placed
+    view, rig_from_board = placed
+    blur_px = max(view.found(side).blur_px for side in SIDES)
+    seen = SeenBoard(view, rig_from_board, check_board(rig, view, rig_from_board))
+    if blur_px > MAX_BLUR_PX:
+        return NotDetected(f"not sharp: edges of {blur_px:.1f} px")
+    if seen.worst_px > MAX_RMS_PX:
+        return NotDetected(
+            f"the marks miss the board by {seen.worst_px:.2f} px: it moved, its length is another one, or "
+            "the calibration does not hold"
+        )
+    return seen
 
 
 @dataclass(slots=True, eq=False)
@@ -82,25 +114,12 @@ class Sampling:
         assert self.board is not None
         if same := self._same(robot_from_flange):
             return Step(self.state, Obstacle.SAME_PLACE, same)
-        seen = view_of_board(self.rig, pair, self.board)
-        placed = pose_of_board(self.rig, seen)
-        if isinstance(placed, NotDetected):
-            return Step(self.state, Obstacle.NOT_SEEN, placed.reason)
-        view, rig_from_board = placed
-        blur_px = max(view.found(side).blur_px for side in SIDES)
-        check = check_board(self.rig, view, rig_from_board)
-        if blur_px > MAX_BLUR_PX:
-            return Step(self.state, Obstacle.NOT_SEEN, f"not sharp: edges of {blur_px:.1f} px")
-        worst_px = max(check.epipolar_rms_px, check.reprojection_rms_px)
-        if worst_px > MAX_RMS_PX:
-            return Step(
-                self.state,
-                Obstacle.NOT_SEEN,
-                f"the marks miss the board by {worst_px:.2f} px: it moved, its length is another one, or the "
-                "calibration does not hold",
-            )
-        self._take(robot_from_flange, rig_from_board, shown)
-        return Step(self.state, None, f"pose {len(self.poses)}: {check.marks} marks, {worst_px:.2f} px rms")
+        seen = see_board(self.rig, pair, self.board)
+        if isinstance(seen, NotDetected):
+            return Step(self.state, Obstacle.NOT_SEEN, seen.reason)
+        self._take(robot_from_flange, seen.rig_from_board, shown)
+        words = f"pose {len(self.poses)}: {seen.check.marks} marks, {seen.worst_px:.2f} px rms"
+        return Step(self.state, None, words)
 
     def add_part(self, outcome: Outcome, robot_from_tip: FloatArray, shown: tuple[float, ...]) -> Step:
         """A point that the tip touched, with the part that was found there."""
@@ -160,7 +179,7 @@ class Sampling:
             found.rms_mm,
             float(np.sqrt(np.mean(held_out**2))) if len(held_out) else math.nan,
             self.limit_mm,
-            _sigma(found.covariance, robot_mm.mean(axis=0)),
+            sigma_at(found.covariance, robot_mm.mean(axis=0)),
         )
         return self._judged(state, solved, _words_of_points(solved))
 
@@ -181,7 +200,7 @@ class Sampling:
             found.rms_mm,
             solved.held_out_rms_mm,
             self.limit_mm,
-            _sigma(found.covariance, places.mean(axis=0)),
+            sigma_at(found.covariance, places.mean(axis=0)),
         )
         if not solved.good and (reading := self._other_reading(solved)):
             return Step(state, Obstacle.OTHER_READING, reading)
@@ -227,7 +246,7 @@ def _words_of_points(solved: FromPoints) -> str:
     return f"held out {solved.worst_mm:.3f} mm at most{scale}"
 
 
-def _sigma(covariance: FloatArray, place_mm: FloatArray) -> tuple[float, ...]:
+def sigma_at(covariance: FloatArray, place_mm: FloatArray) -> tuple[float, ...]:
     """One sigma of X, Y, Z (mm) of a point (3,) and of the rotation (degrees).
 
     covariance (6, 6) : of a small motion about the frame's origin.

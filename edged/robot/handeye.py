@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError, Undetermined
+from edged.errors import CalibrationError, TurnsMissing
 from edged.vision.geometry.rigid import (
     apply,
     invert,
@@ -35,12 +35,6 @@ OUTLIER = 6.0
 MIN_KEPT = 0.6
 """With fewer in agreement there is no telling who is wrong: all are kept, and the rms says so."""
 REWEIGHTED = 12
-
-
-# --- touched points ----------------------------------------------------------------------------
-
-
-# --- hand-eye ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,18 +96,44 @@ def hand_eye(
     return HandEye(mount, X, Y, covariance, used, rms, held_mm, held_rad)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """How the flange turned, from the first pose. largest_rad : of all. spread : of the axes, second singular
+    value over the first; 0: all turns are about one. axis (3,) : the one about which it turned most, unit, in
+    the frame of the first pose.
+    """
+
+    largest_rad: float
+    spread: float
+    axis: FloatArray
+
+    @property
+    def are_enough(self) -> bool:
+        """For hand-eye."""
+        return self.largest_rad >= MIN_TURN_RAD and self.spread >= MIN_AXES_SPREAD
+
+
+def turns_of(poses: Sequence[FloatArray]) -> Turns:
+    """Of poses (4, 4), two at least."""
+    vectors = np.array([rotation_vector(poses[0][:3, :3].T @ pose[:3, :3]) for pose in poses[1:]])
+    angles = np.linalg.norm(vectors, axis=1)
+    turned = vectors[angles > 0.3 * MIN_TURN_RAD]
+    if not len(turned):
+        return Turns(float(angles.max()), 0.0, np.array([0.0, 0.0, 1.0]))
+    _, spread, axes = np.linalg.svd(turned)
+    return Turns(float(angles.max()), float(spread[1] / spread[0]) if len(spread) > 1 else 0.0, axes[0])
+
+
 def _check_motion(A: FloatArray) -> None:
     """Rotations about two different axes are needed; a shift alone says nothing about the board's place."""
-    turns = np.array([rotation_vector(invert(A[0])[:3, :3] @ pose[:3, :3]) for pose in A[1:]])
-    angles = np.linalg.norm(turns, axis=1)
-    if angles.max() < MIN_TURN_RAD:
-        raise Undetermined(
-            f"the flange turned by at most {np.degrees(angles.max()):.1f}°: poses that only shift leave the "
-            "board's place open; turn the wrist by 20° or more"
+    turns = turns_of(list(A))
+    if turns.largest_rad < MIN_TURN_RAD:
+        raise TurnsMissing(
+            f"the flange turned by at most {np.degrees(turns.largest_rad):.1f}°: poses that only shift leave "
+            "the board's place open; turn the wrist by 20° or more"
         )
-    spread = np.linalg.svd(turns[angles > 0.3 * MIN_TURN_RAD], compute_uv=False)
-    if len(spread) < 2 or spread[1] < MIN_AXES_SPREAD * spread[0]:
-        raise Undetermined(
+    if not turns.are_enough:
+        raise TurnsMissing(
             "all rotations of the flange are about one axis: the place along it stays open; turn about "
             "another axis too"
         )

@@ -105,6 +105,14 @@ class Hand:
             end_ns = begin_ns + round(takes_s * 1e9)
             self._movements.append(_Movement(begin_ns, end_ns, shift_mm, turn_rad))
 
+    def lay(self, rig_from_hand: FloatArray, at_ns: int) -> None:
+        """Be there at once, exactly, and lie still."""
+        with self._lock:
+            self._base = np.array(rig_from_hand, dtype=np.float64)
+            self._movements.clear()
+            self._goal = None
+            self._calm = (at_ns - round(CALMING_S * 1e9), 0.0, 0.0)
+
     def rest(self, still: bool, at_ns: int) -> None:
         """Lay down what it holds: no tremor any more; or take it up again."""
         with self._lock:

@@ -95,6 +95,16 @@ class Stage:
         goal = self._middle() if rig_from_board is None else rig_from_board @ self._plate_from_hand
         self.hand.move(goal, self._clock())
 
+    def shown(self) -> tuple[Thing, FloatArray] | None:
+        """What is before the cameras now, and where: rig_from_thing (4, 4); None for nothing."""
+        showing = self.cell.showing
+        pose = showing.pose_at(self._clock())
+        return None if showing.thing is Thing.NOTHING or pose is None else (showing.thing, pose)
+
+    def carry(self, rig_from_middle: FloatArray) -> None:
+        """Let a robot hold the board's middle there: it neither misses nor trembles."""
+        self.hand.lay(rig_from_middle, self._clock())
+
     def follow(self, outlines: Mapping[Side, FloatArray]) -> None:
         """Move the board to where a screen draws it, more or less.
 

@@ -94,7 +94,7 @@ class ReleaseRoutes:
         release = await self._activation.activate(rig, call.visitor.name, call.body.note)
         call.trail.after = release.fingerprint
         await self._calibrations.tell(call.part("id"))
-        return _document(release, is_active=True)
+        return document_of_release(release, is_active=True)
 
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
         self._activation.check(call.body.token)
@@ -102,14 +102,17 @@ class ReleaseRoutes:
         call.trail.before = self._activation.fingerprint
         release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
         call.trail.after = release.fingerprint
-        return _document(release, is_active=True)
+        return document_of_release(release, is_active=True)
 
     async def _list(self, _call: Call[None]) -> ReleaseList:
         releases, active = await self._activation.listed()
-        return ReleaseList(releases=[_document(one, is_active=one.number == active) for one in releases])
+        return ReleaseList(
+            releases=[document_of_release(one, is_active=one.number == active) for one in releases]
+        )
 
 
-def _document(release: Release, *, is_active: bool) -> ReleaseDocument:
+def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument:
+    """As it is told."""
     fields = release.model_dump(exclude={"format", "version", "activated"})
     was_active = bool(release.activated) or is_active
     return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)

@@ -1,0 +1,156 @@
+"""Poses as people have them from a robot's pendant: how it calls and rounds them, and how they are pasted."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.errors import UserError
+from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform_of
+from edged.vision.geometry.rigid import transform
+
+
+@dataclass(frozen=True, slots=True)
+class Pendant:
+    """What a pendant shows of a pose. labels : of position and orientation, in their order.
+
+    length : "mm" or "m". angle : "deg", "rad", or "" of a quaternion. shape : of a pose in the maker's own
+    language, with %s for each number.
+    """
+
+    labels: tuple[str, ...]
+    length: str
+    angle: str
+    shape: str = ""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of each label."""
+        return (self.length,) * 3 + (self.angle,) * (len(self.labels) - 3)
+
+    def rounded(self, numbers: tuple[float, ...]) -> list[str]:
+        """As it would show them: 0.01 mm, 0.001°."""
+        digits = {"mm": 2, "m": 5, "deg": 3, "rad": 5, "": 6}
+        units = self.units[: len(numbers)]
+        return [f"{number:.{digits[unit]}f}" for number, unit in zip(numbers, units, strict=True)]
+
+    def text(self, numbers: tuple[float, ...]) -> str:
+        """A pose, or a position, to be read or copied."""
+        shown = self.rounded(numbers)
+        if self.shape and len(numbers) == len(self.labels):
+            return self.shape % tuple(shown)
+        return ", ".join(
+            f"{label} {number}" for label, number in zip(self.labels[: len(shown)], shown, strict=True)
+        )
+
+
+PENDANTS: dict[Brand, Pendant] = {
+    Brand.UR: Pendant(("X", "Y", "Z", "RX", "RY", "RZ"), "m", "rad", "p[%s, %s, %s, %s, %s, %s]"),
+    Brand.KUKA: Pendant(("X", "Y", "Z", "A", "B", "C"), "mm", "deg", "{X %s, Y %s, Z %s, A %s, B %s, C %s}"),
+    Brand.FANUC: Pendant(("X", "Y", "Z", "W", "P", "R"), "mm", "deg"),
+    Brand.YASKAWA: Pendant(("X", "Y", "Z", "Rx", "Ry", "Rz"), "mm", "deg"),
+    Brand.ABB: Pendant(("X", "Y", "Z", "q1", "q2", "q3", "q4"), "mm", "", "[[%s, %s, %s], [%s, %s, %s, %s]]"),
+    Brand.STAUBLI: Pendant(("X", "Y", "Z", "Rx", "Ry", "Rz"), "mm", "deg"),
+    Brand.KAWASAKI: Pendant(("X", "Y", "Z", "O", "A", "T"), "mm", "deg"),
+    Brand.DOOSAN: Pendant(("X", "Y", "Z", "A", "B", "C"), "mm", "deg", "posx(%s, %s, %s, %s, %s, %s)"),
+    Brand.MITSUBISHI: Pendant(("X", "Y", "Z", "A", "B", "C"), "mm", "deg", "(%s, %s, %s, %s, %s, %s)"),
+    Brand.EPSON: Pendant(("X", "Y", "Z", "U", "V", "W"), "mm", "deg"),
+    Brand.DENSO: Pendant(("X", "Y", "Z", "RX", "RY", "RZ"), "mm", "deg"),
+    Brand.TECHMAN: Pendant(("X", "Y", "Z", "Rx", "Ry", "Rz"), "mm", "deg"),
+}
+
+
+def mm_per_unit(brand: Brand) -> float:
+    """Of the lengths that a pendant shows."""
+    return LENGTH_UNITS_MM[PENDANTS[brand].length]
+
+
+# --- pasted ---------------------------------------------------------------------------------------
+
+_LONGEST = 2000
+_SIGNED = r"(?<![A-Za-z0-9_.,])[-+]?"
+_TAIL = r"(?:[eE][-+]?\d+)?"
+_POINT = re.compile(rf"{_SIGNED}(?:\d+\.?\d*|\.\d+){_TAIL}")
+_POINT_OR_COMMA = re.compile(rf"{_SIGNED}(?:\d+(?:[.,]\d+)?|[.,]\d+){_TAIL}")
+_BEYOND = re.compile(r"\)\s*\(|[,\s]S\s*:?\s*\d+\s*,?\s*T\b")
+"""Where configuration and turns begin: MELFA's second bracket, KUKA's S and T."""
+_NEXT_GROUP = re.compile(r"\]\s*,\s*\[")
+"""Of a robtarget: position and orientation are the first two."""
+
+
+def numbers_in(text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """The numbers of one pose or point, however they are separated and named.
+
+    counts : how many there may be. Labels, brackets, degree signs and units are passed over, and so is what
+    stands behind a pose; a comma is the decimal sign where something else separates, or where only that gives
+    a right count. Raises `UserError`.
+
+    >>> numbers_in("X 512,03  Y -88,12  Z 35,40", (3,))
+    (512.03, -88.12, 35.4)
+    >>> numbers_in("p[0.1,0.2,0.3,0,3.14,0]", (6, 7))
+    (0.1, 0.2, 0.3, 0.0, 3.14, 0.0)
+    """
+    if len(text) > _LONGEST:
+        raise UserError(f"expected one pose, got {len(text)} letters")
+    plain = text.replace("−", "-").replace("–", "-").replace("\u00a0", " ")
+    plain = ", ".join(_NEXT_GROUP.split(_BEYOND.split(plain)[0])[:2]).strip()
+    separated = _floats(_POINT.findall(plain.replace(",", " ")))
+    decimal = _floats(_POINT_OR_COMMA.findall(plain))
+    for found in (decimal,) if _is_decimal(plain) else (separated, decimal):
+        if len(found) in counts and all(map(math.isfinite, found)):
+            return found
+    expected = " or ".join(map(str, counts))
+    got = len(decimal if _is_decimal(plain) else separated)
+    raise UserError(f"expected {expected} numbers, got {got}: {plain[:80]}")
+
+
+def _is_decimal(plain: str) -> bool:
+    """Every comma stands between digits, alone in its number, and something else separates the numbers."""
+    commas = re.findall(r"\d,\d", plain)
+    others = re.search(r"\d\.\d|,(?!\d)|(?<!\d),|,\d+,", plain)
+    return bool(commas) and others is None and re.search(r"\d\S*[\s;]+\S*\d", plain) is not None
+
+
+def _floats(found: list[str]) -> tuple[float, ...]:
+    return tuple(float(one.replace(",", ".")) for one in found)
+
+
+# --- readings -------------------------------------------------------------------------------------
+
+READING_CODES: dict[str, str] = dict(
+    zip(
+        READINGS,
+        (
+            "vector-rad",
+            "vector-deg",
+            "zyx-deg",
+            "zyx-rad",
+            "fixed-deg",
+            "fixed-rad",
+            "moving-deg",
+            "moving-rad",
+            "oat-deg",
+            "oat-rad",
+            "scalar-first",
+            "scalar-last",
+        ),
+        strict=True,
+    )
+)
+"""Of `READINGS`, for programs and for the page, which has words of its own."""
+
+
+def brands_of(orientation: str, length_unit: str) -> tuple[Brand, ...]:
+    """Whose pendants write a pose so: none of some ways, several of others."""
+    count, reader = READINGS[orientation]
+    unit = np.array((0.5, 0.1, 0.7, 0.5)) if count == 4 else np.array((0.4, -0.7, 1.1))
+    probe = (1.0, 2.0, 3.0, *(unit / np.linalg.norm(unit) if count == 4 else unit).tolist())
+    said = transform(np.asarray(reader(*probe[3:])), LENGTH_UNITS_MM[length_unit] * np.array(probe[:3]))
+    return tuple(
+        brand
+        for brand in Brand
+        if len(PENDANTS[brand].labels) == len(probe) and np.allclose(transform_of(brand, probe), said)
+    )

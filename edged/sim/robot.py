@@ -1,0 +1,108 @@
+"""A virtual robot beside a stage: it holds the board, or the cameras, and touches what the cameras see."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.sim.showing import Thing
+from edged.sim.stage import Stage
+from edged.vision.geometry.rigid import invert, rotation_matrix, transform
+
+Carried = Literal["board", "cameras"]
+LEVER_MM = 100.0
+"""A rotation is off by as much as the noise at this distance."""
+WALK_DEG = (
+    (0, 0, 0),
+    (14, 0, 20),
+    (-14, 0, -20),
+    (0, 14, 40),
+    (0, -14, -40),
+    (10, 10, -30),
+    (-10, 10, 30),
+    (10, -10, 10),
+    (-10, -10, -10),
+    (12, 5, 35),
+)
+"""About x, y and z of what it carries: ten poses as a robot's program walks them."""
+SHIFT_MM = 6.0
+
+
+def _rotated(degrees: tuple[float, float, float], shift_mm: tuple[float, float, float]) -> FloatArray:
+    x, y, z = np.radians(degrees)
+    turned = (
+        rotation_matrix(np.array([0, 0, z]))
+        @ rotation_matrix(np.array([0, y, 0]))
+        @ rotation_matrix(np.array([x, 0, 0]))
+    )
+    return transform(turned, np.array(shift_mm))
+
+
+FLANGE_FROM_BOARD = _rotated((3.0, 178.0, 40.0), (12.0, -30.0, 85.0))
+"""How it holds the board."""
+FLANGE_FROM_RIG = _rotated((2.0, -4.0, 95.0), (60.0, -20.0, 110.0))
+"""How it carries the cameras."""
+ROBOT_FROM_BOARD = _rotated((0.5, 1.0, 20.0), (520.0, -80.0, 15.0))
+"""Where the board lies while it carries the cameras."""
+
+
+class VirtualRobot:
+    """What its controller shows is what is true on the stage, with noise. Raises ValueError where the cell's
+    own rig does not know where the robot is."""
+
+    def __init__(self, stage: Stage, *, seed: int = 0) -> None:
+        if stage.cell.rig.robot_from_rig is None:
+            raise ValueError("the cell's rig knows no robot")
+        self._stage = stage
+        self._robot_from_rig = stage.cell.rig.robot_from_rig
+        self._rng = np.random.default_rng((seed, 9))
+        self._steps = 0
+
+    def walk(self) -> int:
+        """Carry the board, or the cameras over it, to the next of ten poses; its number from 1."""
+        turn = WALK_DEG[self._steps % len(WALK_DEG)]
+        place = np.eye(4)
+        place[:3, 3] = self._stage.cell.middle_mm
+        angle = 2.4 * self._steps
+        shift = (SHIFT_MM * math.cos(angle), SHIFT_MM * math.sin(angle), 0.5 * SHIFT_MM * math.cos(3 * angle))
+        self._stage.carry(place @ _rotated(turn, shift))
+        self._steps += 1
+        return 1 + (self._steps - 1) % len(WALK_DEG)
+
+    def flange(self, carries: Carried, noise_um: float = 0.0) -> FloatArray | None:
+        """robot_from_flange (4, 4); None while no board is shown."""
+        shown = self._stage.shown()
+        if shown is None or shown[0] is not Thing.BOARD:
+            return None
+        if carries == "board":
+            pose = self._robot_from_rig @ shown[1] @ invert(FLANGE_FROM_BOARD)
+        else:
+            pose = ROBOT_FROM_BOARD @ invert(shown[1]) @ invert(FLANGE_FROM_RIG)
+        shift = self._rng.normal(0.0, 1e-3 * noise_um, 3)
+        turn = rotation_matrix(self._rng.normal(0.0, 1e-3 * noise_um / LEVER_MM, 3))
+        return transform(turn @ pose[:3, :3], pose[:3, 3] + shift)
+
+    def tip(self, left_px: tuple[float, float], noise_um: float = 0.0) -> FloatArray | None:
+        """(3,) mm in the robot's frame, with its tip on what is nearest to there in the left picture.
+
+        Of the part the middle of a circle, of the board a mark; None while nothing is shown.
+        """
+        shown = self._stage.shown()
+        if shown is None:
+            return None
+        points = self._points(*shown)
+        seen = self._stage.cell.view("left").project(points)
+        nearest = points[int(np.argmin(np.linalg.norm(seen - np.array(left_px), axis=1)))]
+        at = self._robot_from_rig[:3, :3] @ nearest + self._robot_from_rig[:3, 3]
+        return np.asarray(at + self._rng.normal(0.0, 1e-3 * noise_um, 3))
+
+    def _points(self, thing: Thing, rig_from_thing: FloatArray) -> FloatArray:
+        board, circles = self._stage.cell.board, self._stage.cell.part.circles
+        if thing is Thing.BOARD and board is not None:
+            own = np.asarray(board.points_mm)
+        else:
+            own = np.array([(disc.x_mm, disc.y_mm, 0.0) for _, disc in circles])
+        return np.asarray(own @ rig_from_thing[:3, :3].T + rig_from_thing[:3, 3])

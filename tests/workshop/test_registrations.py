@@ -1,0 +1,225 @@
+"""Registrations to a robot, over HTTP of a stage whose virtual robot says exactly where it is."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stagecell import Newcomer, run
+
+from edged.domain.arrays import FloatArray
+from edged.files.rig import load_rig, save_rig
+from edged.sim.cell import demo_rig
+from edged.sim.robot import FLANGE_FROM_RIG
+from edged.vision.geometry.rigid import apply
+
+pytestmark = pytest.mark.slow
+BOARD = "chessboard:11x8:4"
+VOLUME_MM = np.array([[x, y, z] for x in (-16, 32) for y in (-16, 16) for z in (195, 215)], float)
+
+
+def worst_um(found: FloatArray, true: FloatArray) -> float:
+    """How far places of the working volume are off in the robot's frame."""
+    return 1000 * float(np.linalg.norm(apply(found, VOLUME_MM) - apply(true, VOLUME_MM), axis=1).max())
+
+
+class Registrar:
+    """A person at the robot, who does what a page asks for."""
+
+    def __init__(
+        self, newcomer: Newcomer, about: dict[str, Any], pendant: str = "kuka", noise_um: float = 10
+    ):
+        self.newcomer, self.about, self.pendant, self.noise_um = newcomer, about, pendant, noise_um
+        self.place, self.document = "", {}
+
+    async def begin(self) -> None:
+        """As stated."""
+        self.document = await self.newcomer.ask("POST", "registrations", self.about, 201)
+        self.place = f"registrations/{self.document['id']}"
+
+    async def do(
+        self, method: str, path: str, body: dict[str, Any] | None = None, expected: int = 200
+    ) -> Any:
+        """Anything to the draft; its answer."""
+        self.document = await self.newcomer.ask(method, f"{self.place}{path}", body or {}, expected)
+        return self.document
+
+    async def judged(self) -> dict[str, Any]:
+        """The draft, when all that it says is of the samples it has."""
+        while True:
+            self.document = await self.newcomer.ask("GET", self.place)
+            if not self.document["judging"]:
+                return self.document
+            await asyncio.sleep(0.02)
+
+    async def shown(self, **where: float | str) -> dict[str, Any]:
+        """What the robot's pendant shows."""
+        query = {"brand": self.pendant, "noise_um": self.noise_um, **where}
+        words = "&".join(f"{name}={value}" for name, value in query.items())
+        return dict(await self.newcomer.ask("GET", f"stage/robot?{words}"))
+
+    async def look(self, job: str | None = None) -> None:
+        """Take a picture of what is there to touch."""
+        await self.do("POST", "/looks", {**self.newcomer.token, "job": job}, 201)
+
+    async def touch(self, change: Callable[[list[float]], list[float]] = list) -> dict[str, Any]:
+        """The place that is wanted most. change : how what the robot shows is typed."""
+        place = next(one for one in self.document["places"] if one["wanted"])
+        x, y = place["left"]
+        numbers = change((await self.shown(x=x, y=y))["numbers"])
+        return dict(await self.do("POST", "/samples", {"place": place["key"], "numbers": numbers}, 201))
+
+    async def pose(self, carries: str = "board") -> dict[str, Any]:
+        """The robot goes to its next pose, a picture is taken, and what it shows is pasted."""
+        await self.newcomer.ask("POST", "stage/robot/walk", {})
+        text = (await self.shown(carries=carries))["text"]
+        return dict(await self.do("POST", "/samples", {**self.newcomer.token, "text": text}, 201))
+
+
+def on_stage(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
+    """Beside a stage that shows its board to a calibrated cell without a robot's frame."""
+    from dataclasses import replace
+
+    bare = replace(demo_rig(), robot_from_rig=None)
+    save_rig(folder / "rig.json", bare, {"board": BOARD})
+
+    async def staged(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        await newcomer.ask("POST", "stage/robot/walk", {})
+        await test(newcomer)
+
+    run(folder, staged, gige=False)
+
+
+def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
+    """Six touches with 10 µm of noise: within 25 µm of the truth all over the volume; one that was mistyped
+    is named, and no longer once it is put right; the same digits as the command line."""
+
+    async def test(newcomer: Newcomer) -> None:
+        person = Registrar(newcomer, {"mount": "fixed", "kind": "touch", "brand": "kuka", "board": BOARD})
+        await person.begin()
+        for step in range(6):
+            if step % 3 == 0:
+                if step:
+                    await newcomer.ask("POST", "stage/robot/walk", {})
+                await person.look()
+                assert 9 == len(person.document["places"])
+            await person.touch((lambda n: [n[0] + 3.0, *n[1:]]) if step == 2 else list)
+        document = await person.judged()
+        assert "point_003" == document["culprit"]
+        assert ("culprit", "point_003") == (
+            document["trouble"]["code"],
+            document["trouble"]["params"]["name"],
+        )
+        assert 3.0 == pytest.approx(document["trouble"]["params"]["mm"], abs=0.15)
+        refused = await newcomer.ask("POST", f"{person.place}/solve", {}, 422)
+        assert "point_003 is wrong by" in refused["detail"]
+        wrong = next(one for one in document["samples"] if one["name"] == "point_003")
+        right = [wrong["numbers"][0] - 3.0, *wrong["numbers"][1:]]
+        await person.do("PUT", "/samples/point_003", {"numbers": right})
+        document = await person.judged()
+        assert (True, None, None) == (document["good"], document["trouble"], document["culprit"])
+        assert abs(document["figures"]["scale"] - 1) < 3 * document["figures"]["sigma_scale"]
+        stale = {"revision": document["revision"] - 1}
+        assert "stale" == (await newcomer.ask("POST", f"{person.place}/solve", stale, 412))["code"]
+        document = await person.do("POST", "/solve")
+        assert document["solved"] and not document["active"]
+
+        # where the robot is to go, in its own words, is where the mark truly is
+        place = document["places"][4]
+        x, y = place["left"]
+        true = (await person.shown(x=x, y=y, noise_um=0))["numbers"]
+        assert np.abs(np.array(true) - place["robot"]["numbers"]).max() < 0.03
+        document = await person.do("POST", "/confirm", {"place": place["key"], "numbers": true})
+        assert document["confirmed"]["distance_mm"] < 0.03
+
+        before = (tmp_path / "rig.json").read_bytes()
+        release = await newcomer.ask("POST", f"{person.place}/activate", {**newcomer.token, "note": "robot"})
+        assert release["active"]
+        assert (await newcomer.ask("GET", person.place))["active"]
+        rig = load_rig(tmp_path / "rig.json")
+        assert rig.robot_from_rig is not None and demo_rig().robot_from_rig is not None
+        assert worst_um(rig.robot_from_rig, demo_rig().robot_from_rig) < 25
+        check_same_digits(tmp_path, before, document, rig.robot_from_rig)
+
+    on_stage(tmp_path, test)
+
+
+def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found: FloatArray) -> None:
+    """`edged register touch` of the same points."""
+    from rich.console import Console
+
+    from edged.commands.register import touch
+
+    (folder / "before.json").write_bytes(rig)
+    lines = [[*one["rig_mm"], *one["numbers"]] for one in document["samples"]]
+    (folder / "points.csv").write_text("\n".join(",".join(map(repr, line)) for line in lines))
+    out = folder / "by_command.json"
+    assert 0 == touch(folder / "before.json", folder / "points.csv", out, 0.5, False, Console(quiet=True))
+    assert load_rig(out).robot_from_rig is not None
+    assert found.tolist() == json.loads(out.read_text())["robot_from_rig"]
+
+
+def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(tmp_path: Path) -> None:
+    """Poses of a Universal Robots arm that are said to be KUKA's are told from those, unasked; read rightly,
+    a mistyped one is named and does not count, and the rig is where it is; a carried rig likewise."""
+
+    async def test(newcomer: Newcomer) -> None:
+        person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka"}, "ur")
+        await person.begin()
+        assert (BOARD, ["X", "Y", "Z", "A", "B", "C"]) == (
+            person.document["board"],
+            person.document["labels"],
+        )
+        for _ in range(3):
+            await person.pose()
+        assert "too_few" == (await person.judged())["trouble"]["code"]
+        await person.pose()
+        document = await person.judged()
+        assert "other_reading" == document["trouble"]["code"]
+        told = {
+            name: document["trouble"]["params"][name] for name in ("orientation", "unit", "mount", "brand")
+        }
+        assert {"orientation": "vector-rad", "unit": "m", "mount": "fixed", "brand": "ur"} == told
+        assert (
+            document["conventions"]
+            == (await person.newcomer.ask("GET", f"{person.place}/conventions"))["conventions"]
+        )
+        await person.do("PUT", "", {"brand": "ur"})
+        assert (await person.judged())["trouble"] is None
+
+        for _ in range(3):
+            await person.pose()
+        mistyped = person.document["samples"][5]
+        x, *others = mistyped["numbers"]
+        await person.do("PUT", "/samples/pose_006", {"numbers": [x + 0.01, *others]})
+        document = await person.judged()
+        row = document["samples"][5]
+        assert ("pose_006", "outlier", True) == (document["culprit"], row["why"], document["good"])
+        assert row["held_out_mm"] > 5
+        await person.do("POST", "/solve")
+        await newcomer.ask("POST", f"{person.place}/activate", {**newcomer.token, "note": "ten poses"})
+        rig = load_rig(tmp_path / "rig.json")
+        assert rig.robot_from_rig is not None and demo_rig().robot_from_rig is not None
+        assert worst_um(rig.robot_from_rig, demo_rig().robot_from_rig) < 60
+
+        carried = Registrar(newcomer, {"mount": "flange", "kind": "poses", "brand": "abb"}, "abb", 0)
+        await carried.begin()
+        for _ in range(5):
+            await carried.pose("cameras")
+        document = await carried.judged()
+        assert (None, True) == (document["trouble"], document["good"])
+        document = await carried.do("POST", "/solve")
+        assert 9 == len(document["places"])
+        assert all(place["robot"] is not None for place in document["places"])
+        await newcomer.ask("POST", f"{carried.place}/activate", {**newcomer.token, "note": "carried"})
+        rig = load_rig(tmp_path / "rig.json")
+        assert rig.robot_from_rig is None and rig.flange_from_rig is not None
+        assert worst_um(rig.flange_from_rig, FLANGE_FROM_RIG) < 60
+
+    on_stage(tmp_path, test)
