@@ -17,13 +17,15 @@ from edged.files.statefolder import state_folder
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
-from edged.workshop import calibrations, cycles, registrations
+from edged.workshop import calibrations, cycles, registrations, teachings
 from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import Calibrations
 from edged.workshop.checks import Checks, RigInUse
 from edged.workshop.cycles import Cycles
+from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
 from edged.workshop.tasks import Tasks
+from edged.workshop.teachings import Teachings
 from edged.workshop.worker import Worker
 
 if TYPE_CHECKING:
@@ -59,6 +61,12 @@ def _recordings(running: Running) -> Path | None:
     return None if recorder is None else recorder.folder
 
 
+def _jobs_in_use(running: Running) -> JobsInUse:
+    """As the cell has read them."""
+    cell = running.loaded.cell
+    return JobsInUse(cell.config.cell.jobs, lines_in(cell.contents), cell.config.cell.job)
+
+
 class Workshop:
     """Built for the first page that may set the cell up; outlives its reloads.
 
@@ -78,7 +86,8 @@ class Workshop:
         self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
-        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS, **registrations.FUNCTIONS}
+        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS}
+        functions |= {**registrations.FUNCTIONS, **teachings.FUNCTIONS}
         self._worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
         self._tasks = Tasks(notices)
         self._calibrations = Calibrations(
@@ -111,6 +120,15 @@ class Workshop:
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
+        self.teachings = Teachings(
+            folder / "teachings",
+            self._worker,
+            self._tasks,
+            notices,
+            cycle.capture,
+            lambda: _rig_in_use(running()),
+            lambda: _jobs_in_use(running()),
+        )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._calibrations.offer)
 
@@ -121,6 +139,7 @@ class Workshop:
         from edged.workshop.cycleroutes import CycleRoutes
         from edged.workshop.registrationroutes import RegistrationRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
+        from edged.workshop.teachingroutes import TeachingRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,
@@ -128,6 +147,7 @@ class Workshop:
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,
+            TeachingRoutes(self.teachings).add_to,
         ]
 
     def _cell_now(self) -> CellNow:

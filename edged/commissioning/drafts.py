@@ -9,24 +9,23 @@ ID/rig-DIGEST.json        what came of them, and its report
 from __future__ import annotations
 
 import hashlib
-import secrets
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 from pydantic import JsonValue
 
 from edged.commissioning.calibration import Looked, Views, look_at
-from edged.commissioning.draftstate import DraftState, Operation, PictureState, Solved, ViewState, state_of
+from edged.commissioning.draftstate import DraftState, Operation, PictureState, Solved, ViewState
+from edged.commissioning.history import DraftFolders, StateFile, check_picture, new_identity
 from edged.commissioning.pairs import Pair, Progress, silent
 from edged.commissioning.shown import Seen, seen_in
 from edged.domain.arrays import SIDES, Image
 from edged.errors import CalibrationError, FileFormatError
-from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.files.atomic import read_bytes, write_atomically
 from edged.files.pairs import ImagePair
 from edged.vision.boards.board import NominalBoard, parse_boards
 from edged.vision.geometry.camera import LensModel
@@ -34,21 +33,24 @@ from edged.vision.geometry.camera import LensModel
 KEPT = 10
 """Drafts; with one more the oldest goes. Twenty pairs of 1280x960 are 40 MB."""
 _QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
-_STATE = "state.json"
 Looks = tuple[Looked, Looked]
 
 
 class Draft:
     """One draft. Each change is on disc when its method returns; it raises `OSError` where that refuses."""
 
-    def __init__(self, folder: Path, state: DraftState) -> None:
-        self.folder = folder
-        self._state = state
+    def __init__(self, file: StateFile[DraftState]) -> None:
+        self._file = file
 
     @property
     def state(self) -> DraftState:
         """As it is on disc."""
-        return self._state
+        return self._file.state
+
+    @property
+    def folder(self) -> Path:
+        """Where all of it is."""
+        return self._file.folder
 
     @property
     def pictures(self) -> Path:
@@ -58,7 +60,7 @@ class Draft:
     @property
     def next_view(self) -> str:
         """A name that no view ever had."""
-        return f"view_{max((int(name[-3:]) for name in self._state.views), default=0) + 1:03}"
+        return f"view_{max((int(name[-3:]) for name in self.state.views), default=0) + 1:03}"
 
     def thumbnail(self, name: str, side: str) -> Path:
         """The small picture of a view."""
@@ -67,38 +69,36 @@ class Draft:
     def add(self, name: str, left: Seen, right: Seen) -> None:
         """Take note of a view whose pictures are in the folder."""
         view = ViewState(left=_kept(left), right=_kept(right))
-        self._write(
-            self._state.operated(Operation(what="add", view=name), views={**self._state.views, name: view})
-        )
+        self._operate(Operation(what="add", view=name), views={**self.state.views, name: view})
 
     def remove(self, name: str) -> None:
         """Leave a view out. Raises `KeyError` for one that is not in use."""
-        if name not in self._state.used:
+        if name not in self.state.used:
             raise KeyError(name)
-        self._write(self._state.operated(Operation(what="remove", view=name)))
+        self._operate(Operation(what="remove", view=name))
 
     def undo(self) -> None:
         """Take the last operation back. Raises `CalibrationError` when there is none."""
-        if not self._state.done:
-            raise CalibrationError("there is nothing to undo")
-        self._write(self._state.changed(done=self._state.done - 1, solved=None))
+        self._file.step(-1, solved=None)
 
     def redo(self) -> None:
         """Do again what was taken back last. Raises `CalibrationError` when there is nothing."""
-        if self._state.done == len(self._state.operations):
-            raise CalibrationError("there is nothing to do again")
-        self._write(self._state.changed(done=self._state.done + 1, solved=None))
+        self._file.step(1, solved=None)
+
+    def _operate(self, operation: Operation, **changes: Any) -> None:
+        """A solution is one of other views from now on."""
+        self._file.write(self.state.operated(operation, solved=None, **changes))
 
     def set_boards(self, boards: Sequence[str]) -> None:
         """State what the pictures show. Raises `CalibrationError` for no board, or once there are views."""
         parse_boards(",".join(boards))
-        if self._state.taken:
+        if self.state.taken:
             raise CalibrationError("there are views already: begin another draft for another board")
-        self._write(self._state.changed(boards=tuple(boards)))
+        self._file.write(self.state.changed(boards=tuple(boards)))
 
     def set_goal(self, goal_um: float | None) -> None:
         """Up to which sigma people want to go."""
-        self._write(self._state.changed(goal_um=goal_um))
+        self._file.write(self.state.changed(goal_um=goal_um))
 
     def solve(self, solution: Solution) -> None:
         """Keep what the views were solved to."""
@@ -106,7 +106,7 @@ class Draft:
         write_atomically(self._solved("rig", digest), solution.rig)
         write_atomically(self._solved("report", digest), solution.report)
         solved = Solved(calibration_id=solution.calibration_id, digest=digest, figures=solution.figures)
-        self._write(self._state.changed(solved=solved))
+        self._file.write(self.state.changed(solved=solved))
         for stem in ("rig", "report"):
             for file in self.folder.glob(f"{stem}-*"):
                 if file != self._solved(stem, digest):
@@ -114,7 +114,7 @@ class Draft:
 
     def rig(self) -> bytes:
         """What it was solved to. Raises `CalibrationError` if to nothing, `FileFormatError` if changed."""
-        solved = self._state.solved
+        solved = self.state.solved
         if solved is None:
             raise CalibrationError("it is not solved, or views came or went since then: solve it first")
         file = self._solved("rig", solved.digest)
@@ -126,22 +126,18 @@ class Draft:
     def report(self) -> bytes:
         """The report's page. Raises as `rig`."""
         self.rig()
-        assert self._state.solved is not None
-        return read_bytes(self._solved("report", self._state.solved.digest), "a report")
+        assert self.state.solved is not None
+        return read_bytes(self._solved("report", self.state.solved.digest), "a report")
 
     def _solved(self, stem: Literal["rig", "report"], digest: str) -> Path:
         return self.folder / f"{stem}-{digest[:16]}.{'json' if stem == 'rig' else 'html'}"
-
-    def _write(self, state: DraftState) -> None:
-        write_atomically(self.folder / _STATE, state.model_dump_json(indent=1).encode())
-        self._state = state
 
 
 class Drafts:
     """All drafts of a cell, in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folders = DraftFolders(folder, DraftState, CalibrationError, ("pictures", "small"), KEPT)
 
     def create(
         self,
@@ -155,47 +151,28 @@ class Drafts:
         """Begin one; the oldest beyond `KEPT` go. Raises `CalibrationError` for no board, and `OSError`."""
         if boards:
             parse_boards(",".join(boards))
-        identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
         state = DraftState(
-            id=identity,
+            id=new_identity(now),
             created=now.isoformat(timespec="seconds"),
             author=author,
             boards=tuple(boards),
             mm=mm,
             goal_um=goal_um,
             lens=lens,
+            views={},
         )
-        for place in ("pictures", "small"):
-            make_folders(self._folder / identity / place)
-        draft = Draft(self._folder / identity, state)
-        write_atomically(draft.folder / _STATE, state.model_dump_json(indent=1).encode())
-        for old in self.names()[KEPT:]:
-            shutil.rmtree(self._folder / old, ignore_errors=True)
-        return draft
+        return Draft(self._folders.add(state))
 
     def names(self) -> list[str]:
         """Of all drafts, the youngest first."""
-        try:
-            return sorted((file.parent.name for file in self._folder.glob(f"*/{_STATE}")), reverse=True)
-        except OSError:
-            return []
+        return self._folders.names()
 
     def load(self, identity: str) -> Draft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
-        if identity not in self.names():
-            raise KeyError(identity)
-        folder = self._folder / identity
-        state = state_of(read_bytes(folder / _STATE, "a draft"), str(folder / _STATE))
-        if state.id != identity:
-            raise FileFormatError(
-                f"{folder / _STATE}: id: is {state.id!r}, the folder's name is {identity!r}"
-            )
-        draft = Draft(folder, state)
-        for name in state.taken:
+        draft = Draft(self._folders.load(identity))
+        for name in draft.state.taken:
             for side in SIDES:
-                file = draft.pictures / f"{name}_{side}.png"
-                if file.is_symlink() or not file.is_file():
-                    raise FileFormatError(f"{file}: a picture of the draft is missing")
+                check_picture(draft.pictures / f"{name}_{side}.png")
         return draft
 
 

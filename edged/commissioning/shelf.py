@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from edged.commissioning.draftstate import Kept, Text
+from edged.commissioning.history import Kept, Text
 from edged.commissioning.releases import Backup, Made, read
 from edged.config.reading import problem_of
 from edged.errors import FileFormatError

@@ -152,12 +152,12 @@ def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
     return wanted
 
 
-def check_name(name: str) -> None:
-    """Raises `TeachError` for what cannot be the name of a job."""
+def check_name(name: str, option: str = "--name") -> None:
+    """Raises `TeachError` for what cannot be the name of a job. option : how it was given."""
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
         raise TeachError(
-            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
+            f"{option} {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
             "beginning with a letter or digit"
         )
 
@@ -192,5 +192,10 @@ def _proposal(job: Job, taught: Taught, wanted: Wanted) -> Proposal:
         job, carried = carry_over(wanted.former, job)
     inspection = inspect_model(job.shape, job.search)
     if taught.cuts:
-        inspection = replace(inspection, warnings=(*cut_warnings(taught.cuts), *inspection.warnings))
+        said = cut_warnings(taught.cuts)
+        inspection = replace(
+            inspection,
+            warnings=(*said, *inspection.warnings),
+            codes=(*["cut"] * len(said), *inspection.codes),
+        )
     return Proposal(job, taught, inspection, carried)

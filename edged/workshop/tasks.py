@@ -20,6 +20,7 @@ from edged.session.notices import Notices
 log = logging.getLogger(__name__)
 
 KEPT = 20
+"""Of each kind."""
 TELL_S = 1.0
 """Also while nothing changes: who waits sees that it goes on."""
 
@@ -82,7 +83,8 @@ class Tasks:
         """Begin; returns its id. work : what it raises on purpose is how it failed."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
-        for old in [one for one in self._tasks.values() if one.state != "running"][: len(self._tasks) - KEPT]:
+        alike = [one for one in self._tasks.values() if one.what == what]
+        for old in [one for one in alike if one.state != "running"][: len(alike) - KEPT]:
             del self._tasks[old.id]
         task.running = asyncio.create_task(self._run(task, work), name=f"task {what}")
         self._tell(task)
@@ -123,7 +125,7 @@ class Tasks:
             task.state = "cancelled"
             raise
         except EdgedError as error:
-            task.state, task.problem = "failed", Problem(code=_code(error), detail=str(error))
+            task.state, task.problem = "failed", Problem(code=code_of(error), detail=str(error))
         except Exception as error:
             log.exception("the task %s failed", task.what)
             task.state, task.problem = "failed", Problem(code="bug", detail=f"a bug, see the log: {error}")
@@ -141,7 +143,7 @@ class Tasks:
         self._notices.publish("task", task.document().model_dump(mode="json"))
 
 
-def _code(error: EdgedError) -> str:
+def code_of(error: EdgedError) -> str:
     """CalibrationError: "calibration"."""
     name = type(error).__name__.removesuffix("Error")
     return "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("_")

@@ -100,6 +100,22 @@ def check_job_folder(folder: Path) -> None:
     check_folder(folder.resolve().parent if folder.exists() else folder)
 
 
+def job_files(job: Job) -> dict[str, bytes]:
+    """The files of a job by their name, as `read_job` reads them."""
+    arrays = job.shape.to_arrays()
+    if job.body is not None:
+        arrays |= {BODY + name: array for name, array in job.body.to_arrays().items()}
+    return {TEXT: to_toml(job).encode(), SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, arrays)}
+
+
+def check_text(job: Job) -> None:
+    """Raises `FileFormatError` for a job whose file could not be read again: what in it is wrong."""
+    try:
+        JobFile.model_validate(tomllib.loads(to_toml(job)))
+    except ValidationError as error:
+        raise FileFormatError("; ".join(problem_of(one, JobFile) for one in error.errors())) from error
+
+
 def save_job(folder: Path, job: Job) -> None:
     """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
 
@@ -107,14 +123,7 @@ def save_job(folder: Path, job: Job) -> None:
     """
     folder = Path(folder).resolve()
     check_job_folder(folder)
-    arrays = job.shape.to_arrays()
-    if job.body is not None:
-        arrays |= {BODY + name: array for name, array in job.body.to_arrays().items()}
-    files = {
-        TEXT: to_toml(job).encode(),
-        SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, arrays),
-    }
     try:
-        replace_folder(folder, files, folder.with_name(folder.name + ".old"))
+        replace_folder(folder, job_files(job), folder.with_name(folder.name + ".old"))
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error

@@ -27,7 +27,7 @@ class Inspection:
     reserve : how many times the contrast may fall before an edge counts as none.
     sigma_x_px, sigma_y_px, sigma_angle_rad, sigma_scale : Cramer-Rao bound of the pose in one image with
     noise `NOISE`, as far as the model's edges say; a rotation of a round shape is infinite.
-    warnings : in plain words, worst first.
+    warnings : in plain words, worst first.  codes : one for each of them, for programs.
     """
 
     rivals: FloatArray
@@ -39,6 +39,7 @@ class Inspection:
     sigma_angle_rad: float
     sigma_scale: float
     warnings: tuple[str, ...]
+    codes: tuple[str, ...]
 
 
 def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
@@ -48,6 +49,7 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
     symmetric = bool(len(rivals)) and float(rivals[0, 1]) >= model.same_score
     sigmas = _bounds(model)
     reserve = model.contrast / max(search.min_contrast, 1e-9)
+    said = _warnings(model, rivals, symmetric, reserve, sigmas)
     return Inspection(
         rivals=rivals,
         symmetric=symmetric,
@@ -57,7 +59,8 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
         sigma_y_px=sigmas[1],
         sigma_angle_rad=np.inf if model.round else sigmas[2],
         sigma_scale=sigmas[3],
-        warnings=tuple(_warnings(model, rivals, symmetric, reserve, sigmas)),
+        warnings=tuple(text for _, text in said),
+        codes=tuple(code for code, _ in said),
     )
 
 
@@ -84,36 +87,40 @@ def _warnings(
     symmetric: bool,
     reserve: float,
     sigmas: tuple[float, float, float, float],
-) -> list[str]:
-    said = []
+) -> list[tuple[str, str]]:
+    """Code and text of each."""
+    said: list[tuple[str, str]] = []
     number = len(model.levels[0].points)
     if model.round:
-        said.append("The shape is round: it has no rotation. Results state one canonical angle.")
+        text = "The shape is round: it has no rotation. Results state one canonical angle."
+        said.append(("round", text))
     elif symmetric:
         angles = ", ".join(f"{np.degrees(angle):.0f}°" for angle, s in rivals if s >= model.same_score)
-        said.append(f"The shape looks the same after a turn of {angles}: of these the nearest to 0 is given.")
+        text = f"The shape looks the same after a turn of {angles}: of these the nearest to 0 is given."
+        said.append(("symmetric", text))
     elif len(rivals) and rivals[0, 1] >= CONFUSABLE:
         angle, similarity = rivals[0]
-        said.append(
+        text = (
             f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % similar: "
             "where the rest is hidden, results carry AMBIGUOUS_ROTATION. Light what makes the difference."
         )
+        said.append(("confusable", text))
     if reserve < WEAK_RESERVE:
-        said.append(
+        text = (
             f"Edges are only {reserve:.1f} times as strong as the weakest that counts: more light, or focus."
         )
+        said.append(("weak", text))
     if number < FEW_POINTS:
-        said.append(
-            f"The model has only {number} edge points: a larger region, or a larger image of the part."
-        )
+        text = f"The model has only {number} edge points: a larger region, or a larger image of the part."
+        said.append(("few_points", text))
     if len(model.levels) < 3:
-        said.append(
-            f"The model has {len(model.levels)} pyramid level(s): a larger image would be searched faster."
-        )
+        text = f"The model has {len(model.levels)} pyramid level(s): a larger image would be searched faster."
+        said.append(("few_levels", text))
     worst, best = max(sigmas[:2]), min(sigmas[:2])
     if worst > LOPSIDED * best:
         axis = "x" if sigmas[0] > sigmas[1] else "y"
-        said.append(
+        text = (
             f"Along {axis} the shape has few edges: its place there is {worst / best:.0f} times less certain."
         )
+        said.append(("lopsided", text))
     return said

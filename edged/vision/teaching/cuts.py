@@ -35,10 +35,12 @@ class Cut:
     """An edge of the part that goes on outside of the region, or of the picture.
 
     points (N, 2) px : in the rectified left image.  text : what it is, and where the border meets it.
+    place_px : that place, x, y of the raw left image.
     """
 
     points: FloatArray
     text: str
+    place_px: tuple[float, float]
     by_region: bool
 
 
@@ -78,7 +80,7 @@ def cut_edges(
                 what = f"{circle.name}, a {kind} of radius {circle.radius_mm:.2f} mm"
                 what += ", the reference" if circle.name == job.reference else ""
             text = f"{what}, at {x:.0f}, {y:.0f} px of the left picture"
-            cuts.append(Cut(contour.points, text, by_region))
+            cuts.append(Cut(contour.points, text, (x, y), by_region))
     return tuple(cuts)
 
 

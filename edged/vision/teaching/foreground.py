@@ -1,0 +1,166 @@
+"""Where in a picture a part may be, before anything is known of it: what has a strong outline all round.
+
+Level sets of three pictures are looked at: of the grey values, for parts that are brighter or darker than
+the table; of how far they are from the table's, for parts that are both; and of the slope, closed, for parts
+whose faces are as bright as the table. Which outline is the part's is told by its weakest stretch: those of a
+table's texture have gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray, Image
+from edged.errors import TeachError
+from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, Polygon
+
+WIDTH_PX = 480
+"""Of the picture that is looked at: edges of a texture are averaged away, outlines are not."""
+LEVELS = 24
+MIN_SHARE, MAX_SHARE = 0.002, 0.7
+"""Of the picture's area."""
+WEAKEST = 0.15
+"""Quantile of the slope along an outline by which it is judged."""
+MIN_SLOPE = 2.0
+"""Grey values per px of the small picture: less is noise."""
+OVER_TEXTURE = 1.5
+"""Times the slope that half of the picture stays below."""
+RIVAL = 0.5
+"""Of the strongest outline: one as strong as this is an outline, too."""
+ONE_SHARE, ONE_PX = 0.08, 6.0
+"""By so much two outlines' radii differ at most that are the same edge: blur moves level sets along it."""
+MARGIN_SHARE = 0.008
+"""Of the picture's width, around the outline: the whole of its edge is learnt."""
+CORNER_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Outline:
+    """points (N, 2) int : px of the small picture. strength : grey values per px."""
+
+    points: npt.NDArray[np.int32]
+    area: float
+    strength: float
+
+    def is_beside(self, other: _Outline) -> bool:
+        """Whether both are of one edge, one being inside the other."""
+        radii = [np.sqrt(one.area / np.pi) for one in (self, other)]
+        return bool(abs(radii[0] - radii[1]) <= max(ONE_PX, ONE_SHARE * max(radii)))
+
+
+def likely_part(left: Image) -> FloatArray | None:
+    """Corners (N, 2) around what is most likely the part, px of the raw left image; None: nothing is."""
+    small, scale = _shrunk(left)
+    found = _outlines(small)
+    if not found:
+        return None
+    best = max(found, key=lambda one: one.strength * np.sqrt(one.area))
+    return _around(best, scale, left.shape)
+
+
+def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
+    """Corners (N, 2) around each thing that a point is inside of, the largest first; all raw px, left.
+
+    Raises `TeachError` where no outline goes around the point.
+    """
+    small, scale = _shrunk(left)
+    place = (x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5
+    around = [one for one in _outlines(small) if cv2.pointPolygonTest(one.points, place, False) >= 0]
+    if not around:
+        raise TeachError(
+            f"nothing with a clear outline was tapped at {x:.0f}, {y:.0f} px: draw the region around the "
+            "part, or light it so that it differs from the table"
+        )
+    least = RIVAL * max(one.strength for one in around)
+    nested: list[_Outline] = []
+    # of outlines of nearly one size the strongest is the edge itself
+    for one in sorted((one for one in around if one.strength >= least), key=lambda one: -one.strength):
+        if not any(one.is_beside(other) for other in nested):
+            nested.append(one)
+    return tuple(_around(one, scale, left.shape) for one in sorted(nested, key=lambda one: -one.area))
+
+
+def _shrunk(left: Image) -> tuple[Image, float]:
+    """A small picture, and its px per px of the left image."""
+    height, width = left.shape
+    scale = min(1.0, WIDTH_PX / width)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    small = left if scale == 1.0 else cv2.resize(left, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.2), np.uint8), size[0] / width
+
+
+def _outlines(small: Image) -> list[_Outline]:
+    """All outlines that are strong all round."""
+    grey = small.astype(np.float32)
+    slope = np.hypot(
+        cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=0.125)
+    )
+    near = np.asarray(cv2.dilate(slope, np.ones((3, 3), np.uint8)), np.float32)
+    least = max(MIN_SLOPE, OVER_TEXTURE * float(np.median(near)))
+    found = []
+    for points in _level_sets(small, slope, least):
+        area = float(cv2.contourArea(points))
+        if not MIN_SHARE * small.size <= area <= MAX_SHARE * small.size:
+            continue
+        x, y, width, height = cv2.boundingRect(points)
+        if min(x, y) < 1 or x + width > small.shape[1] - 1 or y + height > small.shape[0] - 1:
+            continue
+        strength = float(np.quantile(near[points[:, 1], points[:, 0]], WEAKEST))
+        if strength >= least:
+            found.append(_Outline(points, area, strength))
+    return found
+
+
+def _level_sets(
+    small: Image, slope: FloatArray | npt.NDArray[np.float32], least: float
+) -> Iterator[npt.NDArray[np.int32]]:
+    """Outer borders (N, 2) of the connected parts of every level set, holes filled."""
+    border = np.concatenate([small[0], small[-1], small[:, 0], small[:, -1]])
+    table = float(np.median(border))
+    apart = np.abs(small.astype(np.int16) - round(table)).astype(np.uint8)
+    for picture, both in ((small, True), (apart, False)):
+        low, high = np.quantile(picture, (0.005, 0.995))
+        for level in np.unique(np.linspace(float(low), float(high), LEVELS + 2)[1:-1].astype(np.uint8)):
+            yield from _borders(picture > level)
+            if both:
+                yield from _borders(picture <= level)
+    for factor in (1.0, 2.0, 4.0):
+        edges = np.asarray(slope >= factor * least, np.uint8)
+        yield from _borders(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
+
+
+def _borders(inside: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int32]]:
+    # opened: a bridge of texture is no part of the part
+    mask = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    for one in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        if len(one) >= MIN_WIDTH_PX:
+            yield np.asarray(one[:, 0], np.int32)
+
+
+def _around(outline: _Outline, scale: float, shape: tuple[int, ...]) -> FloatArray:
+    """Corners (N, 2) of a polygon around an outline, px of an image (H, W), with a margin."""
+    height, width = shape
+    inside = np.zeros(shape, np.uint8)
+    places = (outline.points + 0.5) / scale - 0.5
+    cv2.fillPoly(inside, [np.rint(places).astype(np.int32)], 255)
+    reach = max(4, round(MARGIN_SHARE * width)) + round(0.5 / scale)
+    wide = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
+    border = max(cv2.findContours(wide, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], key=cv2.contourArea)
+    for step in (1, 2, 4, 8):
+        corners = np.asarray(cv2.approxPolyDP(border, step * CORNER_PX, True)[:, 0], np.float64)
+        if len(corners) <= MAX_CORNERS // 4 and _is_simple(corners, width, height):
+            return corners
+    return np.asarray(cv2.convexHull(border)[:, 0], np.float64)
+
+
+def _is_simple(corners: FloatArray, width: int, height: int) -> bool:
+    try:
+        Polygon(corners).painted(width, height)
+    except TeachError:  # simplifying has let two sides cross
+        return False
+    return True

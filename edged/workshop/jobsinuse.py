@@ -1,0 +1,78 @@
+"""The jobs that a cell has read: their names and numbers, and which are free."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from edged.errors import TeachError
+
+REPLACED = ".old"
+"""What `edged teach` keeps a job that it replaced under."""
+
+
+@dataclass(frozen=True, slots=True)
+class JobLine:
+    """A job of the cell. folder : its name.  digest : SHA-256 of its text."""
+
+    folder: str
+    name: str
+    number: int
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobsInUse:
+    """folder : where they lie.  wanted : the name of the one that the cell begins with."""
+
+    folder: Path
+    lines: tuple[JobLine, ...]
+    wanted: str
+
+    @property
+    def free_number(self) -> int:
+        """The first that no job of the cell has."""
+        taken = {line.number for line in self.lines}
+        return next(number for number in range(1, len(taken) + 2) if number not in taken)
+
+    @property
+    def free_name(self) -> str:
+        """The one that the configuration asks for, or another."""
+        taken = {line.name for line in self.lines} | {line.folder for line in self.lines}
+        names = (f"part{number}" for number in range(1, len(taken) + 2))
+        return next(name for name in (self.wanted, *names) if name and name not in taken)
+
+    def line(self, folder: str) -> JobLine:
+        """Raises `KeyError` for a folder that holds no job."""
+        return {line.folder: line for line in self.lines}[folder]
+
+    def check_free(self, name: str, number: int, replaced: str | None) -> None:
+        """Raises `TeachError` for a name or a number that another job has, or none can have.
+
+        replaced : folder of the job whose name and number they may be.
+        """
+        if name.endswith(REPLACED):
+            raise TeachError(f"name {name!r}: what ends in {REPLACED} is a job that was replaced")
+        for line in self.lines:
+            if line.folder == replaced:
+                continue
+            if name in {line.name, line.folder}:
+                raise TeachError(f"name {name!r}: there is such a job; edit that one, or choose another name")
+            if number == line.number:
+                raise TeachError(f"number {number}: is that of {line.name}; {self.free_number} is free")
+
+
+def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:
+    """Of the files that a cell has read, by their names in a recording."""
+    texts = {name.split("/")[1]: text for name, text in contents.items() if name.endswith("/job.toml")}
+    return tuple(_line(folder, text) for folder, text in texts.items())
+
+
+@lru_cache(maxsize=256)
+def _line(folder: str, content: bytes) -> JobLine:
+    text = tomllib.loads(content.decode("utf-8-sig"))
+    return JobLine(folder, str(text["name"]), int(text["number"]), hashlib.sha256(content).hexdigest())

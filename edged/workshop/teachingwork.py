@@ -1,0 +1,26 @@
+"""What the worker process does for drafts of jobs; see `functions`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from edged.commissioning import proposing
+from edged.commissioning.pairs import Progress
+from edged.commissioning.proposing import Line, Order
+from edged.files.images import load_image
+from edged.vision.teaching.foreground import parts_at
+
+
+def propose_region(_progress: Progress, pictures: Path) -> Line | None:
+    """Around what is most likely the part of a draft's pair."""
+    return proposing.propose_region(pictures)
+
+
+def regions_at(_progress: Progress, pictures: Path, x: float, y: float) -> tuple[Line, ...]:
+    """Around each thing that a point of the left picture is inside of, the largest first."""
+    return tuple(proposing.line(one) for one in parts_at(load_image(pictures / "left.png"), x, y))
+
+
+def see_part(progress: Progress, order: Order) -> proposing.Seen:
+    """What a draft's pair and region teach."""
+    return proposing.see(order, progress)

@@ -1,0 +1,177 @@
+"""From a part before two cameras to a draft of its job, over HTTP and a running daemon."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import os
+import signal
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from cells import flange
+from partcell import PartCell
+
+from edged.vision.teaching.region import Polygon
+
+RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
+"""Of the flange: how many circles of each."""
+
+
+def run(folder: Path, test: Callable[[PartCell], Awaitable[None]]) -> PartCell:
+    """A test's coroutine beside a running cell, bounded."""
+    cell = PartCell(folder)
+
+    async def bounded() -> None:
+        async with asyncio.timeout(120), cell.running():
+            await test(cell)
+
+    asyncio.run(bounded())
+    return cell
+
+
+async def refused(cell: PartCell, method: str, path: str, document: Any) -> tuple[int, str]:
+    """Status and code."""
+    status, problem = await cell.ask(method, path, document)
+    return status, problem["code"]
+
+
+def left_of(draft: dict[str, Any], key: str) -> np.ndarray[Any, Any]:
+    """The outline of a feature in the left picture."""
+    return np.array(next(one for one in draft["features"] if one["key"] == key)["outline"]["left"])
+
+
+def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
+    """Around the flange and nothing else, with true sizes, and a sigma that fits their errors."""
+
+    async def test(cell: PartCell) -> None:
+        token = await cell.take()
+        draft = await cell.begun(**token)
+        assert None is draft["trouble"], draft["trouble"]
+        assert ("none", 1, 640, 480) == (draft["name"], draft["number"], draft["width"], draft["height"])
+        corners = np.array(draft["region"][0]["points"])
+        mask = Polygon(corners).painted(640, 480)
+        truth = flange()
+        x, y = truth.rig.left.project(truth.rig_from_part[None, :3, 3])[0]
+        radius_px = 14.0 * truth.rig.left.fx / truth.rig_from_part[2, 3]
+        assert 1.0 < np.count_nonzero(mask) / (np.pi * radius_px**2) < 1.2
+        circles = [one for one in draft["features"] if one["kind"] == "circle"]
+        assert sum(RADII_MM.values()) == len(circles)
+        for one in circles:
+            radius_mm = min(RADII_MM, key=lambda r: abs(r - one["size"]["diameter_mm"] / 2))
+            error_um = 1e3 * abs(one["size"]["diameter_mm"] - 2 * radius_mm)
+            assert error_um < 5 * one["sigma_um"] + 2, one["key"]
+        outline = left_of(draft, "c0")
+        assert np.abs(np.hypot(*(outline - (x, y)).T) - radius_px).max() < 0.02 * radius_px
+        assert max(draft["predicted"]["sigma_um"].values()) < 20
+        assert ("c0", ["radius_c0"]) == (draft["reference"]["key"], [one["key"] for one in draft["sizes"]])
+        assert all(len(draft["outlines"][side]) > 3 for side in ("left", "right"))
+        async with cell.session.get(draft["pictures"]["right"]) as answer:
+            shown = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert np.abs(shown.astype(float) - flange().right).mean() < 3
+
+    run(tmp_path, test)
+
+
+def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
+    """A region, features left out, another reference, a grip, sizes: undone and done again."""
+
+    async def test(cell: PartCell) -> None:
+        token = await cell.take()
+        first = await cell.begun(**token, name="flange")
+        x, y, width, height = dataclasses.astuple(flange().region)
+        box = {"kind": "rectangle", "x": x, "y": y, "width": width, "height": height}
+        draft = await cell.change("PUT", first, "/region", {"revision": first["revision"], "shapes": [box]})
+        assert [{**box, "add": True}] == draft["region"]
+        sigma = draft["predicted"]["sigma_um"]
+        draft = await cell.change("PUT", draft, "/features", {"features": {"c0": False, "c3": False}})
+        taken = {one["key"]: one["taken"] for one in draft["features"]}
+        assert (False, False, True) == (taken["c0"], taken["c3"], taken["c1"])
+        assert ("c1", "radius_c1") == (draft["reference"]["key"], draft["sizes"][0]["key"])
+        assert draft["predicted"]["sigma_um"]["z"] > sigma["z"], "fewer features, and as sure"
+        x, y = left_of(draft, "c2").mean(axis=0)
+        wish = {"reference": {"x": x, "y": y}, "number": 7, "tilt_deg": 10.0}
+        draft = await cell.change("PUT", draft, "", wish)
+        assert ("c2", 7, 10.0) == (draft["reference"]["key"], draft["number"], draft["tilt_deg"])
+        assert np.abs(np.array(draft["reference"]["left"]) - (x, y)).max() < 0.5
+        assert 3.2 == pytest.approx(2 * draft["sizes"][0]["measured"], abs=0.01)
+        grip = {"at": [x + 10, y], "approach_mm": 30.0}
+        sizes = [{"kind": "distance", "of": ["c1", "c2"], "tolerance": 0.05}]
+        draft = await cell.change("PUT", draft, "", {"gripping": grip, "sizes": sizes})
+        assert np.abs(np.array(draft["gripping"]["left"]) - (x + 10, y)).max() < 0.2
+        assert abs(draft["gripping"]["z_mm"]) < 0.01
+        distance = draft["sizes"][1]
+        assert ("distance_c1_c2", True, False) == (distance["key"], distance["ok"], distance["witness"])
+        assert 10.2 == pytest.approx(distance["measured"], abs=0.02)
+        for _ in range(4):
+            draft = await cell.change("POST", draft, "/undo", {})
+        assert (first["region"], False) == (draft["region"], draft["can_undo"])
+        assert all(one["taken"] for one in draft["features"])
+        for _ in range(4):
+            draft = await cell.change("POST", draft, "/redo", {})
+        assert ("c2", 7, False) == (draft["reference"]["key"], draft["number"], draft["can_redo"])
+        _, listed = await cell.ask("GET", "/teachings")
+        assert [(draft["id"], "flange", 7)] == [
+            (one["id"], one["name"], one["number"]) for one in listed["teachings"]
+        ]
+
+    run(tmp_path, test)
+
+
+def test_two_people_and_a_kill(tmp_path: Path) -> None:
+    """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
+    of the worker and a restart of the daemon the draft is as it was."""
+
+    async def test(cell: PartCell) -> None:
+        token = await cell.take()
+        headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+        async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+            draft = await cell.begun(**token)
+            place = f"/teachings/{draft['id']}"
+            async for message in socket:
+                told = message.json()
+                if told["type"] == "teaching" and told["features"]:
+                    break
+        assert {**draft, "type": "teaching"} == told
+        stale = {"revision": draft["revision"], "name": "ring"}
+        assert (200, "ring") == ((answer := await cell.ask("PUT", place, stale))[0], answer[1]["name"])
+        status, problem = await cell.ask("PUT", place, stale)
+        assert (412, "stale", "ring") == (status, problem["code"], problem["params"]["document"]["name"])
+        assert (422, "teach") == await refused(cell, "POST", f"{place}/tap", {"x": 20, "y": 20})
+        everything = {one["key"]: False for one in draft["features"]}
+        assert (422, "teach") == await refused(cell, "PUT", f"{place}/features", {"features": everything})
+        assert (404, "unknown") == await refused(
+            cell, "PUT", f"{place}/features", {"features": {"c99": False}}
+        )
+        assert (400, "invalid") == await refused(cell, "PUT", place, {"name": "../etc"})
+        assert (422, "teach") == await refused(cell, "PUT", place, {"name": "ring.old"})
+        small = {"kind": "rectangle", "x": 1, "y": 1, "width": 4, "height": 4}
+        assert (422, "teach") == await refused(cell, "PUT", f"{place}/region", {"shapes": [small]})
+        bore = np.array(draft["reference"]["left"])
+        tapped = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
+        again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
+        widths = [np.ptp(np.array(one["region"][0]["points"])[:, 0]) for one in (tapped, again)]
+        assert widths[1] < 0.5 * widths[0]
+        worker = cell.daemon._workshop._worker  # noqa: SLF001  (nobody else knows its process)
+        os.kill(worker.pid, signal.SIGKILL)
+        draft = await cell.change("POST", draft, "/undo", {})
+        assert tapped["region"] == draft["region"]
+        assert (204, b"") == await cell.ask("DELETE", f"/teachings/{(await cell.begun(**token))['id']}", {})
+        kept.append(draft)
+
+    kept: list[dict[str, Any]] = []
+    cell = run(tmp_path, test)
+    state = next((cell.state / "teachings").iterdir()) / "state.json"
+    assert kept[0]["revision"] == json.loads(state.read_text())["revision"]
+
+    async def second() -> None:
+        async with asyncio.timeout(60), cell.running():
+            after = await cell.learnt(kept[0]["id"])
+            assert kept[0] == after
+
+    asyncio.run(second())
