@@ -68,7 +68,7 @@ def calibrate(
             "seen in the pictures"
         ),
     ] = None,
-    model: Annotated[str, typer.Option(help="lens model: brown or division")] = "brown",
+    model: Annotated[str, typer.Option(help="lens model: division, brown, or auto: by the views")] = "auto",
     report: Annotated[Path | None, typer.Option(help="HTML report to write")] = None,
     plate_shape: Annotated[
         bool, typer.Option("--plate-shape", help="measure how the board is bent and misprinted, too")

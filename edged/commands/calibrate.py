@@ -24,7 +24,7 @@ from edged.files.pairs import find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.imaging import Finding
-from edged.vision.geometry.camera import LensModel
+from edged.vision.calibration.lenschoice import LensWish, choice_in_words
 
 
 def calibrate(
@@ -42,9 +42,9 @@ def calibrate(
     Nothing is written unless all has succeeded; a rig that was there before is kept beside the new
     one under its own calibration id. Raises `UserError` for input that gives no calibration.
     """
-    if model not in get_args(LensModel):
-        raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensModel))}")
-    lens: LensModel = "brown" if model == "brown" else "division"
+    lens = next((one for one in get_args(LensWish) if one == model), None)
+    if lens is None:
+        raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensWish))}")
     stated = stated_boards(board)
     check_outputs({"--output": output, "--report": report})
     pairs = [Pair.of_files(pair) for pair in find_pairs(directory)]
@@ -113,6 +113,8 @@ def _print(
         f"stereo rms {calibration.rms_px:.4f} px, epipolar rms {calibration.epipolar_rms_px:.4f} px, "
         f"baseline {rig.baseline_mm:.4f} mm, {len(calibration.views)} views"
     )
+    if calibration.lenses:
+        console.print(choice_in_words(calibration.lenses), soft_wrap=True)
     if quality["held_out"]:
         held = quality["held_out"]
         console.print(

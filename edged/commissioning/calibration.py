@@ -31,10 +31,11 @@ from edged.vision.calibration.imaging import (
     imaging_of,
     with_response,
 )
+from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.calibration.plainopencv import plain_opencv
 from edged.vision.calibration.verdict import Verdict, judge_calibration
-from edged.vision.geometry.camera import LensModel, StereoRig
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
 THUMBNAIL_PX = 240
@@ -199,7 +200,7 @@ class Calibrated:
 
 
 def solve(
-    views: Views, lens: LensModel, *, plate_shape: bool = False, progress: Progress = silent
+    views: Views, lens: LensWish, *, plate_shape: bool = False, progress: Progress = silent
 ) -> Calibrated:
     """Calibrate from all pairs, and judge what came out. Raises `CalibrationError` when they give no rig.
 
@@ -264,6 +265,7 @@ def quality_figures(
         "held_out": _held_out_figures(held),
         "model_error_px": [round(value, 5) for value in calibration.model_error_px],
         "outliers": calibration.outliers,
+        "lenses": {one.name: round(one.weight, 4) for one in calibration.lenses},
         "notes": list(calibration.notes),
     }
 

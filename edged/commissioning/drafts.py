@@ -28,7 +28,7 @@ from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import read_bytes, write_atomically
 from edged.files.pairs import ImagePair
 from edged.vision.boards.board import NominalBoard, parse_boards
-from edged.vision.geometry.camera import LensModel
+from edged.vision.calibration.lenschoice import LensWish
 
 KEPT = 10
 """Drafts; with one more the oldest goes. Twenty pairs of 1280x960 are 40 MB."""
@@ -144,7 +144,7 @@ class Drafts:
         author: str,
         boards: Sequence[str],
         goal_um: float | None,
-        lens: LensModel,
+        lens: LensWish,
         now: datetime,
         mm: float | None = None,
     ) -> Draft:

@@ -9,6 +9,7 @@ from pydantic import Field, JsonValue, model_validator
 from edged.commissioning.history import MOST_OPERATIONS, History, Kept, Text
 from edged.errors import CalibrationError
 from edged.vision.boards.board import NominalBoard, parse_boards
+from edged.vision.calibration.lenschoice import LensWish
 
 MOST_VIEWS = MOST_OPERATIONS // 4
 ViewName = Annotated[str, Field(pattern=r"^view_[0-9]{3}$")]
@@ -53,7 +54,7 @@ class DraftState(History[Operation]):
     boards: Annotated[tuple[Text, ...], Field(max_length=8)]
     mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
     goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    lens: Literal["division", "brown"] = "brown"
+    lens: LensWish = "auto"
     views: Annotated[dict[ViewName, ViewState], Field(max_length=MOST_VIEWS, default_factory=dict)]
     solved: Solved | None = None
 

@@ -14,8 +14,9 @@ from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Detection, NotDetected, outline_mm
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
+from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.calibration.nextbestview import TILT_DEG, TILTS, Suggestion, plan_views
-from edged.vision.geometry.camera import CameraModel, LensModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 SUGGESTED, LOOKED_AT = 3, 12
@@ -67,7 +68,7 @@ class Guided:
 
 def guide(
     views: Views,
-    lens: LensModel,
+    lens: LensWish,
     goal_um: float | None = None,
     taken: Sequence[FloatArray] = (),
     progress: Progress = silent,

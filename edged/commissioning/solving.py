@@ -12,15 +12,16 @@ from edged.commissioning.drafts import Solution
 from edged.commissioning.pairs import Progress, silent
 from edged.files.rig import rig_text
 from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.lenschoice import LensWish, choice_in_words
 from edged.vision.calibration.nextbestview import plan_views, volume_points
-from edged.vision.geometry.camera import LensModel, StereoRig
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 
 
 def solution_of(
     views: Views,
-    lens: LensModel,
+    lens: LensWish,
     about: Mapping[str, str],
     former: StereoRig | None = None,
     progress: Progress = silent,
@@ -56,6 +57,7 @@ def _figures(solved: Calibrated, former: StereoRig | None) -> dict[str, JsonValu
         "stereo_rms_px": solved.quality["stereo_rms_px"],
         "epipolar_rms_px": solved.quality["epipolar_rms_px"],
         "held_out": solved.quality["held_out"],
+        "lens": choice_in_words(calibration.lenses) if calibration.lenses else None,
         "grade": solved.verdict.grade,
         "verdict": list(solved.verdict.why),
         "notes": [*calibration.notes, *(one.text for one in solved.found if one.remedy)],

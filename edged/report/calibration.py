@@ -16,6 +16,7 @@ from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.imaging import NOISE_PX, Finding
+from edged.vision.calibration.lenschoice import choice_in_words
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
 from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
@@ -103,10 +104,17 @@ def _about(calibration: Calibration, quality: Mapping[str, Any], about: Mapping[
         [
             *about.items(),
             ("board, as stated", str(quality["board"])),
-            ("lens model", rig.left.model),
+            ("lens model", _lens(calibration)),
             ("images left, right", ", ".join(f"{c.width} × {c.height} px" for c in (rig.left, rig.right))),
         ]
     )
+
+
+def _lens(calibration: Calibration) -> str:
+    """As it was stated, or how it was chosen."""
+    if not calibration.lenses:
+        return calibration.rig.left.model
+    return choice_in_words(calibration.lenses).removeprefix("lens model ")
 
 
 def _fitted(calibration: Calibration) -> Table:

@@ -13,7 +13,7 @@ from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, Route
 from edged.adapters.web.visitors import Role
 from edged.commissioning.drafts import Draft
 from edged.files.atomic import read_bytes
-from edged.vision.geometry.camera import LensModel
+from edged.vision.calibration.lenschoice import LensWish
 from edged.workshop.calibrations import Calibrations
 from edged.workshop.documents import DraftDocument, DraftList
 from edged.workshop.tasks import TaskDocument, Tasks
@@ -33,7 +33,7 @@ class Beginning(Body):
     recognise: bool = False
     mm: Annotated[float, Field(gt=0, le=1e4, description="pitch of a board that is recognised")] | None = None
     goal_um: Goal | None = None
-    lens: LensModel = "brown"
+    lens: LensWish = "auto"
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Beginning:

@@ -30,7 +30,7 @@ from edged.errors import CalibrationError, EdgedError, FileFormatError, SetupRef
 from edged.session.notices import Notices
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import agreed_board, of_size
-from edged.vision.geometry.camera import LensModel
+from edged.vision.calibration.lenschoice import LensWish
 from edged.workshop.documents import (
     DraftDocument,
     DraftLine,
@@ -132,7 +132,7 @@ class Calibrations:
     # --- what is asked -----------------------------------------------------------------------
 
     async def begin(
-        self, author: str, boards: tuple[str, ...], mm: float | None, goal_um: float | None, lens: LensModel
+        self, author: str, boards: tuple[str, ...], mm: float | None, goal_um: float | None, lens: LensWish
     ) -> DraftDocument:
         """A new draft. Raises `CalibrationError` for what is no board, `OSError` for a disc that refuses."""
         now = datetime.now(UTC)

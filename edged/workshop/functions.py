@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.errors import UserError
 from edged.files.rig import load_rig, rig_of
 from edged.vision.boards.board import NominalBoard
-from edged.vision.geometry.camera import LensModel
+from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.part.job import Job
 
 Boards = Sequence[NominalBoard]
@@ -46,7 +46,7 @@ def guide(
     pictures: Path,
     boards: Boards,
     looks: Mapping[str, Looks],
-    lens: LensModel,
+    lens: LensWish,
     goal_um: float | None,
     taken: Sequence[FloatArray],
 ) -> Guided:
@@ -59,7 +59,7 @@ def solve(
     pictures: Path,
     boards: Boards,
     looks: Mapping[str, Looks],
-    lens: LensModel,
+    lens: LensWish,
     former: Path,
     about: Mapping[str, str],
 ) -> Solution:

@@ -328,7 +328,7 @@ CASES: dict[str, Bad] = {
     ),
     "board: lens": Bad(
         BOARD.format("chessboard:11x8:4") + " --model fisheye",
-        "edged: --model 'fisheye': expected one of brown, division",
+        "edged: --model 'fisheye': expected one of auto, division, brown",
         {"boards": folder},
     ),
     "board: not in the pictures": Bad(

@@ -96,6 +96,20 @@ def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_lens_model_is_chosen_and_told(pictures: Path, tmp_path: Path) -> None:
+    """Left to the views, the command, the report and the rig file say which model it is, and how sure."""
+    output, report = tmp_path / "rig.json", tmp_path / "report.html"
+    said = run(pictures, output, report, model="auto")
+    weights = json.loads(output.read_text())["quality"]["lenses"]
+    assert {"division", "brown", "brown without p1, p2"} == set(weights)
+    best = max(weights, key=lambda name: weights[name])
+    assert best.split()[0] == load_rig(output).left.model
+    words = f"chosen by the views: {best} ({100 * weights[best]:.0f} %"
+    assert f"lens model {words}" in said
+    assert words in report.read_text()
+
+
+@pytest.mark.slow
 def test_a_report_does_not_replace_the_rig(pictures: Path, tmp_path: Path) -> None:
     """The same file for both is refused before the work."""
     path = tmp_path / "x.json"
@@ -311,7 +325,7 @@ def test_a_registration_that_no_longer_holds_is_said(pictures: Path, tmp_path: P
 
 def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:
     """What can be known to fail before the work is refused before the work."""
-    refused(folder, tmp_path, "expected one of brown, division", model="fisheye")
+    refused(folder, tmp_path, "expected one of auto, division, brown", model="fisheye")
     for output in (tmp_path, tmp_path / "nowhere" / "rig.json"):
         with pytest.raises(UserError, match="folder"):
             run(folder, output)

@@ -18,11 +18,10 @@ from edged.vision.calibration.calibrate import (
     Calibration,
     epipolar_errors_px,
     fit_of_view,
-    freedom_of,
     marks_in_both,
-    observations,
-    with_model_error,
 )
+from edged.vision.calibration.estimation import observations, with_model_error
+from edged.vision.calibration.lenschoice import freedom_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.triangulation import triangulate_raw

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.vision.boards.board import Board, Charuco, ShapedBoard, outline_mm
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
-from edged.vision.calibration.calibrate import Calibration, freedom_of
+from edged.vision.calibration.calibrate import Calibration
+from edged.vision.calibration.lenschoice import freedom_of, selection_of
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters
@@ -168,11 +169,7 @@ def _design(calibration: Calibration) -> _Design | None:
     if rig.covariance is None or not len(points):
         return None
     freedoms = freedom_of(rig.left), freedom_of(rig.right)
-    selection = np.zeros((len(rig.parameter_names), sum(f.count for f in freedoms) + 6))
-    rows, columns = freedoms[0].selection(rig.left).shape
-    selection[:rows, :columns] = freedoms[0].selection(rig.left)
-    selection[rows:-6, columns:-6] = freedoms[1].selection(rig.right)
-    selection[-6:, -6:] = np.eye(6)
+    selection = selection_of(rig)
     inverse = np.linalg.pinv(selection)
     information = _inverse(inverse @ rig.covariance @ inverse.T)
     boards = [fit.view.board for fit in calibration.views]

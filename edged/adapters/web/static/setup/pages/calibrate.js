@@ -211,7 +211,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
       await look();
     });
   return html`<p class="verdict"><${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} /> ${coded("verdict", verdict)}</p>
-    ${figures?.verdict?.map((sentence) => html`<p class="hint" translate=${false} lang="en">${sentence}</p>`)}
+    ${[...(figures?.verdict ?? []), ...(figures?.lens ? [figures.lens] : [])].map((sentence) => html`<p class="hint" translate=${false} lang="en">${sentence}</p>`)}
     <dl class="facts">
       <dt>${t("solved-rms")}</dt><dd>${number(rms_px, 3)} px</dd>
       <dt>${t("solved-heldout")}</dt><dd>${number(heldout_px, 3)} px</dd>

@@ -1,0 +1,209 @@
+"""A rig estimated with a stated freedom, and what does not belong: wrong marks, wrong views, a moved camera.
+
+Each mark counts by its own measured precision, joined by a common model error that is estimated from the
+residuals: what lens model, board and detector leave unexplained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray, Side
+from edged.errors import CalibrationError
+from edged.vision.boards.board import StereoView
+from edged.vision.calibration.bundle import (
+    BundleResult,
+    BundleState,
+    LensFreedom,
+    Observations,
+    adjust,
+    relation_information,
+)
+from edged.vision.calibration.initial import MIN_VIEWS
+
+_OUTLIER = 6.0  # normalised residual length beyond which a mark is a mistake, not noise
+_BAD_VIEW = 5.0  # times the usual residual beyond which a view is not of the same rig or board
+_START_ERROR_PX = 0.5  # far above any real detector's, so that the first fit is a plain one
+_ESTIMATE_ROUNDS = 8
+_MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
+Freedoms = tuple[LensFreedom, LensFreedom]
+
+
+class Undetermined(CalibrationError):
+    """The views do not tell all that was free; with less freedom they may."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Views with their observations, and which marks are kept as no outliers."""
+
+    views: Sequence[StereoView]
+    left: Observations
+    right: Observations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The best estimate with these freedoms. model_error_px : of the left and of the right camera."""
+
+    problem: Problem
+    result: BundleResult
+    model_error_px: tuple[float, float]
+    freedoms: Freedoms
+
+
+def estimate_cleaned(
+    views: list[StereoView], state: BundleState, freedoms: Freedoms, excluded: list[tuple[str, str]]
+) -> Solution:
+    """Estimate; leave out views that contradict the others, one at a time, and marks that are mistakes.
+
+    excluded : takes name and reason of each view that was left out.
+    Raises `Undetermined`, and `CalibrationError` for a camera that moved and for views in contradiction.
+    """
+    while True:
+        solution = estimate(problem_of(views), state, freedoms)
+        _check_movement(solution)
+        worst = _worst_view(solution)
+        if worst is None:
+            break
+        index, residual, usual = worst
+        excluded.append((views[index].name, f"residuals of {residual:.2f} px, usually {usual:.3f} px"))
+        views = [view for i, view in enumerate(views) if i != index]
+        if len(views) < MIN_VIEWS:
+            raise CalibrationError(f"the views contradict each other: {excluded[-1][1]}")
+        state = solution.result.state
+        state = replace(state, left_from_board=np.delete(state.left_from_board, index, axis=0))
+    return without_outliers(solution)
+
+
+def problem_of(views: list[StereoView]) -> Problem:
+    """All marks of these views."""
+    return Problem(views, observations(views, "left"), observations(views, "right"))
+
+
+def observations(views: Sequence[StereoView], side: Side) -> Observations:
+    """All marks of the "left" or "right" images, with the precision their own fits state."""
+    found = [view.found(side) for view in views]
+    return Observations(
+        np.concatenate([np.full(len(seen.ids), i, dtype=np.int64) for i, seen in enumerate(found)]),
+        np.concatenate([v.board.points_mm[seen.ids] for v, seen in zip(views, found, strict=True)]),
+        np.concatenate([seen.pixels for seen in found]),
+        np.concatenate([seen.sigma_px for seen in found]),
+    )
+
+
+def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Solution:
+    """Adjust and estimate the model error in turn until it settles."""
+    errors = _START_ERROR_PX, _START_ERROR_PX
+    try:
+        for _ in range(_ESTIMATE_ROUNDS):
+            left, right = (
+                with_model_error(problem.left, errors[0]),
+                with_model_error(problem.right, errors[1]),
+            )
+            result = adjust(state, left, right, *freedoms)
+            state, before = result.state, errors
+            share = result.freedom / (2 * (len(left.view) + len(right.view)))
+            errors = (
+                _model_error(problem.left, result.residuals_left_px, share),
+                _model_error(problem.right, result.residuals_right_px, share),
+            )
+            if np.allclose(errors, before, rtol=0.01, atol=1e-5):
+                break
+    except np.linalg.LinAlgError as error:
+        raise Undetermined("these views do not determine the cameras: the equations are singular") from error
+    if not result.converged:
+        raise Undetermined("the bundle adjustment does not converge: these views contradict each other")
+    return Solution(problem, result, errors, freedoms)
+
+
+def without_outliers(solution: Solution) -> Solution:
+    """Drop marks that are mistakes, a few times: without the worst ones the next stand out."""
+    for _ in range(_ESTIMATE_ROUNDS):
+        problem, result = solution.problem, solution.result
+        kept_left = _inliers(problem.left, result.residuals_left_px, solution.model_error_px[0])
+        kept_right = _inliers(problem.right, result.residuals_right_px, solution.model_error_px[1])
+        if kept_left.all() and kept_right.all():
+            break
+        kept = replace(problem, left=_pick(problem.left, kept_left), right=_pick(problem.right, kept_right))
+        solution = estimate(kept, result.state, solution.freedoms)
+    return solution
+
+
+def with_model_error(seen: Observations, error_px: float) -> Observations:
+    """The marks with the common model error joined to their own."""
+    return replace(seen, sigma_px=np.hypot(seen.sigma_px, error_px))
+
+
+def _pick(seen: Observations, kept: npt.NDArray[np.bool_]) -> Observations:
+    shape = None if seen.shape is None else seen.shape[kept]
+    return Observations(seen.view[kept], seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept], shape)
+
+
+def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.linalg.norm(residuals, axis=1) < _OUTLIER * np.hypot(seen.sigma_px, error_px))
+
+
+def _model_error(seen: Observations, residuals: FloatArray, share: float) -> float:
+    """The error of one coordinate, added to each mark's own, that makes chi² what it should be.
+
+    share : degrees of freedom per measured value. 0 where the marks' own sigmas explain everything.
+    """
+    squares = np.sum(residuals**2, axis=1)
+
+    # clipped like the robust loss clips, so that a few mistakes do not set the scale
+    def chi2(error: float) -> float:
+        return float(np.minimum(squares / (seen.sigma_px**2 + error**2), 9.0).sum())
+
+    target = 2 * len(squares) * share * 0.989  # E[min(r², 9)] / 2 of a two-dimensional normal
+    low, high = 0.0, float(np.sqrt(squares.max())) + 1e-9
+    if chi2(0.0) <= target:
+        return 0.0
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if chi2(middle) > target else (low, middle)
+    return high
+
+
+def _check_movement(solution: Solution) -> None:
+    """Raise `CalibrationError` if one change of right_from_left between two views explains the residuals.
+
+    A likelihood ratio test over all places where the sequence of views can be cut.
+    """
+    problem, result = solution.problem, solution.result
+    errors = solution.model_error_px
+    left, right = with_model_error(problem.left, errors[0]), with_model_error(problem.right, errors[1])
+    information, gradient = relation_information(result.state, left, right)
+    before, score = np.cumsum(information, axis=0)[:-1], np.cumsum(gradient, axis=0)[:-1]
+    after, rest = information.sum(axis=0) - before, gradient.sum(axis=0) - score
+    step_before = np.linalg.solve(before, score[..., None])[..., 0]
+    step_after = np.linalg.solve(after, rest[..., None])[..., 0]
+    gain = np.sum(step_before * score, axis=1) + np.sum(step_after * rest, axis=1)
+    last = len(problem.views) - 2  # a single view at either end is a bad view, not a movement
+    inner = gain[1:last]
+    if not inner.size or inner.max() < _MOVED_SHARE * result.chi2:
+        return
+    cut = 1 + int(np.argmax(inner))
+    change = step_after[cut] - step_before[cut]
+    raise CalibrationError(
+        f"a camera was moved between {problem.views[cut].name} and {problem.views[cut + 1].name}: by about "
+        f"{np.degrees(np.linalg.norm(change[:3])):.3f}° and {np.linalg.norm(change[3:]):.3f} mm "
+        "against the other; take the views again without touching the cameras"
+    )
+
+
+def _worst_view(solution: Solution) -> tuple[int, float, float] | None:
+    """Index, residual and usual residual of the view that does not belong, if there is one.
+
+    By the median over a view's marks: a few wrong marks do not condemn a view.
+    """
+    result, problem = solution.result, solution.problem
+    view = np.concatenate([problem.left.view, problem.right.view])
+    length = np.linalg.norm(np.concatenate([result.residuals_left_px, result.residuals_right_px]), axis=1)
+    medians = np.array([np.median(length[view == i]) for i in range(len(problem.views))])
+    index, typical = int(np.argmax(medians)), float(np.median(medians))
+    return (index, float(medians[index]), typical) if medians[index] > _BAD_VIEW * typical else None
