@@ -43,7 +43,16 @@ class EdgedError(Exception):
 
 
 class UserError(EdgedError):
-    """Wrong usage or input. The message names the place and what was expected."""
+    """Wrong usage or input. The message names the place and what was expected.
+
+    code : which of the mistakes of this class it is, for who has a sentence of their own for it; "" for any.
+    params : what such a sentence needs.
+    """
+
+    def __init__(self, message: str, code: str = "", **params: str | float) -> None:
+        self.code = code
+        self.params = params
+        super().__init__(message)
 
 
 class ConfigError(UserError):
@@ -72,7 +81,7 @@ class CalibrationError(UserError):
 
 
 class Undetermined(CalibrationError):
-    """Poses or points of a robot that leave a part of its registration open."""
+    """Views, or poses and points of a robot, that leave open what was asked of them."""
 
 
 class SamePlace(Undetermined):

@@ -57,22 +57,30 @@ def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress
     looked = work_on([partial(_recognise, one) for one in some], "looking for another board", progress)
     known = [one for one in looked if one is not None]
     seen = agreed_board(known) if 2 * len(known) > len(some) else None
-    if seen is None or _may_be(board, seen):
+    if seen is None or may_be(board, seen):
         return
     fits = of_size(seen, board.pitch_mm)
     if isinstance(board, Chessboard) and isinstance(fits, Chessboard):
         raise CalibrationError(
             f"--board {board}: the pictures show {fits.columns}x{fits.rows} inner corners, not "
-            f"{board.columns}x{board.rows}; count where four squares meet, not the squares: --board {fits}"
+            f"{board.columns}x{board.rows}; count where four squares meet, not the squares: --board {fits}",
+            "other_board",
+            stated=str(board),
+            seen=str(fits),
         )
-    raise CalibrationError(f"--board {board}: the pictures show {in_words(seen)}: --board {fits}")
+    raise CalibrationError(
+        f"--board {board}: the pictures show {in_words(seen)}: --board {fits}",
+        "other_board",
+        stated=str(board),
+        seen=str(fits),
+    )
 
 
 def _recognise(picture: Picture) -> NominalBoard | None:
     return recognise_board(picture.read())
 
 
-def _may_be(board: NominalBoard, seen: NominalBoard) -> bool:
+def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
     """Whether the stated board looks like what is seen."""
     if isinstance(board, Charuco) and isinstance(seen, Charuco):
         kinds = [one.dictionary.rpartition("_")[0] for one in (board, seen)]

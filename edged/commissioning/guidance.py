@@ -52,13 +52,13 @@ class Ghost:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guided:
-    """What the views so far give. trouble : why they give no calibration yet; "" when they do.
+    """What the views so far give. trouble : why they give no calibration yet; None when they do.
 
     rms_px, excluded : by the name of a view.  sigma_um (3,) : of X, Y, Z in the working volume.
     ghosts : the best first.  more_views : to the goal; None: none stated, or out of reach.
     """
 
-    trouble: str
+    trouble: CalibrationError | None
     ghosts: Sequence[Ghost]
     rms_px: dict[str, float] = field(default_factory=dict)
     excluded: dict[str, str] = field(default_factory=dict)
@@ -83,19 +83,19 @@ def guide(
     try:
         calibration = calibrate_stereo(found, *sizes, lens)
     except CalibrationError as error:
-        return Guided(str(error), first_ghosts(views.boards[0], sizes[0], len(views.pairs)))
+        return Guided(error, first_ghosts(views.boards[0], sizes[0], len(views.pairs)))
     progress("the next view", 0, 0)
     plan = plan_views(calibration, LOOKED_AT, None if goal_um is None else 1e-3 * goal_um)
     rms = {fit.name: fit.rms_px for fit in calibration.views}
     if plan is None:
-        return Guided("", (), rms, dict(calibration.excluded))
+        return Guided(None, (), rms, dict(calibration.excluded))
     ghosts = [
         _ghost(calibration, suggestion, 1e3 * sigma_mm)
         for suggestion, sigma_mm in zip(plan.suggestions, plan.sigmas_mm, strict=True)
     ]
     # where a view is already, though the solution left it out, another one would fare no better
     ghosts = [ghost for ghost in ghosts if not is_same(ghost.outlines, taken)][:SUGGESTED]
-    return Guided("", ghosts, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
+    return Guided(None, ghosts, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
 
 
 def waits_for(

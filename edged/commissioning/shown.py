@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
 import numpy as np
 
+from edged.commissioning.boards import may_be
 from edged.commissioning.pairs import work_on
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, outline_mm
@@ -43,7 +44,8 @@ _POINTS_PER_SIDE = 6
 class Seen:
     """A board in one picture. outline (4, 2); None: not found.
 
-    missing : why not, for programs: "dark", "bright", "not_found"; "" when it is found.  reason : for people.
+    missing : why not, for programs: "dark", "bright", "not_found", "other_board"; "" when it is found.
+    reason : for people.
     clipped : some of it is white beyond what the camera can tell: edges beside it are shifted.
     """
 
@@ -57,7 +59,7 @@ class Seen:
 class Watched:
     """A live pair. size (w, h) : of the left picture.
 
-    recognised : the board that it shows, where none was stated; in units of its pitch.
+    recognised : the board that it shows, where none was stated or another one; in units of its pitch.
     """
 
     left: Seen
@@ -76,14 +78,23 @@ class Watched:
         return np.array([self.left.outline, self.right.outline], dtype=np.float64)
 
 
-def watch(left: Image, right: Image, boards: Sequence[NominalBoard]) -> Watched:
-    """Look at a live pair; in half the size where that suffices. Without boards: which board is it?"""
+def watch(left: Image, right: Image, boards: Sequence[NominalBoard], *, others: bool = False) -> Watched:
+    """Look at a live pair; in half the size where that suffices. Without boards: which board is it?
+
+    others : say which board it is where it is none of these.
+    """
     images = [_halved(image) for image in (left, right)]
     recognised = None
     if not boards:
         recognised = recognise_board(images[0][0])
         boards = () if recognised is None else (recognised,)
     both = work_on([partial(_see, *image, boards) for image in images], "", lambda *_: None)
+    if others and recognised is None and [one.missing for one in both] == ["not_found"] * len(both):
+        recognised = recognise_board(images[0][0])
+        if recognised is not None and any(may_be(board, recognised) for board in boards):
+            recognised = None
+        if recognised is not None:
+            both = [replace(one, missing="other_board") for one in both]
     return Watched(both[0], both[1], (left.shape[1], left.shape[0]), recognised)
 
 

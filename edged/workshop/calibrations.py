@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ from edged.workshop.documents import (
     sigma,
     solved_in,
     suggestions_in,
+    trouble_in,
     views_in,
 )
 from edged.workshop.tasks import Tasks
@@ -50,6 +52,7 @@ FUNCTIONS = {
     name: f"edged.workshop.functions:{name}"
     for name in ("watch", "keep", "look_again", "guide", "solve", "check_board", "check_part")
 }
+OTHERS_EVERY_S = 2.0
 LOOKS_THAT_AGREE = 2
 """Live pairs that must show the same board before it is the draft's."""
 PLACE = "/api/v1/calibrations"
@@ -70,7 +73,8 @@ class _Open:
     stillness: Stillness = field(default_factory=Stillness)
     recognised: list[NominalBoard] = field(default_factory=list)
     task: str | None = None
-    fault: str = ""
+    fault: Exception | None = None
+    looked_for_others_s: float = -math.inf
     auto: str | None = None  # the token of who wants pairs to be taken by themselves
 
     @property
@@ -218,19 +222,24 @@ class Calibrations:
         except (EdgedError, OSError) as error:
             log.warning("a live pair cannot be looked at: %s", error)
             if identity in self._open:
-                self._open[identity].fault = str(error)
+                self._open[identity].fault = error
                 self._tell(self._open[identity])
         finally:
             self._watching = None
 
     async def _look(self, one: _Open, left: Image, right: Image) -> None:
-        boards = one.draft.state.board_models
-        one.watched = watched = await self._worker.run("watch", left, right, boards)
-        one.still, one.fault = one.stillness.look(self._clock_s(), watched), ""
+        state, now_s = one.draft.state, self._clock_s()
+        boards = state.board_models
+        # a board that was seen once is not another one; and looking for any takes longer than for one
+        others = not state.used and now_s - one.looked_for_others_s > OTHERS_EVERY_S
+        one.watched = watched = await self._worker.run("watch", left, right, boards, others)
+        if others:
+            one.looked_for_others_s = now_s
+        one.still, one.fault = one.stillness.look(self._clock_s(), watched), None
         if watched.recognised is not None and not boards:
             await self._recognise(one, watched.recognised)
         if one.guided is None and one.draft.state.boards and not one.draft.state.used:
-            one.guided = Guided("", first_ghosts(one.draft.state.board_models[0], watched.size, 0))
+            one.guided = Guided(None, first_ghosts(one.draft.state.board_models[0], watched.size, 0))
         one.waits = self._waits(one)
         if one.auto is not None and not one.waits:
             self._renew(one.auto)
@@ -293,8 +302,10 @@ class Calibrations:
                         looks = await self._known(one)
                         arguments = (state.board_models, looks, state.lens, state.goal_um, one.outlines)
                         guided = await self._worker.run("guide", one.draft.pictures, *arguments)
+                except CalibrationError as error:
+                    guided = Guided(error, ())
                 except EdgedError as error:
-                    guided = Guided(str(error), ())
+                    guided = Guided(CalibrationError(str(error)), ())
                 one.guided, one.guided_of = guided, wanted
         finally:
             one.guiding = None
@@ -366,7 +377,7 @@ class Calibrations:
             still=one.still,
             in_ghost=round(nearness(one.watched, one.ghost), 3) if one.watched and one.ghost else 0.0,
             sigma_um=None if guided is None else sigma(guided.sigma_um),
-            trouble=one.fault or (None if guided is None else guided.trouble) or None,
+            trouble=trouble_in(one.fault or (None if guided is None else guided.trouble)),
             suggestion=suggestions[0] if suggestions else None,
             suggestions=suggestions,
             more_views=None if guided is None else guided.more_views,

@@ -7,11 +7,15 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
+from edged.adapters.web.gate import code_of
 from edged.commissioning.drafts import Draft
 from edged.commissioning.draftstate import ViewState
 from edged.commissioning.guidance import Ghost, Guided
 from edged.commissioning.shown import Seen, Watched
 from edged.domain.arrays import FloatArray
+from edged.errors import EdgedError, UserError
+from edged.vision.boards.board import NominalBoard
+from edged.vision.boards.detection import in_words
 
 Polygon = list[list[float]]
 
@@ -50,11 +54,15 @@ class ViewDocument(Document):
 
 
 class ShownDocument(Document):
-    """A picture of the last live pair. polygon : around the board, raw px. missing : why there is none."""
+    """A picture of the last live pair. polygon : around the board, raw px. missing : why there is none.
+
+    other_board : which one the pair shows instead, as it is stated, without its size in mm.
+    """
 
     polygon: Polygon | None
     missing: str | None
     text: str | None
+    other_board: str | None
     clipped: bool
 
 
@@ -87,6 +95,14 @@ class SolvedDocument(Document):
     figures: dict[str, JsonValue]
 
 
+class Trouble(Document):
+    """What keeps something from being done. code, params : as of a problem.  text : in English."""
+
+    code: str
+    text: str
+    params: dict[str, str | float] = {}
+
+
 class DraftDocument(Document):
     """A draft. waits : why no picture is taken by itself now. trouble : why views give no calibration yet."""
 
@@ -103,7 +119,7 @@ class DraftDocument(Document):
     still: bool
     in_ghost: float
     sigma_um: Sigma | None
-    trouble: str | None
+    trouble: Trouble | None
     suggestion: SuggestionDocument | None
     suggestions: list[SuggestionDocument]
     more_views: int | None
@@ -171,14 +187,28 @@ def _why(view: ViewState, is_used: bool, excluded: str) -> tuple[str | None, str
 
 def shown_in(watched: Watched | None) -> BothShown | None:
     """The last live pair."""
-    return None if watched is None else BothShown(left=_shown(watched.left), right=_shown(watched.right))
+    if watched is None:
+        return None
+    other = watched.recognised if watched.left.missing == "other_board" else None
+    return BothShown(left=_shown(watched.left, other), right=_shown(watched.right, other))
 
 
-def _shown(seen: Seen) -> ShownDocument:
+def trouble_in(error: Exception | None) -> Trouble | None:
+    """As it is told; one that is none of ours by its text alone."""
+    if error is None:
+        return None
+    params = dict(error.params) if isinstance(error, UserError) else {}
+    return Trouble(
+        code=code_of(error) if isinstance(error, EdgedError) else "", text=str(error), params=params
+    )
+
+
+def _shown(seen: Seen, other: NominalBoard | None) -> ShownDocument:
     return ShownDocument(
         polygon=None if seen.outline is None else polygon(seen.outline),
         missing=seen.missing or None,
-        text=seen.reason or None,
+        text=(seen.reason if other is None else f"the pictures show {in_words(other)}") or None,
+        other_board=None if other is None else str(other).rpartition(":")[0],
         clipped=seen.clipped,
     )
 

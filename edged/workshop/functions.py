@@ -23,9 +23,9 @@ from edged.vision.part.job import Job
 Boards = Sequence[NominalBoard]
 
 
-def watch(_progress: Progress, left: Image, right: Image, boards: Boards) -> Watched:
-    """A live pair."""
-    return shown.watch(left, right, boards)
+def watch(_progress: Progress, left: Image, right: Image, boards: Boards, others: bool) -> Watched:
+    """A live pair. others : look for another board where it shows none of these."""
+    return shown.watch(left, right, boards, others=others)
 
 
 def keep(

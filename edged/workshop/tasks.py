@@ -12,25 +12,26 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict
 
+from edged.adapters.web.gate import code_of
 from edged.capture.tasks import cancel_and_await
 from edged.commissioning.pairs import Progress
-from edged.errors import EdgedError
+from edged.errors import EdgedError, UserError
 from edged.session.notices import Notices
 
 log = logging.getLogger(__name__)
 
 KEPT = 20
-"""Of each kind."""
 TELL_S = 1.0
 """Also while nothing changes: who waits sees that it goes on."""
 
 
 class Problem(BaseModel):
-    """Why it failed. code : for programs."""
+    """Why it failed. code, params : as those of a refused request."""
 
     model_config = ConfigDict(frozen=True)
     code: str
     detail: str
+    params: dict[str, str | float] = {}
 
 
 class TaskDocument(BaseModel):
@@ -83,8 +84,7 @@ class Tasks:
         """Begin; returns its id. work : what it raises on purpose is how it failed."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
-        alike = [one for one in self._tasks.values() if one.what == what]
-        for old in [one for one in alike if one.state != "running"][: len(alike) - KEPT]:
+        for old in [one for one in self._tasks.values() if one.state != "running"][: len(self._tasks) - KEPT]:
             del self._tasks[old.id]
         task.running = asyncio.create_task(self._run(task, work), name=f"task {what}")
         self._tell(task)
@@ -125,7 +125,7 @@ class Tasks:
             task.state = "cancelled"
             raise
         except EdgedError as error:
-            task.state, task.problem = "failed", Problem(code=code_of(error), detail=str(error))
+            task.state, task.problem = "failed", _problem(error)
         except Exception as error:
             log.exception("the task %s failed", task.what)
             task.state, task.problem = "failed", Problem(code="bug", detail=f"a bug, see the log: {error}")
@@ -143,7 +143,6 @@ class Tasks:
         self._notices.publish("task", task.document().model_dump(mode="json"))
 
 
-def code_of(error: EdgedError) -> str:
-    """CalibrationError: "calibration"."""
-    name = type(error).__name__.removesuffix("Error")
-    return "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("_")
+def _problem(error: EdgedError) -> Problem:
+    params = dict(error.params) if isinstance(error, UserError) else {}
+    return Problem(code=code_of(error), detail=str(error), params=params)

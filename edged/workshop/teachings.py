@@ -15,6 +15,7 @@ from typing import Literal
 
 from pydantic import JsonValue
 
+from edged.adapters.web.gate import code_of
 from edged.commissioning.editing import edited
 from edged.commissioning.pairs import Progress
 from edged.commissioning.proposing import FormerFiles, Order, Seen
@@ -35,7 +36,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.checks import RigInUse
 from edged.workshop.jobsinuse import JobLine, JobsInUse
-from edged.workshop.tasks import Tasks, code_of
+from edged.workshop.tasks import Tasks
 from edged.workshop.teachingdocuments import (
     TeachingDocument,
     TeachingLine,

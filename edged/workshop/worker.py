@@ -87,8 +87,8 @@ class Worker:
         match answer:
             case Done(result):
                 return result
-            case Refused(kind, message):
-                raise _user_error(kind, message)
+            case Refused():
+                raise _user_error(answer)
             case Failed(trace):
                 log.error("the task %s failed:\n%s", name, trace)
                 raise TaskFailed(f"{name}: a bug, see the log: {trace.splitlines()[-1]}")
@@ -176,9 +176,9 @@ def _received(connection: Connection) -> Answer:
     return answer
 
 
-def _user_error(kind: str, message: str) -> UserError:
+def _user_error(refused: Refused) -> UserError:
     """As it was raised there; one whose fields do not come through the pipe is a plain one."""
-    found = getattr(errors, kind, UserError)
+    found = getattr(errors, refused.kind, UserError)
     plain = found.__init__ is UserError.__init__
-    error: UserError = (found if plain else UserError)(message)
+    error: UserError = (found if plain else UserError)(refused.message, refused.code, **refused.params)
     return error

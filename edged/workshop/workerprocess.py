@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -54,10 +55,12 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A mistake in what it was given: kind of `UserError`, and its message."""
+    """A mistake in what it was given: kind of `UserError`, and what it holds."""
 
     kind: str
     message: str
+    code: str
+    params: Mapping[str, str | float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +107,7 @@ def _carry_out(order: Order, connection: Connection) -> Answer:
     try:
         return Done(getattr(import_module(module), name)(progress, *order.arguments))
     except UserError as error:
-        return Refused(type(error).__name__, str(error))
+        return Refused(type(error).__name__, str(error), error.code, error.params)
     except Exception:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)
         return Failed(traceback.format_exc())
 

@@ -44,10 +44,11 @@ def some(views: Views, count: int) -> Views:
 
 
 def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]) -> None:
-    """In the solver's words; another tilt with each view."""
+    """With the solver's code; another tilt with each view."""
     one, two = guide(some(kept[1], 1), "division"), guide(some(kept[1], 2), "division")
 
-    assert "pairs" in one.trouble
+    assert one.trouble is not None
+    assert ("few_views", 1) == (one.trouble.code, one.trouble.params["found"])
     assert (None, None) == (one.sigma_um, one.more_views)
     assert one.ghosts[0].code != two.ghosts[0].code
 

@@ -18,12 +18,12 @@ from boardpairs import RIG, SPEC, pairs
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
+from edged.domain.arrays import Image
 from edged.files.rig import load_rig, rig_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
-from edged.workshop import calibrations
 
 
 def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell:
@@ -189,10 +189,12 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
     async def test(cell: BoardCell) -> None:
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
+        # nobody else knows its process, nor what it can do
+        worker = cell.daemon._workshop._worker  # noqa: SLF001
+        functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
-            patch.setitem(calibrations.FUNCTIONS, "keep", "workertasks:vanish")
+            patch.setitem(functions, "keep", "workertasks:vanish")
             assert (503, "task_failed") == await refused(cell, "POST", f"{place}/views", {"token": token})
-        worker = cell.daemon._workshop._worker  # noqa: SLF001  (nobody else knows its process)
         _, begun = await cell.ask("POST", f"{place}/solve", {})
         await cell.until(f"/tasks/{begun['task']}", lambda task: task["text"] != "waits for its turn")
         assert (422, "calibration") == (await refused(cell, "POST", f"{place}/solve"))
@@ -205,6 +207,62 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         assert "cancelled" == cancelled["state"]
         _, draft = await cell.ask("GET", place)
         assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
+
+    run(tmp_path, test)
+
+
+WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
+    "calibration_other_board": ("chessboard:9x6:6", lambda view: pairs(6)[view]),
+    "calibration_swapped": (SPEC, lambda view: pairs(6)[view][::-1]),
+    "calibration_moving": (SPEC, lambda view: (pairs(6)[view][0], pairs(6)[view - 1][1])),
+    "calibration_few_views": (SPEC, lambda view: tuple(np.full_like(one, 90) for one in pairs(6)[view])),
+}
+"""Mistakes that pictures can tell: what is stated, and what a view shows."""
+
+
+@pytest.mark.parametrize("code", WRONG)
+def test_a_mistake_at_the_board_has_a_name(tmp_path: Path, code: str) -> None:
+    """Each with a code of its own, for which the page has a sentence with the remedy; nothing is solved."""
+    stated, view = WRONG[code]
+
+    async def test(cell: BoardCell) -> None:
+        _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+        _, draft = await cell.ask("POST", "/calibrations", {"boards": [stated]})
+        place = f"/calibrations/{draft['id']}"
+        for number in range(4):
+            cell.world.shown = view(number)
+            assert 201 == (await cell.ask("POST", f"{place}/views", {"token": entered["token"]}))[0]
+        _, begun = await cell.ask("POST", f"{place}/solve", {})
+        ended = await cell.done(begun["task"])
+        assert ("failed", code) == (ended["state"], ended["problem"]["code"])
+        draft = await cell.until(place, lambda draft: not draft["guiding"])
+        assert None is draft["solved"]
+        if code != "calibration_other_board":
+            assert code == draft["trouble"]["code"]
+        else:
+            assert {"stated": stated, "seen": SPEC} == ended["problem"]["params"]
+
+    run(tmp_path, test)
+
+
+def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> None:
+    """Before anybody has taken a view of it."""
+
+    async def test(cell: BoardCell) -> None:
+        _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+        _, draft = await cell.ask("POST", "/calibrations", {"boards": ["chessboard:9x6:6"]})
+        place = f"/calibrations/{draft['id']}"
+        headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+        async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+            await socket.send_json({"live": True, "token": entered["token"]})
+            looking = asyncio.create_task(look(socket))
+            draft = await cell.until(
+                place, lambda draft: draft["shown"] and draft["shown"]["left"]["other_board"]
+            )
+            for side in ("left", "right"):
+                shown = draft["shown"][side]
+                assert ("other_board", "chessboard:8x6") == (shown["missing"], shown["other_board"])
+            looking.cancel()
 
     run(tmp_path, test)
 

@@ -203,13 +203,22 @@ def _problem(error: Problem | TooManyAttempts | EdgedError | OSError) -> Problem
     if isinstance(error, TooManyAttempts):
         return Problem(429, "wait", str(error), params={"wait_s": math.ceil(error.wait_s)})
     if isinstance(error, CaptureError):
-        return Problem(503, f"camera_{error.code}", str(error), params={"camera": error.camera})
+        return Problem(503, code_of(error), str(error), params={"camera": error.camera})
     if isinstance(error, OSError):
         if error.errno not in NO_ROOM:
             raise error
         log.error("%s", error)
         return Problem(507, "storage", f"it cannot be kept: {error.strerror}")
-    for kind, status, code in STATUSES:
+    for kind, status, _ in STATUSES:
         if isinstance(error, kind):
-            return Problem(status, code, str(error))
+            return Problem(status, code_of(error), str(error), params=getattr(error, "params", None) or None)
     raise error
+
+
+def code_of(error: EdgedError) -> str:
+    """What an error is called for programs: "calibration", "calibration_swapped"; "" for a bug."""
+    if isinstance(error, CaptureError):
+        return f"camera_{error.code}"
+    code = next((code for kind, _, code in STATUSES if isinstance(error, kind)), "")
+    which = error.code if isinstance(error, UserError) else ""
+    return f"{code}_{which}" if which else code

@@ -110,8 +110,8 @@ def calibrate_stereo(
     lens: LensModel = "brown" if model == "auto" else model
     left_camera, left_poses = zhang(usable, "left", left_size, lens)
     right_camera, right_poses = zhang(usable, "right", right_size, lens)
-    usable, right_from_left = agree(usable, left_poses, right_poses)
-    check_sides(right_from_left, left_poses)
+    usable, right_from_left, scatter = agree(usable, left_poses, right_poses)
+    check_sides(right_from_left, left_poses, scatter)
     state = BundleState(left_camera, right_camera, right_from_left, np.array(left_poses))
     if model == "auto":
         choice = choose(usable, state, excluded)

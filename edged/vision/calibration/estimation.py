@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Side
-from edged.errors import CalibrationError
+from edged.errors import CalibrationError, Undetermined
 from edged.vision.boards.board import StereoView
 from edged.vision.calibration.bundle import (
     BundleResult,
@@ -31,10 +31,6 @@ _START_ERROR_PX = 0.5  # far above any real detector's, so that the first fit is
 _ESTIMATE_ROUNDS = 8
 _MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
 Freedoms = tuple[LensFreedom, LensFreedom]
-
-
-class Undetermined(CalibrationError):
-    """The views do not tell all that was free; with less freedom they may."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +70,7 @@ def estimate_cleaned(
         excluded.append((views[index].name, f"residuals of {residual:.2f} px, usually {usual:.3f} px"))
         views = [view for i, view in enumerate(views) if i != index]
         if len(views) < MIN_VIEWS:
-            raise CalibrationError(f"the views contradict each other: {excluded[-1][1]}")
+            raise CalibrationError(f"the views contradict each other: {excluded[-1][1]}", "contradiction")
         state = solution.result.state
         state = replace(state, left_from_board=np.delete(state.left_from_board, index, axis=0))
     return without_outliers(solution)
@@ -115,9 +111,13 @@ def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Soluti
             if np.allclose(errors, before, rtol=0.01, atol=1e-5):
                 break
     except np.linalg.LinAlgError as error:
-        raise Undetermined("these views do not determine the cameras: the equations are singular") from error
+        raise Undetermined(
+            "these views do not determine the cameras: the equations are singular", "undetermined"
+        ) from error
     if not result.converged:
-        raise Undetermined("the bundle adjustment does not converge: these views contradict each other")
+        raise Undetermined(
+            "the bundle adjustment does not converge: these views contradict each other", "contradiction"
+        )
     return Solution(problem, result, errors, freedoms)
 
 
@@ -192,7 +192,10 @@ def _check_movement(solution: Solution) -> None:
     raise CalibrationError(
         f"a camera was moved between {problem.views[cut].name} and {problem.views[cut + 1].name}: by about "
         f"{np.degrees(np.linalg.norm(change[:3])):.3f}° and {np.linalg.norm(change[3:]):.3f} mm "
-        "against the other; take the views again without touching the cameras"
+        "against the other; take the views again without touching the cameras",
+        "camera_moved",
+        before=problem.views[cut].name,
+        after=problem.views[cut + 1].name,
     )
 
 

@@ -17,6 +17,7 @@ from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector
 MIN_VIEWS = 3  # two give no redundancy at all for the distortion
 MIN_MARKS = 8  # in one image: a homography and as much redundancy again
 _MIN_BASELINE = 1e-3  # of the distance: 1 px of disparity or less, no depth to speak of
+_MAX_SCATTER = 0.25  # of the relation from view to view: rad, and share of the baseline
 _MIN_TILT_SPREAD_DEG = 3.0  # between board normals; Zhang's method is degenerate for parallel boards
 
 
@@ -45,7 +46,11 @@ def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tu
         reasons = "".join(f"\n  {name}: {reason}" for name, reason in excluded)
         raise CalibrationError(
             f"{len(usable)} of {len(views)} pairs show the board in both images, "
-            f"expected at least {MIN_VIEWS} (20 are good){reasons}"
+            f"expected at least {MIN_VIEWS} (20 are good){reasons}",
+            "few_views",
+            found=len(usable),
+            pairs=len(views),
+            least=MIN_VIEWS,
         )
     return usable, excluded
 
@@ -91,17 +96,18 @@ def _check_tilt(poses: Sequence[FloatArray], side: Side) -> None:
     if spread < _MIN_TILT_SPREAD_DEG:
         raise CalibrationError(
             f"{side} camera: the board is parallel to itself in all views (normals within {spread:.1f}°): "
-            "focal length and distance cannot be told apart; tilt it by 20° to 40° in different directions"
+            "focal length and distance cannot be told apart; tilt it by 20° to 40° in different directions",
+            "parallel",
         )
 
 
 def agree(
     views: list[StereoView], left: list[FloatArray], right: list[FloatArray]
-) -> tuple[list[StereoView], FloatArray]:
-    """Which way round a symmetric board was seen, and the relation most views agree on.
+) -> tuple[list[StereoView], FloatArray, float]:
+    """Which way round a symmetric board was seen, the relation most views agree on, and how well they do.
 
-    The relation of the cameras is the same in every view; a board that was numbered from the
-    other end in one image gives another one in each.
+    How well : the median of their distances from it. The relation of the cameras is the same in every view;
+    a board that was numbered from the other end in one image gives another one in each.
     """
     candidates: list[list[FloatArray]] = []
     for view, left_pose, right_pose in zip(views, left, right, strict=True):
@@ -122,7 +128,7 @@ def agree(
         replace(view, right=renumbered(view.found("right"), view.board)) if choice else view
         for view, choice in zip(views, best[2], strict=True)
     ]
-    return turned, best[1]
+    return turned, best[1], best[0]
 
 
 def _half_turn(board: Board) -> FloatArray:
@@ -142,17 +148,28 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
     return angle + shift / max(float(np.linalg.norm(a[:3, 3])), 1e-9)
 
 
-def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray]) -> None:
-    """Raise `CalibrationError` where the right camera stands on the left, or where the left one does."""
+def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray], scatter: float) -> None:
+    """Raise `CalibrationError` where the right camera stands on the left, or where the left one does.
+
+    scatter : of the views, as `agree` says; where they do not agree, nobody knows where it stands.
+    """
     centre = invert(right_from_left)[:3, 3]
     distance = float(np.median([pose[2, 3] for pose in left_from_board]))
     if np.linalg.norm(centre) < _MIN_BASELINE * distance:
         raise CalibrationError(
             "both cameras are in one place: are the *_left and *_right images of the same camera? "
-            f"(baseline {np.linalg.norm(centre):.3f} mm at a distance of {distance:.0f} mm)"
+            f"(baseline {np.linalg.norm(centre):.3f} mm at a distance of {distance:.0f} mm)",
+            "one_place",
         )
     if centre[0] < 0 and abs(centre[0]) > abs(centre[1]):
+        if scatter > _MAX_SCATTER:
+            raise CalibrationError(
+                "the views contradict each other: in most of them the left and the right image show the "
+                "board at two places; hold it still until both are taken, and trigger both cameras together",
+                "moving",
+            )
         raise CalibrationError(
             "left and right look swapped: the camera of the *_right images lies on the left of the other; "
-            "rename the images (for cameras that hang upside down, too)"
+            "rename the images (for cameras that hang upside down, too)",
+            "swapped",
         )

@@ -20,12 +20,12 @@ from typing import Literal
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.errors import Undetermined
 from edged.vision.boards.board import StereoView
 from edged.vision.calibration.bundle import BundleResult, BundleState, LensFreedom, adjust
 from edged.vision.calibration.estimation import (
     Freedoms,
     Solution,
-    Undetermined,
     estimate,
     estimate_cleaned,
     with_model_error,
@@ -270,7 +270,8 @@ def check_determined(result: BundleResult) -> None:
             raise Undetermined(
                 f"{side} camera: these views do not determine its focal length (sigma "
                 f"{100 * relative:.1f} %); tilt the board by 20° to 40° in different directions and fill the "
-                "image"
+                "image",
+                "undetermined",
             )
 
 

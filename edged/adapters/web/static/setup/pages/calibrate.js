@@ -1,6 +1,6 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
 import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, attempt, sentence } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { draft, holds, look, mayTake, offers, sign, task, token } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
@@ -78,11 +78,18 @@ function boards(side) {
   ${seen?.polygon && html`<g class="seen ${seen.clipped ? "clipped" : ""}"><polygon points=${points(seen.polygon)} />${seen.polygon.map(([x, y]) => html`<circle cx=${x} cy=${y} r="7" />`)}</g>`}`;
 }
 
+// A board of another size is the mistake that pictures can tell at once.
+function missing({ missing, other_board }) {
+  if (!other_board) return coded("missing", missing);
+  const [kind, size] = other_board.split(":");
+  return t("other-board", { board: `${coded("kind", kind)} ${size.replace("x", " × ")}` });
+}
+
 function Seen({ side }) {
   const seen = draft.value.shown?.[side];
   if (!seen) return null;
   const shape = seen.clipped ? "doubt" : seen.polygon ? "tick" : "gap";
-  return html`<p class="verdict small"><${Shape} is=${shape} /> ${seen.clipped ? t("seen-clipped") : seen.polygon ? t("seen-whole") : coded("missing", seen.missing)}</p>`;
+  return html`<p class="verdict small"><${Shape} is=${shape} /> ${seen.clipped ? t("seen-clipped") : seen.polygon ? t("seen-whole") : missing(seen)}</p>`;
 }
 
 let audio = null;
@@ -105,7 +112,7 @@ function Figure() {
   const then = worst(suggestion?.sigma_um);
   if (now === null)
     return html`<p class="big figure">${t("sigma-unknown", { used })}</p>
-      ${trouble && used >= FEW && html`<p class="hint"><${Shape} is="doubt" /> <span translate=${false}>${trouble}</span></p>`}`;
+      ${trouble && used >= FEW && html`<p class="hint"><${Shape} is="doubt" /> ${sentence({ ...trouble, detail: trouble.text })}</p>`}`;
   const isReached = goal_um !== null && now <= goal_um;
   return html`<p class="big figure" role="status">
     ${t("sigma-now", { now: micrometres(now) })}${then !== null && html`, ${t("sigma-then", { then: micrometres(then) })}`}${goal_um !== null && html`, ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}`}:${" "}
@@ -194,7 +201,7 @@ function Solve() {
       ? html`<${Progress} id=${running} onDone=${done} />`
       : html`<p>${t("solve-what", { used })}</p>
           <div class="actions"><button type="button" class=${solved ? "" : "primary"} disabled=${used < FEW || !mayTake.value} onClick=${solve}>${t(solved ? "solve-again" : "solve-start")}</button></div>`}
-    ${ended?.state === "failed" && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("solve-failed")} <span translate=${false}>${ended.problem?.detail ?? ended.problem ?? ""}</span></p>`}
+    ${ended?.state === "failed" && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("solve-failed")} ${ended.problem && sentence(ended.problem)}</p>`}
     ${ended?.state === "cancelled" && html`<p>${t("solve-cancelled")}</p>`}
     ${solved && !running && html`<${Solved} ...${solved} />`}
   </section>`;
