@@ -13,11 +13,13 @@ from edged.capture.tasks import cancel_and_await
 from edged.cellfiles import CellFiles
 from edged.commissioning.shelf import Shelf
 from edged.cycle import Cycle
+from edged.domain.frames import FramePair
 from edged.files.statefolder import state_folder
+from edged.robot.orientations import Convention
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
-from edged.workshop import calibrations, cycles, registrations, teachings
+from edged.workshop import calibrations, cycles, registrations, teachings, trials
 from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import Calibrations
 from edged.workshop.checks import Checks, RigInUse
@@ -26,6 +28,7 @@ from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
 from edged.workshop.tasks import Tasks
 from edged.workshop.teachings import Teachings
+from edged.workshop.trials import CellSettings, Trials
 from edged.workshop.worker import Worker
 
 if TYPE_CHECKING:
@@ -53,6 +56,11 @@ def _rig_in_use(running: Running) -> RigInUse | None:
 def _jobs(running: Running) -> dict[str, Job]:
     cell = running.loaded.cell
     return {job.name: job for job in cell.jobs} if isinstance(cell, CellFiles) else {}
+
+
+def _settings(running: Running) -> CellSettings:
+    config = running.loaded.cell.config
+    return CellSettings(config.limits.bounds(), Convention[config.modbus.convention.upper()])
 
 
 def _recordings(running: Running) -> Path | None:
@@ -86,8 +94,8 @@ class Workshop:
         self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
-        functions = {**calibrations.FUNCTIONS, **cycles.FUNCTIONS}
-        functions |= {**registrations.FUNCTIONS, **teachings.FUNCTIONS}
+        rooms = (calibrations, cycles, registrations, teachings, trials)
+        functions = {name: where for room in rooms for name, where in room.FUNCTIONS.items()}
         self._worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
         self._tasks = Tasks(notices)
         self._calibrations = Calibrations(
@@ -129,8 +137,20 @@ class Workshop:
             lambda: _rig_in_use(running()),
             lambda: _jobs_in_use(running()),
         )
+        self._trials = Trials(
+            folder / "still.json",
+            self._worker,
+            self._tasks,
+            notices,
+            cycle.capture,
+            cycle.renew_setup,
+            lambda: _rig_in_use(running()),
+            lambda: _jobs(running()),
+            self.teachings.job,
+            lambda: _settings(running()),
+        )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
-        self._stop = live.listen(self._calibrations.offer)
+        self._stop = live.listen(self._offer)
 
     def rooms(self) -> Sequence[Callable[[RouteTable], None]]:
         """What adds the routes of all this."""
@@ -140,6 +160,7 @@ class Workshop:
         from edged.workshop.registrationroutes import RegistrationRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
         from edged.workshop.teachingroutes import TeachingRoutes
+        from edged.workshop.trialroutes import TrialRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,
@@ -148,7 +169,15 @@ class Workshop:
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,
             TeachingRoutes(self.teachings).add_to,
+            TrialRoutes(self._trials).add_to,
         ]
+
+    def _offer(self, number: int, pair: FramePair) -> None:
+        """A live pair goes to what is being done: a job that is tried, else a board that is held."""
+        if self._trials.is_on:
+            self._trials.offer(number, pair)
+        else:
+            self._calibrations.offer(number, pair)
 
     def _cell_now(self) -> CellNow:
         loaded = self._running().loaded
@@ -167,6 +196,7 @@ class Workshop:
         self._stop()
         await cancel_and_await(self._finishing)
         await self._calibrations.close()
+        await self._trials.close()
         await self._registrations.close()
         await self._tasks.close()
         await self._cycles.close()

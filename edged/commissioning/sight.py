@@ -174,7 +174,7 @@ def taught_part(rig: StereoRig, job: Job) -> PartSight:
     features = []
     for name, outline in taught_outlines(job).items():
         kind, size = _taught(job, name)
-        seen = _outline(rig, apply(job.rig_from_part, outline))
+        seen = outline_in(rig, apply(job.rig_from_part, outline))
         features.append(_feature(name, kind, size, size, None, None, seen))
     reference = rig.left.project(apply(job.rig_from_part, job.place_of(job.reference)[None]))[0]
     return PartSight(
@@ -202,9 +202,9 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
         if name in now:
             sizes, sigma, points = now[name]
             why = TOLERANCE if _is_off(job, name, size, sizes) else None
-            features.append(_feature(name, kind, size, sizes, sigma, why, _outline(rig, points)))
+            features.append(_feature(name, kind, size, sizes, sigma, why, outline_in(rig, points)))
             continue
-        seen = _outline(rig, apply(_own(job, pose), outline))
+        seen = outline_in(rig, apply(_own(job, pose), outline))
         why = UNSEEN if _is_inside(rig, seen) else OUTSIDE
         features.append(_feature(name, kind, size, None, None, why, seen))
     return PartSight(
@@ -226,7 +226,7 @@ def _missed(missed: _Missed, rig: StereoRig, job: Job) -> PartSight:
     features = []
     for name, outline in taught_outlines(job).items():
         kind, size = _taught(job, name)
-        seen = _outline(rig, _space(rig, job, missed.match, _thin(outline)))
+        seen = outline_in(rig, _space(rig, job, missed.match, _thin(outline)))
         features.append(_feature(name, kind, size, None, None, NOT_FOUND, seen))
     return PartSight(
         good=False,
@@ -336,7 +336,7 @@ def _feature(
     )
 
 
-def _outline(rig: StereoRig, points_mm: FloatArray) -> Outline:
+def outline_in(rig: StereoRig, points_mm: FloatArray) -> Outline:
     """Points (N, 3) of the rig's frame in both pictures."""
     points = _thin(points_mm)
     sides: dict[Side, Points] = {}
