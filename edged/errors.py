@@ -29,6 +29,7 @@
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
     │   └── BeingSetUp            the cell is in SETUP: nobody is served
     ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
+    ├── RegressionNeeded          a job or rig that makes recorded cycles worse, or was not tried on them
     ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
     └── ListenError               a port or socket that cannot be opened
 
@@ -204,6 +205,24 @@ class BeingSetUp(CommandRefused):
 
 class TaskFailed(EdgedError):
     """Long work that ended without a result: its process was killed, or it has a bug."""
+
+
+class RegressionNeeded(EdgedError):
+    """A job or rig that makes recorded cycles worse, or was not tried on them: somebody must sign for it.
+
+    cycles : recorded, that it concerns. good_to_bad : of them; None: it was not tried. regression : its id.
+    params : all of that.
+    """
+
+    def __init__(self, cycles: int, good_to_bad: int | None, regression: str | None) -> None:
+        self.params = {"cycles": cycles, "good_to_bad": good_to_bad, "regression": regression}
+        if good_to_bad is None:
+            what = (
+                f"it was not tried on the {cycles} recorded cycles that it concerns: try it, or sign why not"
+            )
+        else:
+            what = f"{good_to_bad} recorded cycles that were good are bad by it: look at them, and sign why"
+        super().__init__(what)
 
 
 class SetupRefused(EdgedError):

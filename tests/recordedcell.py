@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from smallcell import HEIGHT, WIDTH
+from boardcell import BoardCell
+from smallcell import HEIGHT, WIDTH, SmallWorld, free_port
+from webcell import HASH
 
 from edged.cellfiles import CellFiles
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
 from edged.files import recording
+from edged.files.statefolder import state_folder
+from edged.files.users import User, UserFile
 from edged.pipeline import PreparedRig, locate
 from edged.sim.cell import SIDES, VirtualCell
 from edged.sim.exposure import ExposureRequest
 
+PAGE = """
+[web]
+port = {port}
+password_hash = "{hash}"
+commissioning = true
+[recorder]
+folder = "recordings"
+min_free_mib = 0
+"""
 START = datetime(2026, 1, 31, 12, tzinfo=UTC)
 
 
@@ -59,3 +73,24 @@ def record(folder: Path, files: CellFiles, pairs: Sequence[FramePair | None]) ->
         )
         written.append(recording.save(folder, index, START + timedelta(seconds=index), snapshot, pair))
     return written
+
+
+class RecordingCell(BoardCell):
+    """A complete cell that has recorded before, with its page, and Anna in a browser.
+
+    template : folder of a cell; its configuration's servers get ports of their own. pairs : what it sees.
+    """
+
+    def __init__(self, folder: Path, template: Path, recordings: Path, pairs: Sequence[FramePair]) -> None:
+        shutil.copytree(template, folder)
+        shutil.copytree(recordings, folder / "recordings")
+        shown = [(one.left.image, one.right.image) for one in pairs]
+        self.world = SmallWorld(shown)  # type: ignore[assignment]  (another world, of the same use)
+        self.config, self.rig = folder / "cell.toml", folder / "rig.json"
+        self.state = state_folder(self.config)
+        self.port = free_port()
+        kept = self.config.read_text().split("[modbus]")[0]
+        servers = f"[modbus]\nport = {free_port()}\n[zenoh]\nenabled = false\n"
+        page = PAGE.format(port=self.port, hash=HASH)
+        self.config.write_text(kept.replace('mode = "free"', 'mode = "command"') + servers + page)
+        UserFile(self.state / "users.json").put(User(name="Anna", role="engineer", password_hash=HASH))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import ChainMap
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,13 +20,15 @@ from edged.robot.orientations import Convention
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
-from edged.workshop import calibrations, cycles, registrations, teachings, trials
+from edged.workshop import calibrations, cycles, registrations, regressions, teachings, trials
 from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import Calibrations
+from edged.workshop.candidates import Candidates
 from edged.workshop.checks import Checks, RigInUse
 from edged.workshop.cycles import Cycles
 from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
+from edged.workshop.regressions import Active, Regressions
 from edged.workshop.tasks import Tasks
 from edged.workshop.teachings import Teachings
 from edged.workshop.trials import CellSettings, Trials
@@ -94,8 +97,8 @@ class Workshop:
         self._running = running
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
-        rooms = (calibrations, cycles, registrations, teachings, trials)
-        functions = {name: where for room in rooms for name, where in room.FUNCTIONS.items()}
+        rooms = calibrations, cycles, registrations, regressions, teachings, trials
+        functions = ChainMap(*(room.FUNCTIONS for room in rooms))
         self._worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
         self._tasks = Tasks(notices)
         self._calibrations = Calibrations(
@@ -108,8 +111,18 @@ class Workshop:
             lambda: running().loaded.cell.config.cell.rig,
             lambda identity: identity == _calibration_id(running()),
         )
+        shelf = Shelf(folder / "releases")
+        self._regressions = Regressions(
+            folder / "regressions", lambda: _recordings(running()), self._active, self._worker, self._tasks
+        )
+        self._candidates = Candidates(
+            lambda: running().loaded.cell.contents,
+            shelf,
+            self._rig_of,
+            lambda draft: self.teachings.job(draft),
+        )
         self._activation = Activation(
-            Shelf(folder / "releases"), config.resolve(), self._cell_now, cycle.renew_setup, reload
+            shelf, config.resolve(), self._cell_now, cycle.renew_setup, reload, self._regressions.check
         )
         self._checks = Checks(
             folder / "check.json",
@@ -158,6 +171,7 @@ class Workshop:
         from edged.workshop.checkroutes import CheckRoutes
         from edged.workshop.cycleroutes import CycleRoutes
         from edged.workshop.registrationroutes import RegistrationRoutes
+        from edged.workshop.regressionroutes import RegressionRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
         from edged.workshop.teachingroutes import TeachingRoutes
         from edged.workshop.trialroutes import TrialRoutes
@@ -170,6 +184,7 @@ class Workshop:
             RegistrationRoutes(self._registrations, self._activation).add_to,
             TeachingRoutes(self.teachings).add_to,
             TrialRoutes(self._trials).add_to,
+            RegressionRoutes(self._regressions, self._candidates).add_to,
         ]
 
     def _offer(self, number: int, pair: FramePair) -> None:
@@ -189,7 +204,20 @@ class Workshop:
             cameras={side: {**one.stated()} for side, one in changes.items() if one.stated()},
             locked=self._cycle.setup_locked,
             holder=self._cycle.setup_by,
+            contents=loaded.cell.contents,
         )
+
+    def _active(self) -> Active:
+        loaded = self._running().loaded
+        return Active(loaded.cell.contents, loaded.setup.fingerprint, loaded.rig is not None)
+
+    async def _rig_of(self, draft: str) -> bytes:
+        """Of a calibration that was solved."""
+        return (await self._calibrations.solution(draft))[1]
+
+    async def _job_of(self, draft: str) -> Job:
+        """Of a teaching, as far as it has come."""
+        return await self.teachings.job(draft)
 
     async def close(self) -> None:
         """End the worker process; drafts are on disc."""

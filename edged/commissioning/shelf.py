@@ -29,10 +29,22 @@ _FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
 Number = Annotated[int, Field(ge=1, le=999_999)]
 
 
+class Tested(Kept):
+    """What recorded cycles said before a release became active. regression : its id; None: none was made.
+
+    cycles : that it was, or would have been, tried on. signed : why it became active all the same.
+    """
+
+    regression: Text | None
+    cycles: int
+    good_to_bad: int | None
+    signed: Text | None
+
+
 class Release(Kept):
     """What is known of one. parent : the release that was active before.  rig : its calibration id.
 
-    activated : each time.
+    activated : each time.  tested : before the last time; None: no recorded cycle was concerned.
     """
 
     format: Literal["edged-release"] = "edged-release"
@@ -46,6 +58,7 @@ class Release(Kept):
     rig: Text
     jobs: tuple[Text, ...]
     activated: tuple[Text, ...] = ()
+    tested: Tested | None = None
 
 
 class Shelf:
@@ -81,10 +94,11 @@ class Shelf:
         self._write(release)
         return release
 
-    def note_active(self, number: int, now: datetime) -> Release:
+    def note_active(self, number: int, now: datetime, tested: Tested | None = None) -> Release:
         """It becomes active: from now on it stays, whatever comes of it. Raises `KeyError`."""
         release = self.get(number)
-        release = release.model_copy(update={"activated": (*release.activated, _text(now))})
+        noted = {"activated": (*release.activated, _text(now)), "tested": tested}
+        release = release.model_copy(update=noted)
         self._write(release)
         return release
 

@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 from edged.commissioning.releases import RigFiles, make, rig_in
-from edged.commissioning.shelf import Release, Shelf
+from edged.commissioning.setups import RIG, Contents
+from edged.commissioning.shelf import Release, Shelf, Tested
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.domain.arrays import Side
 from edged.errors import EdgedError, FileFormatError, SetupRefused, UserError
@@ -27,6 +28,7 @@ class CellNow:
     """The cell as it runs. is_complete : it has rig and jobs.  cameras : what is tried of them in SETUP.
 
     locked : the plant forbids changes. holder : who has the cell, or "".
+    contents : of the files that it measures by, as `CellFiles` has them.
     """
 
     rig: Path
@@ -35,6 +37,18 @@ class CellNow:
     cameras: Mapping[Side, Mapping[str, str | float]]
     locked: bool
     holder: str
+    contents: Contents = field(default_factory=dict)
+
+
+Gate = Callable[[Contents, str | None], Awaitable[Tested | None]]
+"""Told what the cell would measure by, and why that may make recorded cycles worse, if somebody signs for it.
+
+Returns what is kept of it; raises `RegressionNeeded`.
+"""
+
+
+async def _open(_contents: Contents, _signed: str | None) -> None:
+    """The gate of a cell that records nothing."""
 
 
 class Activation:
@@ -43,6 +57,7 @@ class Activation:
     config : the cell's file.  running : the cell, as it is then.
     renew : raises `SetupRefused` for a token that is not that of who has the cell.
     reload : reads the configuration again; returns why it was refused, or "".
+    gate : asked before anything is written.
     """
 
     def __init__(
@@ -52,12 +67,14 @@ class Activation:
         running: Callable[[], CellNow],
         renew: Callable[[str], None],
         reload: Callable[[], Awaitable[str]],
+        gate: Gate = _open,
     ) -> None:
         self._shelf = shelf
         self._config = config
         self._running = running
         self._renew = renew
         self._reload = reload
+        self._gate = gate
         self._turn = asyncio.Lock()
 
     @property
@@ -88,22 +105,26 @@ class Activation:
         if self._running().locked:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
-    async def activate(self, rig: bytes, author: str, note: str) -> Release:
+    async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:
         """Let the cell run by another rig, and by the cameras that are tried with it.
 
-        Raises `EdgedError`, `OSError`; then it runs by the former ones.
+        signed : why it may make recorded cycles worse. Raises `EdgedError`, `OSError`; then it runs by the
+        former ones.
         """
         running = self._running()
         file = chosen_file(running.rig)
         cameras = await asyncio.to_thread(read_chosen, running.rig)
         if running.cameras:
             cameras = with_changes(cameras, file, running.cameras)
-        return await self._activate(RigFiles(rig, cameras), author, note)
+        return await self._activate(RigFiles(rig, cameras), author, note, signed)
 
     async def activate_again(self, number: int, author: str, reason: str) -> Release:
-        """The same by rig and cameras of a release; jobs and settings stay. Raises `KeyError`, too."""
+        """The same by rig and cameras of a release; jobs and settings stay. Raises `KeyError`, too.
+
+        The way back is never barred: its reason is the signature.
+        """
         files = rig_in(await asyncio.to_thread(self._shelf.open, number))
-        return await self._activate(files, author, f"the rig of release {number}: {reason}")
+        return await self._activate(files, author, f"the rig of release {number}: {reason}", reason)
 
     async def finish(self) -> None:
         """Do what a kill or a power cut has interrupted: rig and cameras are of one release again."""
@@ -111,22 +132,24 @@ class Activation:
             log.warning("a release was being activated when the daemon ended: that is finished now")
             await self._reload()
 
-    async def _activate(self, files: RigFiles, author: str, note: str) -> Release:
+    async def _activate(self, files: RigFiles, author: str, note: str, signed: str | None) -> Release:
         # whoever asked may go away: half done it must not stay
-        return await asyncio.shield(asyncio.create_task(self._in_turn(files, author, note), name="activate"))
+        doing = asyncio.create_task(self._in_turn(files, author, note, signed), name="activate")
+        return await asyncio.shield(doing)
 
-    async def _in_turn(self, files: RigFiles, author: str, note: str) -> Release:
+    async def _in_turn(self, files: RigFiles, author: str, note: str, signed: str | None) -> Release:
         async with self._turn:
             self._check_unlocked()
+            tested = await self._gate({**self._running().contents, RIG: files.rig}, signed)
             release, is_new = await asyncio.to_thread(self._prepare, files, author, note)
-            former = await asyncio.to_thread(self._exchange, release, files, is_new)
+            former = await asyncio.to_thread(self._exchange, release, files, is_new, tested)
             refused = await self._reload()
             if refused:
                 await asyncio.to_thread(self._put_back, release, former, is_new)
                 raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
             await asyncio.to_thread(self._shelf.prune)
             log.info("release %d is active: %s, by %s", release.number, note, author)
-            return release
+            return await asyncio.to_thread(self._shelf.get, release.number)
 
     def _prepare(self, files: RigFiles, author: str, note: str) -> tuple[Release, bool]:
         """The release to be, proven to load, beside the cell as it is. False: it is on the shelf already."""
@@ -150,14 +173,14 @@ class Activation:
         )
         return release, True
 
-    def _exchange(self, release: Release, files: RigFiles, is_new: bool) -> _Former:
+    def _exchange(self, release: Release, files: RigFiles, is_new: bool, tested: Tested | None) -> _Former:
         """Write rig and cameras where the configuration has them; returns what was there."""
         place = self._running().rig
         former: _Former | None = None
         try:
             former = _Former(read_bytes(place, "a rig") if place.exists() else None, read_chosen(place))
             # first: what is cut off here is finished by the release, which must be known to have been active
-            self._shelf.note_active(release.number, datetime.now(UTC))
+            self._shelf.note_active(release.number, datetime.now(UTC), tested)
             if former.cameras != files.cameras:
                 self._shelf.note_underway(release.number)
             try:

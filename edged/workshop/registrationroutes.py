@@ -18,7 +18,7 @@ from edged.workshop.activating import Activation
 from edged.workshop.calibrationroutes import known
 from edged.workshop.registrationdocuments import Conventions, RegistrationDocument, RegistrationList
 from edged.workshop.registrations import Given, Registrations
-from edged.workshop.releaseroutes import Activating, ReleaseDocument, document_of_release
+from edged.workshop.releaseroutes import Activating, ReleaseDocument, document_of_release, signature
 
 DRAFT = "/registrations/{id:[0-9]{8}-[0-9]{6}-[0-9a-f]{4}}"
 SAMPLE = DRAFT + "/samples/{name:(?:point|pose)_[0-9]{3}}"
@@ -257,7 +257,8 @@ class RegistrationRoutes:
         self._activation.check(call.body.token)
         rig = await known(self._registrations.solution(call.part("id")))
         call.trail.before = self._activation.fingerprint
-        release = await self._activation.activate(rig, call.visitor.name, call.body.note)
+        signed = signature(call)
+        release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
         call.trail.after = release.fingerprint
         await self._registrations.tell(call.part("id"))
         return document_of_release(release, is_active=True)

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, StringConstraints
 
 from edged.adapters.web.routes import Answer, Body, Call, RouteTable, Token
 from edged.adapters.web.visitors import Role
-from edged.commissioning.shelf import Release
+from edged.commissioning.shelf import Release, Tested
 from edged.workshop.activating import Activation
 from edged.workshop.calibrationroutes import DRAFT, known
 from edged.workshop.calibrations import Calibrations
@@ -24,10 +24,14 @@ Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterVa
 
 
 class Activating(Body):
-    """Why; and the token, while somebody has the cell."""
+    """Why; and the token, while somebody has the cell.
+
+    signed : why it may become active though recorded cycles get worse by it, or were not tried.
+    """
 
     token: Token | None = None
     note: Reason
+    signed: Reason | None = None
 
 
 class Returning(Body):
@@ -38,7 +42,7 @@ class Returning(Body):
 
 
 class ReleaseDocument(Answer):
-    """A release. active : the cell runs by it. rig : its calibration id."""
+    """A release. active : the cell runs by it. rig : its calibration id. tested : on recorded cycles."""
 
     number: int
     created: str
@@ -50,6 +54,7 @@ class ReleaseDocument(Answer):
     jobs: list[str]
     active: bool
     was_active: bool
+    tested: Tested | None
 
 
 class ReleaseList(Answer):
@@ -91,7 +96,8 @@ class ReleaseRoutes:
         self._activation.check(call.body.token)
         _, rig = await known(self._calibrations.solution(call.part("id")))
         call.trail.before = self._activation.fingerprint
-        release = await self._activation.activate(rig, call.visitor.name, call.body.note)
+        signed = signature(call)
+        release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
         call.trail.after = release.fingerprint
         await self._calibrations.tell(call.part("id"))
         return document_of_release(release, is_active=True)
@@ -116,3 +122,11 @@ def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument
     fields = release.model_dump(exclude={"format", "version", "activated"})
     was_active = bool(release.activated) or is_active
     return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)
+
+
+def signature(call: Call[Activating]) -> str | None:
+    """Why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
+    body = call.body
+    if body.signed is not None:
+        call.trail.reason = f"{body.note}; signed: {body.signed}"
+    return body.signed

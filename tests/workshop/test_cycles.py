@@ -294,7 +294,7 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
 
     asyncio.run(asked())
     with pytest.raises(FileFormatError, match="not there"):
-        Setups().by_fingerprint(folder, "..", "a recording")
+        Setups().setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
 
 
 def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from edged.errors import (
     EdgedError,
     FileFormatError,
     ImageError,
+    RegressionNeeded,
     SetupRefused,
     TaskFailed,
     TeachError,
@@ -46,6 +47,7 @@ SLOW_BYTES_PER_S = 250_000.0
 STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (SetupRefused, 409, "setup_refused"),
     (CommandRefused, 409, "command_refused"),
+    (RegressionNeeded, 409, "regression"),
     (CalibrationError, 422, "calibration"),
     (TeachError, 422, "teach"),
     (ImageError, 422, "image"),
