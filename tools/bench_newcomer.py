@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
 
-    tools/bench newcomer [--goal UM] [--parts N] [--seed N] [--json]
+    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--json]
 
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import aiohttp
 import cv2
@@ -37,6 +37,7 @@ from edged.files.rig import load_rig
 from edged.pipeline import prepare
 from edged.sim.showing import Thing
 from edged.sim.world import VirtualWorld
+from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.teaching.pair import teach
 
@@ -104,11 +105,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-async def calibrate(newcomer: Newcomer, goal_um: float) -> dict[str, Any]:
+async def calibrate(newcomer: Newcomer, goal_um: float, lens: LensWish) -> dict[str, Any]:
     """Follow the outlines until the goal is reached, solve and activate."""
     begun_s = time.monotonic()
     await newcomer.ask("PUT", "stage", {"showing": "board"})
-    wanted = {"recognise": True, "mm": 4.0, "goal_um": goal_um}
+    wanted = {"recognise": True, "mm": 4.0, "goal_um": goal_um, "lens": lens}
     draft = await newcomer.ask("POST", "calibrations", wanted)
     place = f"calibrations/{draft['id']}"
     await newcomer.ask("PUT", f"{place}/auto", {**newcomer.token, "on": True})
@@ -146,6 +147,7 @@ async def calibrate(newcomer: Newcomer, goal_um: float) -> dict[str, Any]:
         "views": len(draft["views"]),
         "views_s": round(views_s, 1),
         "whole_s": round(time.monotonic() - begun_s, 1),
+        "lens": solved["figures"]["lens"],
         "verdict": solved["verdict"],
         "sigma_um": solved["sigma_um"],
     }
@@ -200,7 +202,7 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
     """The whole way; figures by their names."""
     with VirtualWorld(gige=True, seed=options.seed, staged=True) as world:
         async with stage(folder, world) as (newcomer, daemon):
-            found = await calibrate(newcomer, options.goal)
+            found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)
             found["rig_offset_um"] = error_um.mean(axis=0).round(1).tolist()
             found["rig_most_um"] = np.abs(error_um).max(axis=0).round(1).tolist()
@@ -224,6 +226,7 @@ def main() -> None:
     )
     parser.add_argument("--goal", type=float, default=8.0, help="µm: none of the sigmas of X, Y, Z beyond it")
     parser.add_argument("--parts", type=int, default=50)
+    parser.add_argument("--lens", choices=get_args(LensWish), default="auto")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

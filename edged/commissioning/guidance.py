@@ -20,11 +20,12 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 SUGGESTED, LOOKED_AT = 3, 12
-FLOOR_PX = 0.01
-"""Of a mark's sigma: no board is printed, and no lens is as its model, to less. What a few views leave over
-says too little of that, and what is told of them must not grow with more."""
-FIRST_SHARE = 0.5
-"""Of the picture's height, that the diagonal of a board fills where nothing is known of the cameras yet."""
+FLOOR_PX, FLOOR_VIEWS = 0.01, 3
+"""Of a mark's sigma: few boards are printed, and few lenses are as their model, to less. What so few views
+leave over says too little of that; it is believed the more of them there are, and sigma falls with each."""
+FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.6, 0.35, 0.8
+"""Of the picture's height, that a board's diagonal fills while nothing is known of the cameras: as where
+somebody holds it at first, between these. What is calibrated is the volume that the boards were held in."""
 _NOMINAL_FOCAL = (
     2.0  # times the picture's width: 16 mm before a sensor of 1/1.8"; outlines hardly depend on it
 )
@@ -72,18 +73,24 @@ def guide(
     goal_um: float | None = None,
     taken: Sequence[FloatArray] = (),
     progress: Progress = silent,
+    *,
+    share: float = FIRST_SHARE,
 ) -> Guided:
     """Calibrate from the marks as they were found, and plan what comes next.
 
-    taken (2, 4, 2) : outlines of the views.
+    taken (2, 4, 2) : outlines of the views.  share : as `held_share` says.
     """
     sizes = views.sizes
     progress("bundle adjustment", 0, 0)
-    found = [replace(view, left=_floored(view.left), right=_floored(view.right)) for view in views.found]
+    floor_px = FLOOR_PX * float(np.sqrt(FLOOR_VIEWS / max(len(views.pairs), FLOOR_VIEWS)))
+    found = [
+        replace(view, left=_floored(view.left, floor_px), right=_floored(view.right, floor_px))
+        for view in views.found
+    ]
     try:
         calibration = calibrate_stereo(found, *sizes, lens)
     except CalibrationError as error:
-        return Guided(error, first_ghosts(views.boards[0], sizes[0], len(views.pairs)))
+        return Guided(error, first_ghosts(views.boards[0], sizes[0], len(views.pairs), share))
     progress("the next view", 0, 0)
     plan = plan_views(calibration, LOOKED_AT, None if goal_um is None else 1e-3 * goal_um)
     rms = {fit.name: fit.rms_px for fit in calibration.views}
@@ -123,14 +130,27 @@ def nearness(watched: Watched, ghost: Ghost) -> float:
     return in_ghost(watched.outlines[: len(ghost.outlines)], ghost.outlines)
 
 
-def first_ghosts(board: Board, size: tuple[int, int], views: int) -> list[Ghost]:
-    """Before there is a calibration: one tilt after the other in the middle of the left picture."""
+def held_share(watched: Watched) -> float:
+    """Of the picture's height, that the diagonal of the board fills where it is held now."""
+    if not watched.is_seen:
+        return FIRST_SHARE
+    left = watched.outlines[0]
+    # a tilt shortens one of both diagonals
+    longest = max(np.linalg.norm(left[2] - left[0]), np.linalg.norm(left[3] - left[1]))
+    return float(np.clip(longest / watched.size[1], LEAST_SHARE, MOST_SHARE))
+
+
+def first_ghosts(board: Board, size: tuple[int, int], views: int, share: float = FIRST_SHARE) -> list[Ghost]:
+    """Before there is a calibration: one tilt after the other in the middle of the left picture.
+
+    share : of the picture's height, for the diagonal of the board.
+    """
     width, height = size
     focal = _NOMINAL_FOCAL * width
     camera = CameraModel("division", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, (0.0,))
     corners = outline_mm(board)
     middle = corners.mean(axis=0)
-    depth = focal * float(np.linalg.norm(corners[2] - corners[0])) / (FIRST_SHARE * height)
+    depth = focal * float(np.linalg.norm(corners[2] - corners[0])) / (share * height)
     words, code, axis = TILTS[1:][views % (len(TILTS) - 1)]
     rotation = rotation_matrix(np.radians(TILT_DEG) * np.array([*axis, 0.0]))
     pose = transform(rotation, np.array([0.0, 0.0, depth]) - rotation @ middle)
@@ -138,10 +158,10 @@ def first_ghosts(board: Board, size: tuple[int, int], views: int) -> list[Ghost]
     return [Ghost(camera.project(apply(pose, corners)), None, None, f"middle-middle.any.{code}", text)]
 
 
-def _floored(found: Detection | NotDetected) -> Detection | NotDetected:
+def _floored(found: Detection | NotDetected, floor_px: float) -> Detection | NotDetected:
     if isinstance(found, NotDetected):
         return found
-    return replace(found, sigma_px=np.hypot(found.sigma_px, FLOOR_PX))
+    return replace(found, sigma_px=np.hypot(found.sigma_px, floor_px))
 
 
 def _ghost(calibration: Calibration, suggestion: Suggestion, sigma_um: FloatArray) -> Ghost:

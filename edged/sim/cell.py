@@ -359,25 +359,30 @@ def calibration_views(
     Raises ValueError where the plate does not fit into the view of both cameras.
     """
     views = stereo_views(rig, sensor)
-    points = plate.points_mm
-    centre = np.append(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], 0.0)
-    margin_mm = 1.5 * float(np.linalg.norm(points[1] - points[0]))
-    rim = _rectangle(points.min(axis=0) - margin_mm, points.max(axis=0) + margin_mm)
-    meeting_mm = _meeting_point(rig)
     table_pose = np.eye(4)
-    table_pose[:3, 3] = meeting_mm
+    table_pose[:3, 3] = _meeting_point(rig)
     table_pose[2, 3] += 30.0
     table = Table(Surface(albedo=0.12), table_pose)
-    for number in range(count):
-        rng = np.random.default_rng((seed, 4, number))
-        pose = _plate_pose(rng, views, rim - centre, meeting_mm)
-        pose[:3, 3] -= pose[:3, :3] @ centre
+    for number, pose in enumerate(calibration_poses(rig, plate, count, seed=seed)):
         scene = Scene(table, (Placed(plate.part, pose),))
         left, right = (
             views[camera].render(scene, np.random.default_rng((seed, 5 + index, number)))
             for index, camera in enumerate(SIDES)
         )
         yield CalibrationView(left, right, pose)
+
+
+def calibration_poses(rig: StereoRig, plate: Plate, count: int, *, seed: int = 0) -> Iterator[FloatArray]:
+    """Where a careful person holds the plate: (4, 4) rig_from_plate. Raises as `calibration_views`."""
+    views, points = stereo_views(rig), plate.points_mm
+    centre = np.append(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], 0.0)
+    margin_mm = 1.5 * float(np.linalg.norm(points[1] - points[0]))
+    rim = _rectangle(points.min(axis=0) - margin_mm, points.max(axis=0) + margin_mm)
+    meeting_mm = _meeting_point(rig)
+    for number in range(count):
+        pose = _plate_pose(np.random.default_rng((seed, 4, number)), views, rim - centre, meeting_mm)
+        pose[:3, 3] -= pose[:3, :3] @ centre
+        yield pose
 
 
 def _plate_pose(

@@ -22,7 +22,15 @@ from edged import __version__
 from edged.capture.tasks import cancel_and_await
 from edged.commissioning.drafts import Draft, Drafts, Looks, Solution
 from edged.commissioning.draftstate import ViewState
-from edged.commissioning.guidance import Ghost, Guided, first_ghosts, nearness, waits_for
+from edged.commissioning.guidance import (
+    FIRST_SHARE,
+    Ghost,
+    Guided,
+    first_ghosts,
+    held_share,
+    nearness,
+    waits_for,
+)
 from edged.commissioning.pairs import Progress
 from edged.commissioning.shown import Stillness, Watched
 from edged.domain.arrays import FloatArray, Image
@@ -75,6 +83,7 @@ class _Open:
     task: str | None = None
     fault: Exception | None = None
     looked_for_others_s: float = -math.inf
+    share: float | None = None  # how large the board was when it was first held
     auto: str | None = None  # the token of who wants pairs to be taken by themselves
 
     @property
@@ -238,8 +247,12 @@ class Calibrations:
         one.still, one.fault = one.stillness.look(self._clock_s(), watched), None
         if watched.recognised is not None and not boards:
             await self._recognise(one, watched.recognised)
-        if one.guided is None and one.draft.state.boards and not one.draft.state.used:
-            one.guided = Guided(None, first_ghosts(one.draft.state.board_models[0], watched.size, 0))
+        if one.draft.state.boards and not one.draft.state.used:
+            if one.share is None and watched.is_seen:
+                one.share, one.guided = held_share(watched), None
+            if one.guided is None:
+                board, share = one.draft.state.board_models[0], one.share or FIRST_SHARE
+                one.guided = Guided(None, first_ghosts(board, watched.size, 0, share))
         one.waits = self._waits(one)
         if one.auto is not None and not one.waits:
             self._renew(one.auto)
@@ -300,7 +313,14 @@ class Calibrations:
                     guided = None
                     if state.used:
                         looks = await self._known(one)
-                        arguments = (state.board_models, looks, state.lens, state.goal_um, one.outlines)
+                        arguments = (
+                            state.board_models,
+                            looks,
+                            state.lens,
+                            state.goal_um,
+                            one.outlines,
+                            one.share or FIRST_SHARE,
+                        )
                         guided = await self._worker.run("guide", one.draft.pictures, *arguments)
                 except CalibrationError as error:
                     guided = Guided(error, ())

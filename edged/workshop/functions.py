@@ -49,9 +49,11 @@ def guide(
     lens: LensWish,
     goal_um: float | None,
     taken: Sequence[FloatArray],
+    share: float,
 ) -> Guided:
     """What the views in use give, and what comes next."""
-    return guidance.guide(views_of(pictures, list(looks), boards, looks), lens, goal_um, taken, progress)
+    views = views_of(pictures, list(looks), boards, looks)
+    return guidance.guide(views, lens, goal_um, taken, progress, share=share)
 
 
 def solve(

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boardpairs import BOARD, RIG, SPEC, drawn, pairs
-from boards import board_poses
+from boards import board_poses, synthetic_views
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
-from edged.commissioning.calibration import Views
+from edged.commissioning.calibration import Looked, Views
 from edged.commissioning.drafts import keep_pair, views_of
 from edged.commissioning.guidance import guide, outlines_of
-from edged.commissioning.pairs import Pair
+from edged.commissioning.pairs import Pair, Picture
 from edged.commissioning.shown import off_px
 from edged.commissioning.solving import moved_um, solution_of
+from edged.domain.arrays import SIDES
 from edged.files.rig import rig_of
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.nextbestview import plan_views
@@ -75,6 +76,26 @@ def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) ->
     assert after.sigma_um is not None
     assert pytest.approx(np.linalg.norm(ghost.sigma_um), rel=0.2) == np.linalg.norm(after.sigma_um)
     assert ghost.code not in [one.code for one in after.ghosts]
+
+
+def test_sigma_is_believed_the_more_views_there_are() -> None:
+    """Of marks that are better than usual, few views state the usual sigma, many what they are worth."""
+
+    def excess(count: int) -> float:
+        seen = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, count, 1), 0.004, 1)
+        views, none = Views([BOARD]), Picture("none", lambda: np.zeros((1, 1), np.uint8))
+        for one in seen:
+            left, right = (
+                Looked((640, 480), f"{one.name}{side}".encode(), none.read(), [one.found(side)])
+                for side in SIDES
+            )
+            views.put(Pair(one.name, none, none), left, right)
+        plan = plan_views(calibrate_stereo(seen, *views.sizes), 0)
+        assert plan is not None
+        return float(np.linalg.norm(guide(views, "division").sigma_um) / np.linalg.norm(1e3 * plan.sigma_mm))
+
+    assert excess(4) > 1.8
+    assert 1 < excess(16) < 1.5
 
 
 @pytest.mark.slow

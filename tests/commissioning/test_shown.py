@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from boardpairs import BOARD, RIG, drawn, pairs
 from boards import board_poses, draw_board, right_pose
 from rigs import make_rig
 
-from edged.commissioning.guidance import Ghost, first_ghosts, nearness, outlines_of, waits_for
+from edged.commissioning.guidance import (
+    FIRST_SHARE,
+    Ghost,
+    first_ghosts,
+    held_share,
+    nearness,
+    outlines_of,
+    waits_for,
+)
 from edged.commissioning.shown import (
     GAP_S,
     IN_GHOST,
@@ -166,6 +176,18 @@ def test_before_any_calibration_there_is_a_ghost_in_the_left_picture() -> None:
         assert (one.left > 0).all()
         assert (one.left < (640, 480)).all()
         assert 1.0 == nearness(watched(np.array([one.left, TRUE[1]])), one)
+
+
+def test_the_first_ghosts_are_as_far_as_the_board_is_held() -> None:
+    """Held farther away, it is asked for there; where it is not seen, at a usual distance."""
+    far = watched(np.array([one.mean(axis=0) + 0.7 * (one - one.mean(axis=0)) for one in TRUE]))
+    assert pytest.approx(0.7 * held_share(watched())) == held_share(far)
+    assert FIRST_SHARE == held_share(replace(far, right=Seen(None, "dark", "", clipped=False)))
+    sizes = [
+        diagonal_px(first_ghosts(BOARD, (640, 480), 0, held_share(one))[0].outlines)
+        for one in (far, watched())
+    ]
+    assert pytest.approx(0.7, rel=0.05) == sizes[0] / sizes[1]
 
 
 def test_a_board_at_an_angle_looks_as_its_ghost() -> None:

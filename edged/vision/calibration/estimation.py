@@ -202,11 +202,17 @@ def _check_movement(solution: Solution) -> None:
 def _worst_view(solution: Solution) -> tuple[int, float, float] | None:
     """Index, residual and usual residual of the view that does not belong, if there is one.
 
-    By the median over a view's marks: a few wrong marks do not condemn a view.
+    By the median over a view's marks: a few wrong marks do not condemn a view. Nor do residuals as large as
+    the marks' own precision, where the others happen to be better still.
     """
     result, problem = solution.result, solution.problem
     view = np.concatenate([problem.left.view, problem.right.view])
+    own = np.concatenate([problem.left.sigma_px, problem.right.sigma_px])
     length = np.linalg.norm(np.concatenate([result.residuals_left_px, result.residuals_right_px]), axis=1)
-    medians = np.array([np.median(length[view == i]) for i in range(len(problem.views))])
-    index, typical = int(np.argmax(medians)), float(np.median(medians))
-    return (index, float(medians[index]), typical) if medians[index] > _BAD_VIEW * typical else None
+    members = [view == index for index in range(len(problem.views))]
+    medians = np.array([np.median(length[member]) for member in members])
+    explained = np.array([_BAD_VIEW * np.median(own[member]) for member in members])
+    typical = float(np.median(medians))
+    excess = np.where(medians > explained, medians, 0.0)
+    index = int(np.argmax(excess))
+    return (index, float(medians[index]), typical) if excess[index] > _BAD_VIEW * typical else None

@@ -108,6 +108,17 @@ def test_precise_marks_count_more_than_rough_ones() -> None:
     assert np.linalg.norm(knowing[-3:]) < 0.5 * np.linalg.norm(ignorant[-3:])
 
 
+def test_a_view_as_good_as_its_marks_state_is_kept() -> None:
+    """Where all other views are far better than stated, one that is as stated is no stranger."""
+    rig = make_rig()
+    poses = board_poses(rig, BOARD, 6, 5)
+    fine = synthetic_views(rig, BOARD, poses, 0.001, 1, stated_sigma_px=0.01)
+    usual = synthetic_views(rig, BOARD, poses, 0.012, 2, stated_sigma_px=0.01)
+    assert () == calibrate([*fine[:5], usual[5]], rig).excluded
+    wrong = synthetic_views(rig, BOARD, poses, 0.1, 2, stated_sigma_px=0.01)
+    assert ["view_05"] == [name for name, _ in calibrate([*fine[:5], wrong[5]], rig).excluded]
+
+
 @pytest.mark.slow
 def test_wrong_marks_are_dropped() -> None:
     """Marks that are off by pixels are found and counted, and do not move the result."""

@@ -3,7 +3,7 @@ calibrate-title = Kalibrieren
 calibrate-what = Halten Sie eine Kalibriertafel vor beide Kameras, an verschiedenen Orten und verschieden geneigt. edged sagt, welche Ansicht am meisten hilft, und wann es genug ist.
 calibrate-new = Andere Kalibrierung beginnen
 calibrate-board = Tafel:
-calibrate-looking = Halten Sie die Tafel vor beide Kameras: sie wird erkannt.
+calibrate-looking = Halten Sie die Tafel vor beide Kameras, dorthin, wo Teile liegen werden: sie wird erkannt.
 sigma-unknown =
     { $used ->
         [0] Zeigen Sie beiden Kameras die Tafel.

@@ -3,7 +3,7 @@ calibrate-title = Calibrate
 calibrate-what = Hold a calibration board before both cameras, at different places and tilts. edged says which view helps most, and when it is enough.
 calibrate-new = Begin another calibration
 calibrate-board = Board:
-calibrate-looking = Hold the board before both cameras: it is being recognised.
+calibrate-looking = Hold the board before both cameras, where parts will lie: it is being recognised.
 sigma-unknown =
     { $used ->
         [0] Show the board to both cameras.

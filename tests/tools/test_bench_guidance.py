@@ -1,0 +1,19 @@
+"""Guided views are worth the double of a careful person's, told by computed marks."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import bench_guidance
+
+
+def test_guided_views_are_worth_the_double() -> None:
+    """Six of them predict no more sigma than twelve of a careful person, and the errors are as stated."""
+    guided, careful = bench_guidance.outcomes(6, 12, 0.01, seed=1)
+    assert np.linalg.norm(guided.sigma_um) <= np.linalg.norm(careful.sigma_um)
+    assert np.linalg.norm(guided.error_um) < 3 * np.linalg.norm(guided.sigma_um)
