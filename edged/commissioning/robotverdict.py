@@ -114,7 +114,7 @@ def judge_points(
         name: Row(*values)
         for name, *values in zip(names, found.residuals_mm.tolist(), found.held_out_mm.tolist(), strict=True)
     }
-    culprit = None if found.culprit is None else names[found.culprit]
+    culprit = None if solved.good or found.culprit is None else names[found.culprit]
     trouble = _trouble_of_points(solved, culprit, names, limit_mm)
     return Judged(
         rows,
@@ -135,7 +135,7 @@ def _trouble_of_points(
     solved: FromPoints, culprit: str | None, names: list[str], limit_mm: float
 ) -> Trouble | None:
     found = solved.found
-    if culprit is not None and not solved.good:
+    if culprit is not None:
         k = names.index(culprit)
         off, others = float(found.held_out_mm[k]), float(found.others_rms_mm[k])
         return Trouble(
@@ -194,19 +194,14 @@ def judge_poses(
         missing = Trouble("no_brand", "whose robot is it? The poses are not read without")
         return Judged(trouble=missing, readings=readings)
     flanges = {name: transform_of(brand, numbers) for name, (_, numbers) in posed.items()}
-    sky = _sky(list(flanges.values()))
-    known = Judged(
-        {},
-        None,
-        sky=dict(zip(flanges, sky, strict=True)),
-        missing=_missing(list(flanges.values())),
-        readings=readings,
-        said=said,
-    )
+    other = _other_reading(readings, said)
+    known = Judged(readings=readings, said=said)
+    if other is None:  # numbers that are read wrongly say nothing of turns
+        turned = dict(zip(flanges, _sky(list(flanges.values())), strict=True))
+        known = replace(known, sky=turned, missing=_missing(list(flanges.values())))
     if len(posed) < MIN_POSES:
         return replace(known, trouble=_too_few(len(posed), MIN_POSES))
     views = {name: view for name, (view, _) in posed.items()}
-    other = _other_reading(readings, said)
     try:
         solved = from_poses(rig, flanges, views, board, mount, limit_mm)
     except (CalibrationError, np.linalg.LinAlgError) as error:

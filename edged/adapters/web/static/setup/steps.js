@@ -41,7 +41,7 @@ export const STEPS = [
   { id: "check", load: () => import("./pages/check.js"), needs: ["checks"], state: ofCheck },
   { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
   { id: "try", state: () => "none" },
-  { id: "robot", state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
+  { id: "robot", load: () => import("./pages/robot.js"), needs: ["registrations"], state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
 // Not steps: what runs, and what ran before; in the head of every page.

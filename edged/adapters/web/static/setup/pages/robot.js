@@ -1,0 +1,231 @@
+// The robot: where the rig stands to it, by touched places or by poses of the flange; said after each, kept at the end.
+import { effect, html, useEffect, useState } from "../../vendor/ui.js";
+import { attempt, ask } from "../api.js";
+import { cell, checked, holds, look, mayTake, sign, token } from "../live.js";
+import { Dialog, NumberField, say, Shape } from "../pieces.js";
+import { number, t } from "../texts.js";
+import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
+import { Pair } from "./picture.js";
+import { More, Places, title } from "./robotplaces.js";
+import { Samples } from "./robotsamples.js";
+import { Sky } from "./robotsky.js";
+import { BRANDS, change, current, find, hear, placeName, sampleName } from "./robotdraft.js";
+import { Shown } from "./robotnumbers.js";
+import { styled } from "./styles.js";
+
+await styled("robot");
+
+const OTHER = "";
+const PART = "part:";
+const registered = () => ({ yes: ["tick", "robot-is-fixed"], on_flange: ["tick", "robot-is-flange"] })[cell.value.rig?.robot] ?? ["none", cell.value.rig ? "robot-is-none" : "robot-is-unknown"];
+
+// --- how ---
+
+const Choice = ({ name, value, chosen, onChoose, children }) => html`<label class="choice"><input type="radio" name=${name} value=${value} checked=${chosen === value} onChange=${() => onChoose(value)} /> <span>${children}</span></label>`;
+
+function Begin() {
+  const [mount, setMount] = useState("fixed");
+  const [way, setWay] = useState("touch");
+  const [brand, setBrand] = useState(current.brands.value[0]?.id ?? OTHER);
+  const [what, setWhat] = useState(null); // null: the first that is known
+  const [size, setSize] = useState(SIZE);
+  const [mm, setMm] = useState(null);
+  const kind = mount === "flange" ? "poses" : way;
+  const known = checked.value?.boards ?? [];
+  const jobs = kind === "touch" ? (checked.value?.parts ?? []).map(({ job }) => PART + job) : [];
+  const choice = what !== null && [...known, ...jobs, OTHER].includes(what) ? what : ([...known, ...jobs][0] ?? OTHER);
+  const board = choice === OTHER ? mm && specOf(size, mm) : choice.startsWith(PART) ? "" : choice;
+  const begin = () =>
+    attempt(async () => {
+      current.job.value = choice.startsWith(PART) ? choice.slice(PART.length) : null;
+      current.draft.value = await ask("POST", "registrations", { mount, kind, brand: brand || null, board: board || "" });
+    });
+  return html`<section aria-labelledby="robot-how">
+    <h2 id="robot-how">${t("robot-how")}</h2>
+    <fieldset><legend>${t("robot-mount")}</legend>
+      <${Choice} name="mount" value="fixed" chosen=${mount} onChoose=${setMount}>${t("robot-mount-fixed")}<//>
+      <${Choice} name="mount" value="flange" chosen=${mount} onChoose=${setMount}>${t("robot-mount-flange")}<//>
+    </fieldset>
+    ${mount === "fixed" &&
+    html`<fieldset><legend>${t("robot-way")}</legend>
+      <${Choice} name="way" value="touch" chosen=${way} onChoose=${setWay}>${t("robot-way-touch")}<//>
+      <${Choice} name="way" value="poses" chosen=${way} onChoose=${setWay}>${t("robot-way-poses")}<//>
+    </fieldset>`}
+    <fieldset><legend>${t(kind === "touch" ? "robot-what-touch" : mount === "fixed" ? "robot-what-held" : "robot-what-lies")}</legend>
+      <div class="choices">
+        ${known.map((one) => html`<${Choice} key=${one} name="what" value=${one} chosen=${choice} onChoose=${setWhat}><span translate=${false}>${one}</span><//>`)}
+        ${jobs.map((one) => html`<${Choice} key=${one} name="what" value=${one} chosen=${choice} onChoose=${setWhat}>${t("robot-what-part", { job: one.slice(PART.length) })}<//>`)}
+        <${Choice} name="what" value=${OTHER} chosen=${choice} onChoose=${setWhat}>${t("robot-what-board")}<//>
+      </div>
+      ${choice === OTHER && html`<${BoardFields} size=${size} onSize=${setSize} /><div class="row"><${NumberField} label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${mm} onValue=${setMm} name="mm" /></div>`}
+    </fieldset>
+    <div class="row"><${BrandField} value=${brand} onValue=${setBrand} mayBeUnknown=${kind === "poses"} /></div>
+    <div class="actions"><button type="button" class="primary" disabled=${!mayTake.value || board === null} onClick=${begin}>${t("robot-begin")}</button></div>
+    <p class="hint">${t("robot-program")}</p>
+    <div class="actions"><a class="button" href="/manual/how-to/robot-frame/#by-the-robots-own-program">${t("robot-program-how")}</a></div>
+  </section>`;
+}
+
+function BrandField({ value, onValue, mayBeUnknown }) {
+  return html`<label class="field"><span>${t("robot-brand")}</span>
+    <select name="brand" disabled=${!mayTake.value} onChange=${(event) => onValue(event.currentTarget.value)}>
+      ${current.brands.value.map(({ id }) => html`<option key=${id} value=${id} selected=${id === value} translate=${false}>${BRANDS[id] ?? id}</option>`)}
+      ${(mayBeUnknown || !value) && html`<option value="" selected=${!value}>${t("robot-brand-unknown")}</option>`}
+    </select></label>`;
+}
+
+// --- one more ---
+
+function Pose() {
+  const { samples, wanted } = current.draft.value;
+  const [shown, setShown] = useState({});
+  const [isTaking, setTaking] = useState(false);
+  const bare = samples.filter(({ why }) => why === "no_numbers");
+  const take = async () => {
+    sign();
+    setTaking(true);
+    const done = await change("POST", "/samples", { token: token.value, ...shown.body });
+    setTaking(false);
+    if (!done) return;
+    shown.clear?.();
+    setShown({});
+    const { name, why } = done.samples.at(-1);
+    say(t(why === "not_seen" ? "robot-pose-unseen" : "robot-pose-taken", { name: sampleName(name) }));
+  };
+  // several lines that were pasted: one for each picture that still waits for its numbers
+  const spread = async (lines) => {
+    for (const [i, text] of lines.slice(0, bare.length).entries()) if (!(await change("PUT", `/samples/${bare[i].name}`, { text }))) return;
+  };
+  return html`<${More} title=${title("pose", samples.length + 1, wanted)}>
+    <p class="lead">${t(current.draft.value.mount === "fixed" ? "robot-pose-fixed" : "robot-pose-flange")}</p>
+    <${Pair} />
+    <${Shown} draft=${current.draft.value} onShown=${setShown} onLines=${bare.length > 1 ? spread : null} />
+    <div class="actions"><button type="button" class="primary big" disabled=${!holds.value || isTaking || shown.isWrong} onClick=${take}>${t(isTaking ? "robot-taking" : "robot-pose-take")}</button></div>
+    ${!holds.value && html`<p class="hint">${t("robot-take-cell")}</p>`}
+    ${bare.length > 0 && html`<p class="hint"><${Shape} is="doubt" /> ${t("robot-bare", { count: bare.length })}</p>`}
+  <//>`;
+}
+
+// --- what they say ---
+
+function Verdict() {
+  const { trouble, good, sigma_mm, figures, samples, advice, judging, limit_mm, brand } = current.draft.value;
+  const counted = samples.filter(({ used }) => used).length;
+  if (!counted && !trouble) return null;
+  const shape = trouble ? (["too_few", "no_brand"].includes(trouble.code) ? "none" : "gap") : good ? "tick" : "none";
+  const { brand: fitting, mount } = trouble?.params ?? {};
+  return html`<section aria-labelledby="robot-verdict" class="robot-verdict">
+    <h2 id="robot-verdict">${t("robot-verdict")} ${judging && html`<span class="muted small">${t("robot-judging")}</span>`}</h2>
+    <p class="big figure" role="status"><${Shape} is=${shape} /> ${trouble ? said(trouble, current.draft.value) : html`<strong>${t("robot-good")}</strong>`}</p>
+    ${trouble?.code === "other_reading" && fitting && html`<div class="actions"><button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => change("PUT", "", { brand: fitting, mount })}>${t("robot-read-so", { brand: BRANDS[fitting] ?? fitting })}</button></div>`}
+    ${sigma_mm && html`<dl class="facts">
+      <dt>${t("robot-sigma")}</dt><dd>${t("robot-um", { um: number(1000 * Math.max(...sigma_mm), 0) })}</dd>
+      <dt>${t("robot-held-out")}</dt><dd>${t("robot-limit", { mm: number(figures.worst_mm, 3), limit: number(limit_mm, 2) })}</dd>
+      ${figures.scale && html`<dt>${t("robot-scale")}</dt><dd>${number(figures.scale, 5)}${figures.sigma_scale ? html` ± ${number(figures.sigma_scale, 5)}` : ""}</dd>`}
+    </dl>`}
+    ${advice && html`<p class="hint"><${Shape} is="doubt" /> ${t(`robot-advice-${advice}`)}</p>`}
+    ${brand !== undefined && html`<${Conventions} />`}
+  </section>`;
+}
+
+function said({ code, text, params }, { brand }) {
+  const mm = (value) => (Number.isFinite(value) ? number(value, 3) : value);
+  const readings = params.orientation ? { reading: t(`robot-reading-${params.orientation}`) } : {};
+  const names = Object.fromEntries(["name", "one", "two"].filter((key) => params[key]).map((key) => [key, sampleName(params[key])]));
+  const lengths = Object.fromEntries(["mm", "others", "limit"].filter((key) => key in params).map((key) => [key, mm(params[key])]));
+  const percents = code === "scale" ? { percent: number(params.percent, 2), sigma: number(params.sigma, 2) } : {};
+  const carried = params.mount ? { mounted: t(`robot-mounted-${params.mount}`) } : {};
+  const values = { ...params, ...readings, ...names, ...lengths, ...percents, ...carried, said: BRANDS[brand] ?? "", whose: BRANDS[params.brand] ?? t("robot-nobodys"), detail: text };
+  return t(`robot-trouble-${code.replaceAll("_", "-")}`, values);
+}
+
+function Conventions() {
+  const { conventions } = current.draft.value;
+  if (!conventions.length) return null;
+  return html`<details class="robot-conventions"><summary>${t("robot-conventions")}</summary>
+    <div class="scroll" tabindex="0" role="region" aria-label=${t("robot-conventions")}><table><thead><tr><th scope="col">${t("robot-reading")}</th><th scope="col">${t("robot-lengths")}</th><th scope="col">${t("robot-cameras")}</th><th scope="col">${t("robot-off")}</th></tr></thead>
+    <tbody>${conventions.map(
+      ({ code, length_unit, mount, rms_mm, brands, said: isSaid }, i) => html`<tr key=${i}><td>${isSaid && html`<${Shape} is="tick" /> `}${t(`robot-reading-${code}`)} ${brands.length > 0 && html`<span class="muted" translate=${false}>(${brands.map((one) => BRANDS[one] ?? one).join(", ")})</span>`}</td><td translate=${false}>${length_unit}</td><td>${t(`robot-mounted-${mount}`)}</td><td>${t("robot-mm", { mm: number(rms_mm, 3) })}</td></tr>`,
+    )}</tbody></table></div></details>`;
+}
+
+// --- keep, go there, activate ---
+
+function Keep() {
+  const { good, solved, active, judging } = current.draft.value;
+  const [isAsked, setAsked] = useState(false);
+  const [note, setNote] = useState("");
+  const [release, setRelease] = useState(null);
+  const activate = () =>
+    attempt(async () => {
+      setRelease(await ask("POST", `registrations/${current.draft.value.id}/activate`, { ...(holds.value ? { token: token.value } : {}), note }));
+      setAsked(false);
+      await find(current.draft.value.id);
+      await look();
+    });
+  if (!good && !solved) return null;
+  return html`<section aria-labelledby="robot-keep">
+    <h2 id="robot-keep">${t("robot-keep")}</h2>
+    ${!solved
+      ? html`<p>${t("robot-keep-what")}</p><div class="actions"><button type="button" class="primary" disabled=${!mayTake.value || judging} onClick=${() => change("POST", "/solve")}>${t("robot-solve")}</button></div>`
+      : html`<${GoThere} />
+          ${active
+            ? html`<p class="verdict" role="status"><${Shape} is="tick" /> ${release ? t("robot-activated", { number: release.number }) : t("robot-active")}</p>`
+            : html`<div class="actions"><button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("robot-activate")}</button></div>`}`}
+    <${Dialog} title=${t("robot-activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
+      <p>${t("robot-activate-what")}</p>
+      <label class="field"><span>${t("robot-activate-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
+      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${activate}>${t("robot-activate")}</button></div>
+    <//>
+  </section>`;
+}
+
+// The proof of it: where the tip must go, in the robot's own words, and how far it was off.
+function GoThere() {
+  const { places, confirmed, mount, limit_mm } = current.draft.value;
+  const [chosen, setChosen] = useState(null);
+  const [shown, setShown] = useState({});
+  const open = places.filter(({ robot }) => robot);
+  const place = open.find(({ key }) => key === chosen) ?? open.find(({ wanted }) => wanted) ?? open[0];
+  const confirm = async () => {
+    const done = await change("POST", "/confirm", { place: place.key, ...shown.body });
+    if (!done) return;
+    shown.clear?.();
+    say(t("robot-off-by", { mm: number(done.confirmed.distance_mm, 2) }));
+  };
+  const isGood = confirmed && confirmed.distance_mm <= 2 * limit_mm;
+  return html`<h3>${t("robot-go")}</h3>
+    ${!place && html`<p>${t("robot-go-look")}</p>`}
+    ${(mount === "fixed" || !place) && html`<${Places} isProof=${true} chosen=${place?.key} onChoose=${setChosen} />`}
+    ${place &&
+    html`${mount === "flange" && html`<p>${t("robot-go-flange")}</p><${Places} isProof=${true} isStill=${true} chosen=${place.key} onChoose=${setChosen} />`}
+      <p>${t("robot-go-there", { place: placeName(place) })}</p>
+      <p class="robot-target" translate=${false}>${place.robot.text}</p>
+      <p class="hint">${t("robot-go-slow")}</p>
+      <${Shown} draft=${{ ...current.draft.value, kind: "touch" }} point=${place} onShown=${setShown} />
+      <div class="actions"><button type="button" disabled=${!mayTake.value || !shown.body} onClick=${confirm}>${t("robot-confirm")}</button></div>`}
+    ${confirmed && html`<p class="verdict" role="status"><${Shape} is=${isGood ? "tick" : "doubt"} /> ${t("robot-off-by", { mm: number(confirmed.distance_mm, 2) })} ${!isGood && t("robot-off-more")}</p>`}`;
+}
+
+export default function Robot() {
+  useEffect(() => {
+    attempt(() => find(current.draft.value?.id));
+    return effect(hear);
+  }, []);
+  const { draft } = current;
+  const head = html`<h1>${t("robot-title")}</h1><p class="lead">${t("robot-lead")}</p>`;
+  if (cell.value.missing.includes("rig")) return html`${head}<p><${Shape} is="gap" /> ${t("robot-no-rig")}</p><div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;
+  const [shape, is] = registered();
+  const now = html`<p><${Shape} is=${shape} /> ${t(is)}</p>`;
+  if (!draft.value) return html`${head}${now}${current.brands.value.length > 0 && html`<${Begin} />`}`;
+  const { kind, brand, stale } = draft.value;
+  return html`${head}${now}
+    ${stale && html`<p class="verdict"><${Shape} is="gap" /> ${t("robot-stale")}</p>`}
+    <div class="row"><${BrandField} value=${brand ?? ""} onValue=${(one) => change("PUT", "", { brand: one || null })} mayBeUnknown=${kind === "poses"} /></div>
+    ${kind === "touch" ? html`<${Places} />` : html`<${Pose} />`}
+    ${kind === "poses" && draft.value.sky.length > 1 && html`<${Sky} sky=${draft.value.sky} missing=${draft.value.missing} />`}
+    <${Verdict} />
+    <${Samples} />
+    <${Keep} />
+    <div class="actions"><button type="button" disabled=${!mayTake.value} onClick=${() => (draft.value = null)}>${t("robot-new")}</button></div>`;
+}

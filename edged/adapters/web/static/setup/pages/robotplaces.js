@@ -1,0 +1,91 @@
+// Places that a tip can touch, in the picture that was taken of them: one is ringed, and what the robot shows there is typed.
+import { html, useState } from "../../vendor/ui.js";
+import { holds, mayTake, sign, token } from "../live.js";
+import { say, Shape } from "../pieces.js";
+import { t } from "../texts.js";
+import { Pair } from "./picture.js";
+import { change, current, placeName } from "./robotdraft.js";
+import { Shown } from "./robotnumbers.js";
+
+// The ringed one; touched ones have a tick, so that no colour is needed. A tap anywhere takes the nearest: no small targets.
+function Picture({ chosen, onChoose }) {
+  const { looked, places } = current.draft.value;
+  const { width, height } = looked;
+  const tap = (event) => {
+    const box = event.currentTarget.getBoundingClientRect();
+    const [x, y] = [((event.clientX - box.left) * width) / box.width, ((event.clientY - box.top) * height) / box.height];
+    const off = ({ left }) => Math.hypot(left[0] - x, left[1] - y);
+    onChoose(places.reduce((best, one) => (off(one) < off(best) ? one : best)).key);
+  };
+  const [r, tick] = [width / 70, width / 90];
+  return html`<div class="view robot-look" style=${{ aspectRatio: `${width} / ${height}` }}>
+    <img src=${looked.left} alt=${t("robot-picture")} />
+    <svg viewBox="0 0 ${width} ${height}" aria-hidden="true" onClick=${tap}>
+      ${places.map(({ key, left: [x, y], sample }) => {
+        const d = `M${x - tick} ${y}l${0.7 * tick} ${0.7 * tick}l${1.3 * tick} ${-1.5 * tick}`;
+        return html`<g key=${key} class="place ${key === chosen ? "chosen" : ""} ${sample ? "touched" : ""}"><circle cx=${x} cy=${y} r=${key === chosen ? 1.6 * r : r} />${sample && html`<path d=${d} />`}${key === chosen && html`<path d="M${x - 3.2 * r} ${y}h${1.4 * r}M${x + 1.8 * r} ${y}h${1.4 * r}M${x} ${y - 3.2 * r}v${1.4 * r}M${x} ${y + 1.8 * r}v${1.4 * r}" />`}</g>`;
+      })}
+    </svg>
+  </div>`;
+}
+
+// One more of them; once they are kept, only where somebody wants more.
+export function More({ title: text, children }) {
+  const [isOpen, setOpen] = useState(false);
+  if (current.draft.value.solved) return html`<section><details class="robot-more" onToggle=${(event) => setOpen(event.currentTarget.open)}><summary>${t("robot-more")}</summary>${isOpen && children}</details></section>`;
+  return html`<section aria-labelledby="robot-more"><h2 id="robot-more">${text}</h2>${children}</section>`;
+}
+export const title = (kind, number, wanted) => (number <= wanted ? t(`robot-${kind}-title`, { number, wanted }) : t("robot-more"));
+
+// isProof : choose only, to go there. isStill : no new picture. chosen, onChoose : of whoever holds the choice.
+export function Places({ isProof, isStill, chosen: given, onChoose: choose }) {
+  const { places, looked, look_reason, samples, wanted, board } = current.draft.value;
+  const [own, setOwn] = useState(null);
+  const [shown, setShown] = useState({});
+  const [isTaking, setTaking] = useState(false);
+  const [isLive, setLive] = useState(false);
+  const onChoose = choose ?? setOwn;
+  const key = given ?? own;
+  const place = places.find((one) => one.key === key) ?? places.find((one) => one.wanted) ?? places[0];
+  const job = board ? null : current.job.value;
+  const isLooking = isLive || (!looked && !isProof);
+  const take = async () => {
+    sign();
+    setTaking(true);
+    const done = await change("POST", "/looks", { token: token.value, ...(job ? { job } : {}) });
+    setTaking(false);
+    if (!done) return;
+    setOwn(null);
+    setLive(false);
+    say(done.look_reason ? t("robot-look-none") : t("robot-look-found", { count: done.places.length }));
+  };
+  const add = async () => {
+    const done = await change("POST", "/samples", { place: place.key, ...shown.body });
+    if (!done) return;
+    shown.clear?.();
+    setOwn(null);
+    say(t("robot-point-taken", { count: done.samples.length }));
+  };
+  const picture = !isStill &&
+    html`${isLooking && html`<${Pair} />`}
+      <div class="actions">
+        <button type="button" class=${places.length || isProof ? "" : "primary"} disabled=${!holds.value || isTaking} onClick=${take}>${t(isTaking ? "robot-taking" : looked && !look_reason ? "robot-look-again" : "robot-look")}</button>
+        ${looked && html`<button type="button" aria-pressed=${isLive} onClick=${() => setLive(!isLive)}>${t("robot-live")}</button>`}
+      </div>
+      ${!holds.value && html`<p class="hint">${t("robot-take-cell")}</p>`}
+      ${look_reason && html`<p><${Shape} is="gap" /> ${t("robot-look-none")}</p><p class="hint" translate=${false} lang="en">${look_reason}</p>`}`;
+  const choice = place &&
+    html`<${Picture} chosen=${place.key} onChoose=${onChoose} />
+      <label class="field robot-place"><span>${t("robot-place")}</span><select name="place" disabled=${!mayTake.value} onChange=${(event) => onChoose(event.currentTarget.value)}>
+        ${places.map((one) => html`<option key=${one.key} value=${one.key} selected=${one.key === place.key}>${placeName(one)}${one.sample ? ` (${t("robot-touched")})` : ""}</option>`)}
+      </select></label>`;
+  if (isProof) return html`${picture}${choice}`;
+  return html`<${More} title=${title("touch", samples.length + 1, wanted)}>
+    <p class="lead">${t("robot-touch-what")}</p>
+    ${picture}${choice}
+    ${place &&
+    html`<p><strong>${t("robot-touch-now")}</strong></p>
+      <${Shown} draft=${current.draft.value} point=${place} onShown=${setShown} />
+      <div class="actions"><button type="button" class="primary" disabled=${!mayTake.value || !shown.body} onClick=${add}>${t("robot-add")}</button></div>`}
+  <//>`;
+}

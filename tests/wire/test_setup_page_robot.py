@@ -1,0 +1,135 @@
+"""The robot's registration on the page that sets a cell up, with the stage's virtual robot beside it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from browser import Browser, browser
+from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from stagecell import PASSWORD, Newcomer, run
+
+from edged.commands.stage import USER
+from edged.files.rig import load_rig, save_rig
+from edged.sim.cell import demo_rig
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+
+
+async def choose(page: Browser, name: str, value: str) -> None:
+    """An entry of a list, as if it was clicked."""
+    await page.value(
+        f"""(one => {{ one.value = "{value}"; one.dispatchEvent(new Event("change", {{bubbles: true}})); }})
+        (document.querySelector("[name={name}]"))"""
+    )
+
+
+async def paste(page: Browser, text: str) -> None:
+    """What was copied elsewhere, into the field for it."""
+    await page.type("[name=pasted]", text)
+
+
+async def accessible(page: Browser) -> None:
+    """Nothing that axe finds, no small target, no complaint."""
+    assert [] == await page.violations()
+    assert [] == await page.value(SMALL_TARGETS)
+    assert [] == page.complaints
+
+
+def on_stage(folder: Path, test: Callable[[Newcomer, Browser], Awaitable[None]]) -> None:
+    """With a rig that knows no robot, a board before it, and a page that has the cell."""
+    save_rig(folder / "rig.json", replace(demo_rig(), robot_from_rig=None), {"board": "chessboard:11x8:4"})
+
+    async def staged(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        await newcomer.ask("POST", "stage/robot/walk", {})
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await press(page, "Take over")
+            await page.until(DIALOG)
+            await page.click("dialog[open] .primary")
+            await page.until('document.querySelector(".lease.mine")')
+            await go(page, "robot")
+            await page.until(said("How shall it be done?"))
+            await test(newcomer, page)
+
+    run(folder, staged, gige=False)
+
+
+def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
+    """Five touches, one of them mistyped, named, put right; kept, proved by one more touch, active."""
+
+    async def test(newcomer: Newcomer, page: Browser) -> None:
+        await accessible(page)
+        await choose(page, "brand", "fanuc")
+        await press(page, "Begin")
+        await page.until(said("Point 1 of 6"))
+        await press(page, "Take a picture of it")
+        await page.until('document.querySelectorAll(".robot-look .place").length === 9')
+        for step in range(5):
+            await press(page, "Stage: what the virtual robot shows")
+            await page.until('document.querySelector("[name=pasted]").value')
+            if step == 4:
+                shown = await page.value('document.querySelector("[name=pasted]").value')
+                x, y, z = (part.split()[1] for part in shown.split(", "))
+                await paste(page, f"X {float(x) + 4:.2f}°\t{y}\t{z}".replace(".", ","))
+            await press(page, "Add this point")
+            await page.until(said(f"Points and poses ({step + 1})"))
+        await page.until(said("point 5 is wrong by"))
+        assert "Wrong, if the others are right." == await page.value(
+            'document.querySelector(".culprit").children[3].textContent.trim()'
+        )
+        await page.click(".culprit button")
+        await page.until(DIALOG)
+        await page.type("dialog [name=shown0]", x.replace(".", ","))
+        await press(page, "Keep it so")
+        await page.until(said("All of them agree."))
+
+        await press(page, "Keep this registration")
+        await page.until(said("The proof: go to this place"))
+        await page.until('document.querySelector(".robot-target").textContent.startsWith("X ")')
+        await press(page, "Stage: what the virtual robot shows")
+        await press(page, "How far was it off?")
+        await page.until(said("Off by 0."))
+        await accessible(page)
+        await press(page, "Use this registration")
+        await page.until(DIALOG)
+        await page.type("[name=note]", "five touches")
+        await page.click("dialog[open] .primary")
+        await page.until(said("In use, as release"))
+        assert load_rig(tmp_path / "rig.json").robot_from_rig is not None
+
+    on_stage(tmp_path, test)
+
+
+def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path: Path) -> None:
+    """They are said to be KUKA's and are those of Universal Robots; the sky has them; nothing is cut off."""
+
+    async def test(newcomer: Newcomer, page: Browser) -> None:
+        await page.click("[name=way][value=poses]")
+        await choose(page, "brand", "kuka")
+        await press(page, "Begin")
+        for step in range(4):
+            await page.until(said(f"Pose {step + 1} of 10"))
+            await newcomer.ask("POST", "stage/robot/walk", {})
+            await paste(page, (await newcomer.ask("GET", "stage/robot?brand=ur"))["text"])
+            await press(page, "Take the picture at this pose")
+        await page.until(said("These numbers read as a rotation vector in rad, lengths in m"))
+        assert await page.value(said("that is Universal Robots. You said KUKA."))
+        await press(page, "Read them as Universal Robots")
+        await page.until(said("All of them agree."))
+        await page.until('document.querySelectorAll(".robot-sky .star").length === 4')
+        await accessible(page)
+
+        await page.open(f"{newcomer.origin}/setup?pseudo#/robot", 360, 740)
+        await page.until('document.querySelector(".robot-sky .star")')
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+
+    on_stage(tmp_path, test)
