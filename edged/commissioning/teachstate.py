@@ -18,7 +18,18 @@ from edged.commissioning.history import History, Kept, Text
 from edged.domain.arrays import Image
 from edged.errors import TeachError
 from edged.vision.part.job import MAX_TILT_DEG, MeasurementKind
-from edged.vision.teaching.region import MAX_CORNERS, Area, Circle, Painted, Polygon, Region
+from edged.vision.teaching.region import (
+    MAX_BRUSH_PX,
+    MAX_CORNERS,
+    MAX_STROKE,
+    MIN_BRUSH_PX,
+    Area,
+    Circle,
+    Painted,
+    Polygon,
+    Region,
+    Stroke,
+)
 
 MOST_SHAPES = 200
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
@@ -73,7 +84,21 @@ class Corners(Kept):
         return Polygon(np.array(self.points, dtype=np.float64))
 
 
-Shape = Annotated[Rectangle | Disc | Corners, Field(discriminator="kind")]
+class Brush(Kept):
+    """points : the way of a round brush; they may cross their own way."""
+
+    kind: Literal["brush"]
+    add: bool = False
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_STROKE)]
+    radius: Annotated[float, Field(ge=MIN_BRUSH_PX, le=MAX_BRUSH_PX)]
+
+    def area(self) -> Area:
+        """As a region."""
+        return Stroke(np.array(self.points, dtype=np.float64), self.radius)
+
+
+AnyShape = Rectangle | Disc | Corners | Brush
+Shape = Annotated[AnyShape, Field(discriminator="kind")]
 Shapes = Annotated[tuple[Shape, ...], Field(max_length=MOST_SHAPES)]
 
 
@@ -166,9 +191,7 @@ class TeachState(History[TeachOperation]):
         return self.start.with_(sets) if sets else self.start
 
 
-def region_of(
-    shapes: Sequence[Rectangle | Disc | Corners], width: int, height: int
-) -> tuple[Area | None, list[Area]]:
+def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area | None, list[Area]]:
     """Shapes as a region, and what is left out of it; None: the whole picture.
 
     One shape with what is erased of it is what `edged teach` takes; of more the later lies over the earlier.

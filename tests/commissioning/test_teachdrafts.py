@@ -15,7 +15,7 @@ from powercuts import Record, cut
 
 from edged.commissioning import teachdrafts
 from edged.commissioning.teachdrafts import TeachingDraft, TeachingDrafts, kept_pair
-from edged.commissioning.teachstate import Content, Mark, Rectangle, nearest, region_of
+from edged.commissioning.teachstate import Brush, Content, Mark, Rectangle, nearest, region_of
 from edged.errors import FileFormatError, TeachError
 from edged.vision.teaching.region import Region, painted_region
 
@@ -178,4 +178,9 @@ def test_shapes_lie_over_each_other() -> None:
     row = painted_region(region, exclude, 80, 60)[20]
     assert (255, 0, 255, 0) == (row[15], row[25], row[35], row[75])
     assert (None, []) == region_of([], 80, 60)
+    brush = Brush(kind="brush", points=((20.0, 5.0), (20.0, 55.0), (20.0, 5.0)), radius=4.0)
+    region, exclude = region_of([box, brush], 80, 60)
+    assert region is not None
+    row = painted_region(region, exclude, 80, 60)[20]
+    assert (255, 0, 0, 255) == (row[14], row[17], row[23], row[26]), "a stroke crosses itself and erases"
     assert 1 == len(region_of([hole], 80, 60)[1])

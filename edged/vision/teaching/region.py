@@ -1,10 +1,11 @@
-"""Where in the left picture the part is: rectangles, circles, polygons and painted masks."""
+"""Where in the left picture the part is: rectangles, circles, polygons, strokes of a brush and masks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
@@ -13,7 +14,8 @@ from edged.vision.teaching.coverage import coverage
 
 MIN_WIDTH_PX = 16
 """A smaller region shows no shape."""
-MAX_CORNERS = 1000
+MAX_CORNERS, MAX_STROKE = 1000, 2000
+MIN_BRUSH_PX, MAX_BRUSH_PX = 2.0, 1000.0
 FARTHEST_PX = 1e6
 
 
@@ -96,7 +98,32 @@ class Painted:
         return _as_mask(self.mask > 0.5 * max(float(self.mask.max()), 1.0))
 
 
-Area = Region | Circle | Polygon | Painted
+@dataclass(frozen=True, slots=True, eq=False)
+class Stroke:
+    """points (N, 2) of the way of a round brush in the raw left image, px; one is a dot."""
+
+    points: FloatArray
+    radius: float
+
+    def painted(self, width: int, height: int) -> Image:
+        """(height, width) uint8, 255 within the radius of the way."""
+        points = np.asarray(self.points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MAX_STROKE:
+            raise TeachError(f"region brush: expected 1 to {MAX_STROKE} points X,Y")
+        if not np.isfinite(points).all() or np.abs(points).max() > FARTHEST_PX:
+            raise TeachError("region brush: expected points X,Y in pixels of the left image")
+        if not MIN_BRUSH_PX <= self.radius <= MAX_BRUSH_PX:
+            raise TeachError(
+                f"region brush: expected a radius of {MIN_BRUSH_PX:g} to {MAX_BRUSH_PX:g} px, "
+                f"got {self.radius:g}"
+            )
+        painted = np.zeros((height, width), np.uint8)
+        way = np.rint(points).astype(np.int32)
+        cv2.polylines(painted, [way], False, 255, round(2 * self.radius) + 1)
+        return painted
+
+
+Area = Region | Circle | Polygon | Stroke | Painted
 
 
 def painted_region(region: Area, exclude: Sequence[Area], width: int, height: int) -> Image:
