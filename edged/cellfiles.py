@@ -167,7 +167,7 @@ def _problems_of_named_files(text: bytes, path: Path) -> list[str]:
     rig, jobs, job = (names.get(key) for key in ("rig", "jobs", "job"))
     if isinstance(rig, str):
         _load_rig(path.resolve().parent / rig, {}, problems)
-    if isinstance(jobs, str) and isinstance(job, str):
+    if isinstance(jobs, str) and isinstance(job, str | None):
         _load_jobs(path.resolve().parent / jobs, job, {}, problems)
     return problems
 
@@ -184,7 +184,7 @@ def _load_rig(
         return None, None
 
 
-def _load_jobs(folder: Path, active: str, files: dict[str, bytes], problems: list[str]) -> list[Job]:
+def _load_jobs(folder: Path, active: str | None, files: dict[str, bytes], problems: list[str]) -> list[Job]:
     if not folder.is_dir():
         problems.append(f"cell.jobs: {folder}: no such folder")
         return []
@@ -214,7 +214,9 @@ def _load_jobs(folder: Path, active: str, files: dict[str, bytes], problems: lis
         files |= {f"jobs/{entry.name}/{name}": data for name, data in read_files.items()}
         places.append(entry)
     names = [job.name for job in jobs]
-    if active not in names:
+    if active is None and not entries:
+        problems.append(f"cell.jobs: {folder}: holds no job")
+    elif active is not None and active not in names:
         problems.append(
             f"cell.job: no usable job {active!r} in {folder} (there: {', '.join(names) or 'none'})"
         )

@@ -26,6 +26,7 @@ class PartCell(BoardCell):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         save_rig(self.rig, flange().rig)
+        self.config.write_text(self.config.read_text().replace('job = "none"\n', ""))
         self.world.shown = flange().left, flange().right
 
     async def take(self) -> dict[str, str]:

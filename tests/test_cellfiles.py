@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from edged import cellfiles
+from edged.app.cell import load_cell
 from edged.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.cell import SetupSource
@@ -120,6 +121,24 @@ def test_a_cell_without_rig_or_jobs_is_not_finished(
     assert (lacks, caught.value.problems) == (cell.lacks, [*cell.missing])
     assert set(named) == {line.partition(":")[0] for line in cell.missing}
     assert "rig.json" not in cell.contents or "rig.json" not in gone
+
+
+def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path) -> None:
+    """And a cell that says no job lacks one as any other does."""
+    config = folder / "cell.toml"
+    config.write_text(config.read_text().replace('job = "flange"', ""))
+    shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "a_lid")
+    text = (folder / "jobs" / "a_lid" / "job.toml").read_text().replace('name = "flange"', 'name = "lid"')
+    (folder / "jobs" / "a_lid" / "job.toml").write_text(text.replace("number = 1", "number = 5"))
+    assert (1, 2) == (load_cell(config).setup.active_job, len(read_cell(config).jobs))
+    for job in ("flange", "flange.old", "a_lid"):
+        shutil.rmtree(folder / "jobs" / job)
+    cell = read_any_cell(config)
+    assert isinstance(cell, UnfinishedCell)
+    assert (SetupSource.NO_JOB, f"cell.jobs: {folder / 'jobs'}: holds no job") == (
+        cell.lacks,
+        cell.missing[0],
+    )
 
 
 @pytest.mark.parametrize(

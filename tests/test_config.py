@@ -50,12 +50,12 @@ def test_a_minimal_file_gets_defaults_and_paths_beside_it(tmp_path: Path) -> Non
 def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -> None:
     """Unknown keys, wrong types, limits, missing fields: one line each."""
     text = (
-        GOOD.replace('job = "flange"', "") + '[cycle]\nperiod_s = -1\nmod = "free"\n[modbus]\nport = 70000\n'
+        GOOD.replace('jobs = "jobs"', "") + '[cycle]\nperiod_s = -1\nmod = "free"\n[modbus]\nport = 70000\n'
     )
 
     found = problems(tmp_path, text)
 
-    assert {"cell.job", "cycle.period_s", "cycle.mod", "modbus.port"} == {
+    assert {"cell.jobs", "cycle.period_s", "cycle.mod", "modbus.port"} == {
         line.split(":")[0] for line in found
     }
     assert "cycle.mod: unknown key, did you mean mode?" in found

@@ -30,7 +30,7 @@ from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.app.stage import StageRoutes
 from edged.commands.demo import region_of_part
-from edged.commands.stage import JOB, USER, write_cell
+from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, FloatArray
 from edged.files.jobs import save_job
 from edged.files.rig import load_rig
@@ -41,6 +41,7 @@ from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.teaching.pair import teach
 
+JOB = "flange"
 PASSWORD = "correct horse"
 ASK_AGAIN_S = 4.0
 """Who sees that the board is not where it should be moves it."""

@@ -65,7 +65,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
     jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness, job.picking) for job in cell.jobs]
     setup = Setup(
         jobs={job.number: job for job in jobs},
-        active_job=next(job.number for job in jobs if job.name == config.cell.job),
+        active_job=min(job.number for job in jobs if config.cell.job in {None, job.name}),
         period_s=config.cycle.period_s if config.cycle.mode == "free" else None,
         calibration_id=cell.rig.calibration_id,
         fingerprint=cell.fingerprint,

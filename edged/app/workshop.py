@@ -75,7 +75,7 @@ def _recordings(running: Running) -> Path | None:
 def _jobs_in_use(running: Running) -> JobsInUse:
     """As the cell has read them."""
     cell = running.loaded.cell
-    return JobsInUse(cell.config.cell.jobs, lines_in(cell.contents), cell.config.cell.job)
+    return JobsInUse(cell.config.cell.jobs, lines_in(cell.contents), cell.config.cell.job or "")
 
 
 class Workshop:
@@ -182,7 +182,7 @@ class Workshop:
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,
-            TeachingRoutes(self.teachings).add_to,
+            TeachingRoutes(self.teachings, self._activation).add_to,
             TrialRoutes(self._trials).add_to,
             RegressionRoutes(self._regressions, self._candidates).add_to,
         ]
@@ -205,6 +205,7 @@ class Workshop:
             locked=self._cycle.setup_locked,
             holder=self._cycle.setup_by,
             contents=loaded.cell.contents,
+            jobs=loaded.cell.config.cell.jobs,
         )
 
     def _active(self) -> Active:

@@ -19,7 +19,6 @@ from edged.passwords import hash_password
 from edged.sim.world import VirtualWorld
 
 CELL = "stage"
-JOB = "flange"
 WEB_PORT = 8080
 USER = "me"
 """Who sets the stage up: an engineer."""
@@ -65,7 +64,6 @@ def write_cell(
 name = "{CELL}"
 rig = "rig.json"
 jobs = "jobs"
-job = "{JOB}"
 
 [cycle]
 mode = "free"

@@ -34,11 +34,11 @@ from typing import Any
 
 from edged import __version__
 from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
+from edged.commissioning.jobsfolder import Jobs, jobs_in
 from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
-from edged.files.jobs import job_folders
 from edged.files.replacing import replace_files
 from edged.plc.texts import render
 
@@ -89,13 +89,13 @@ class RigFiles:
     cameras: bytes | None
 
 
-def make(config: Path, rig: RigFiles | None = None) -> Made:
+def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) -> Made:
     """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
 
-    rig : instead of the configuration's; then there need not be jobs yet.
+    rig, jobs : instead of the configuration's; with another rig there need not be jobs yet.
     """
     cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
-    files, left_out = _collect(config, cell.config, rig)
+    files, left_out = _collect(config, cell.config, rig, jobs)
     taken = Backup(
         datetime.now(UTC).replace(microsecond=0),
         __version__,
@@ -128,6 +128,13 @@ def rig_in(taken: Backup) -> RigFiles:
     return RigFiles(taken.files[name], taken.files.get(_chosen_member(name)))
 
 
+def jobs_of(taken: Backup) -> dict[str, bytes]:
+    """The jobs in a backup."""
+    folder = _named(taken.files[taken.config], taken.config).get("cell.jobs", "")
+    inside = f"{folder}/"
+    return {name.removeprefix(inside): data for name, data in taken.files.items() if name.startswith(inside)}
+
+
 def read(archive: Path) -> Backup:
     """What an archive holds, every checksum checked. Raises `FileFormatError`."""
     return unpack(_read(archive), str(archive))
@@ -142,7 +149,7 @@ def fits_map(taken: Backup) -> bool:
 
 
 def _collect(
-    path: Path, config: Config, rig: RigFiles | None = None
+    path: Path, config: Config, rig: RigFiles | None = None, of_jobs: Jobs | None = None
 ) -> tuple[dict[str, bytes], dict[str, str]]:
     """Members by name, and what is left out."""
     path = path.resolve()
@@ -154,11 +161,8 @@ def _collect(
     if os.path.lexists(chosen) if rig is None else rig.cameras is not None:
         _add(files, _chosen_member(member), chosen, None if rig is None else rig.cameras)
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
-    for folder in job_folders(config.cell.jobs) if config.cell.jobs.is_dir() else []:
-        for file in sorted(folder.rglob("*")):
-            member = f"{jobs}/{folder.name}/{file.relative_to(folder).as_posix()}"
-            if file.is_file() and not any(part.startswith(".") for part in PurePosixPath(member).parts):
-                _add(files, member, file)
+    for place, data in (jobs_in(config.cell.jobs) if of_jobs is None else of_jobs).items():
+        _add(files, f"{jobs}/{place}", config.cell.jobs / place, data)
     if config.zenoh.config_file is not None:
         member, text = _placed(path, text, "config_file", config.zenoh.config_file)
         _add(files, member, config.zenoh.config_file)

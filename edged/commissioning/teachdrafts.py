@@ -93,9 +93,13 @@ class TeachingDraft:
         """Do again what was taken back last. Raises `TeachError` when there is nothing."""
         self._file.step(1, activated=None)
 
-    def note_activated(self, job: str, digest: str) -> None:
-        """A job has come of it: from now on it is that one's draft. digest : SHA-256 of its text."""
-        self._file.write(self.state.changed(job=job, is_same_pair=True, activated=digest))
+    def note_activated(self, digest: str | None) -> None:
+        """A job is to come of it, by the SHA-256 of its text; None: none is after all."""
+        self._file.write(self.state.changed(activated=digest))
+
+    def note_job(self, folder: str) -> None:
+        """The job in this folder has come of it: from now on it is that one's draft."""
+        self._file.write(self.state.changed(job=folder, is_same_pair=True))
 
     def kept(self) -> dict[str, bytes]:
         """What stays with the job, by its name in the job's folder."""

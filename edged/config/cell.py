@@ -18,7 +18,9 @@ class CellSection(Section):
     name: Name = Field(description="name of the cell; part of every Zenoh key")
     rig: FilePath = Field(description="calibrated rig, written by `edged calibrate`")
     jobs: FilePath = Field(description="folder with one folder for each taught job")
-    job: Name = Field(description="the job that is active after start")
+    job: Name | None = Field(
+        None, description="the job that is active after start; left out: the one with the lowest number"
+    )
 
 
 class CycleSection(Section):

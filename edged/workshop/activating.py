@@ -1,4 +1,4 @@
-"""A new rig for a running cell, as a release, or an older one's. A failure leaves the cell as it was."""
+"""Another rig or other jobs for a running cell, as a release. A failure leaves the cell as it was."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edged.commissioning.releases import RigFiles, make, rig_in
+from edged.commissioning.jobsfolder import Jobs, contents_with, jobs_in, write_jobs
+from edged.commissioning.releases import Made, RigFiles, jobs_of, make, rig_in
 from edged.commissioning.setups import RIG, Contents
 from edged.commissioning.shelf import Release, Shelf, Tested
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
@@ -25,8 +26,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class CellNow:
-    """The cell as it runs. is_complete : it has rig and jobs.  cameras : what is tried of them in SETUP.
+    """The cell as it runs. rig, jobs : where they lie.  is_complete : it has both.
 
+    cameras : what is tried of them in SETUP.
     locked : the plant forbids changes. holder : who has the cell, or "".
     contents : of the files that it measures by, as `CellFiles` has them.
     """
@@ -37,6 +39,7 @@ class CellNow:
     cameras: Mapping[Side, Mapping[str, str | float]]
     locked: bool
     holder: str
+    jobs: Path
     contents: Contents = field(default_factory=dict)
 
 
@@ -51,8 +54,17 @@ async def _open(_contents: Contents, _signed: str | None) -> None:
     """The gate of a cell that records nothing."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """What is exchanged of a cell: content of its files; None: there is none."""
+
+    rig: bytes | None
+    cameras: bytes | None
+    jobs: Jobs
+
+
 class Activation:
-    """What makes rigs active, one after the other; used on the cell's event loop.
+    """What makes rigs and jobs active, one after the other; used on the cell's event loop.
 
     config : the cell's file.  running : the cell, as it is then.
     renew : raises `SetupRefused` for a token that is not that of who has the cell.
@@ -106,25 +118,42 @@ class Activation:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
     async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:
-        """Let the cell run by another rig, and by the cameras that are tried with it.
+        """Let the cell run by another rig, and by the cameras that are tried with it; jobs stay.
 
         signed : why it may make recorded cycles worse. Raises `EdgedError`, `OSError`; then it runs by the
         former ones.
         """
-        running = self._running()
-        file = chosen_file(running.rig)
-        cameras = await asyncio.to_thread(read_chosen, running.rig)
-        if running.cameras:
-            cameras = with_changes(cameras, file, running.cameras)
-        return await self._activate(RigFiles(rig, cameras), author, note, signed)
+        rig_of(rig, Path("the new rig"))
+
+        def wanted(there: _Parts) -> _Parts:
+            running, cameras = self._running(), there.cameras
+            if running.cameras:
+                cameras = with_changes(cameras, chosen_file(running.rig), running.cameras)
+            return replace(there, rig=rig, cameras=cameras)
+
+        return await self._activate(wanted, author, note, signed)
+
+    async def activate_jobs(
+        self, change: Callable[[Jobs], Jobs], author: str, note: str, signed: str | None = None
+    ) -> Release:
+        """Let the cell have other jobs. change : of those it has; may refuse. Raises as `activate`."""
+        return await self._activate(
+            lambda there: replace(there, jobs=change(there.jobs)), author, note, signed
+        )
 
     async def activate_again(self, number: int, author: str, reason: str) -> Release:
-        """The same by rig and cameras of a release; jobs and settings stay. Raises `KeyError`, too.
+        """The same by rig, cameras and jobs of a release; settings stay. Raises `KeyError`, too.
 
-        The way back is never barred: its reason is the signature.
+        A release of before the first job says nothing of jobs. The way back is never barred: its reason is
+        the signature.
         """
-        files = rig_in(await asyncio.to_thread(self._shelf.open, number))
-        return await self._activate(files, author, f"the rig of release {number}: {reason}", reason)
+        taken = await asyncio.to_thread(self._shelf.open, number)
+        files, jobs = rig_in(taken), jobs_of(taken)
+
+        def wanted(there: _Parts) -> _Parts:
+            return _Parts(files.rig, files.cameras, jobs or there.jobs)
+
+        return await self._activate(wanted, author, f"what release {number} has: {reason}", reason)
 
     async def finish(self) -> None:
         """Do what a kill or a power cut has interrupted: rig and cameras are of one release again."""
@@ -132,78 +161,95 @@ class Activation:
             log.warning("a release was being activated when the daemon ended: that is finished now")
             await self._reload()
 
-    async def _activate(self, files: RigFiles, author: str, note: str, signed: str | None) -> Release:
+    async def _activate(
+        self, wanted: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
+    ) -> Release:
         # whoever asked may go away: half done it must not stay
-        doing = asyncio.create_task(self._in_turn(files, author, note, signed), name="activate")
-        return await asyncio.shield(doing)
+        return await asyncio.shield(
+            asyncio.create_task(self._in_turn(wanted, author, note, signed), name="activate")
+        )
 
-    async def _in_turn(self, files: RigFiles, author: str, note: str, signed: str | None) -> Release:
+    async def _in_turn(
+        self, change: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
+    ) -> Release:
         async with self._turn:
             self._check_unlocked()
-            tested = await self._gate({**self._running().contents, RIG: files.rig}, signed)
-            release, is_new = await asyncio.to_thread(self._prepare, files, author, note)
-            former = await asyncio.to_thread(self._exchange, release, files, is_new, tested)
+            former = await asyncio.to_thread(self._there)
+            wanted = await asyncio.to_thread(change, former)
+            made, again = await asyncio.to_thread(self._proven, wanted)
+            tested = await self._gate(self._contents(wanted), signed)
+            self._check_unlocked()
+            release = again
+            if release is None:
+                release = await asyncio.to_thread(self._keep, made, author, note)
+            await asyncio.to_thread(self._exchange, release, wanted, former, again is None, tested)
             refused = await self._reload()
             if refused:
-                await asyncio.to_thread(self._put_back, release, former, is_new)
+                await asyncio.to_thread(self._put_back, release, former, again is None)
                 raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
             await asyncio.to_thread(self._shelf.prune)
             log.info("release %d is active: %s, by %s", release.number, note, author)
             return await asyncio.to_thread(self._shelf.get, release.number)
 
-    def _prepare(self, files: RigFiles, author: str, note: str) -> tuple[Release, bool]:
-        """The release to be, proven to load, beside the cell as it is. False: it is on the shelf already."""
-        calibration_id = rig_of(files.rig, Path("the new rig")).calibration_id
-        made = make(self._config, files)
+    def _contents(self, wanted: _Parts) -> Contents:
+        """What the cell would measure by."""
+        contents = contents_with(self._running().contents, wanted.jobs)
+        return contents if wanted.rig is None else {**contents, RIG: wanted.rig}
+
+    def _there(self) -> _Parts:
+        """What is exchanged, as it is now."""
+        running = self._running()
+        rig = read_bytes(running.rig, "a rig") if running.rig.exists() else None
+        return _Parts(rig, read_chosen(running.rig), jobs_in(running.jobs))
+
+    def _proven(self, wanted: _Parts) -> tuple[Made, Release | None]:
+        """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
+        if wanted.rig is None:
+            raise UserError("there is no calibration: calibrate first")
+        made = make(self._config, RigFiles(wanted.rig, wanted.cameras), wanted.jobs)
+        if made.backup.fingerprint == self._running().fingerprint:
+            raise UserError("the cell runs by this already")
+        all_of_it = self._shelf.all()
+        return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
+
+    def _keep(self, made: Made, author: str, note: str) -> Release:
+        """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
         running, now = self._running(), datetime.now(UTC)
-        if made.backup.fingerprint == running.fingerprint:
-            raise UserError("the cell runs by this rig already")
         if running.is_complete and self.active is None:
             found = make(self._config)
-            as_found = rig_of(rig_in(found.backup).rig, running.rig).calibration_id
             kept = self._shelf.add(
-                found, rig=as_found, author="edged", note="as it was found", parent=None, now=now
+                found, rig=_rig_id(found), author="edged", note="as it was found", parent=None, now=now
             )
             self._shelf.note_active(kept.number, now)
-        again = next((one for one in self._shelf.all() if one.fingerprint == made.backup.fingerprint), None)
-        if again is not None:
-            return again, False
-        release = self._shelf.add(
-            made, rig=calibration_id, author=author, note=note, parent=self.active, now=now
+        return self._shelf.add(
+            made,
+            rig=_rig_id(made),
+            author=author,
+            note=note,
+            parent=self.active,
+            now=now,
         )
-        return release, True
 
-    def _exchange(self, release: Release, files: RigFiles, is_new: bool, tested: Tested | None) -> _Former:
-        """Write rig and cameras where the configuration has them; returns what was there."""
-        place = self._running().rig
-        former: _Former | None = None
+    def _exchange(
+        self, release: Release, wanted: _Parts, former: _Parts, is_new: bool, tested: Tested | None
+    ) -> None:
+        """Write all of it where the configuration has it."""
         try:
-            former = _Former(read_bytes(place, "a rig") if place.exists() else None, read_chosen(place))
             # first: what is cut off here is finished by the release, which must be known to have been active
             self._shelf.note_active(release.number, datetime.now(UTC), tested)
-            if former.cameras != files.cameras:
+            if _count(wanted, former) > 1:
                 self._shelf.note_underway(release.number)
-            try:
-                _write(place, files.rig, files.cameras, former.cameras)
-            except OSError as error:
-                raise FileFormatError(
-                    f"{place}: the daemon cannot write there ({error.strerror or error}): let cell.rig of "
-                    f"{self._config} name a file in its state directory, for example "
-                    f"{state_folder(self._config) / 'rig.json'}, and reload"
-                ) from error
+            self._write(wanted, former)
             self._shelf.note_underway(None)
         except (EdgedError, OSError):
-            if former is not None:
-                with contextlib.suppress(OSError):  # where nothing can be written, nothing was
-                    _write(place, former.rig, former.cameras, files.cameras)
+            with contextlib.suppress(EdgedError, OSError):  # where nothing can be written, nothing was
+                self._write(former, self._there())
             self._withdraw(release, is_new)
             raise
-        return former
 
-    def _put_back(self, release: Release, former: _Former, is_new: bool) -> None:
+    def _put_back(self, release: Release, former: _Parts, is_new: bool) -> None:
         """As before, in each byte."""
-        place = self._running().rig
-        _write(place, former.rig, former.cameras, read_chosen(place))
+        self._write(former, self._there())
         self._withdraw(release, is_new)
 
     def _withdraw(self, release: Release, is_new: bool) -> None:
@@ -214,14 +260,41 @@ class Activation:
         else:
             self._shelf.restore(release)
 
+    def _write(self, wanted: _Parts, there: _Parts) -> None:
+        """Let the files of rig, cameras and jobs hold this. there : what they hold.
+
+        Each by itself is in one step, and every mixture loads: a daemon that starts amid them ends it.
+        """
+        running = self._running()
+        try:
+            make_folders(running.rig.parent)
+            if wanted.cameras != there.cameras:
+                _put(chosen_file(running.rig), wanted.cameras)
+            if wanted.rig != there.rig:
+                _put(running.rig, wanted.rig)
+        except OSError as error:
+            raise self._refused("cell.rig", running.rig, error) from error
+        try:
+            write_jobs(running.jobs, wanted.jobs, there.jobs)
+        except OSError as error:
+            raise self._refused("cell.jobs", running.jobs, error) from error
+
+    def _refused(self, key: str, place: Path, error: OSError) -> FileFormatError:
+        kind = "a file in" if key == "cell.rig" else "a folder in"
+        return FileFormatError(
+            f"{place}: the daemon cannot write there ({error.strerror or error}): let {key} of "
+            f"{self._config} name {kind} its state directory, for example "
+            f"{state_folder(self._config) / place.name}, and reload"
+        )
+
     def _finish(self) -> bool:
         number = self._shelf.underway
         if number is None:
             return False
-        place = self._running().rig
         try:
-            files = rig_in(self._shelf.open(number))
-            _write(place, files.rig, files.cameras, read_chosen(place))
+            taken = self._shelf.open(number)
+            files, there = rig_in(taken), self._there()
+            self._write(_Parts(files.rig, files.cameras, jobs_of(taken) or there.jobs), there)
         except (KeyError, EdgedError, OSError) as error:
             # the message names the file: a traceback says no more
             log.error("release %d was being activated, and cannot be: %s", number, error)  # noqa: TRY400
@@ -230,20 +303,14 @@ class Activation:
         return True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Former:
-    """Content of the rig's file and of its cameras'; None: there was none."""
-
-    rig: bytes | None
-    cameras: bytes | None
+def _rig_id(made: Made) -> str:
+    """Of the calibration."""
+    return rig_of(rig_in(made.backup).rig, Path("the rig of a release")).calibration_id
 
 
-def _write(place: Path, rig: bytes | None, cameras: bytes | None, there: bytes | None) -> None:
-    """Let the rig's file and that of its cameras hold this. there : of the cameras by now."""
-    make_folders(place.parent)
-    if cameras != there:
-        _put(chosen_file(place), cameras)
-    _put(place, rig)
+def _count(one: _Parts, other: _Parts) -> int:
+    """How many of the parts differ."""
+    return (one.rig != other.rig) + (one.cameras != other.cameras) + (dict(one.jobs) != dict(other.jobs))
 
 
 def _put(file: Path, content: bytes | None) -> None:

@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path, PurePosixPath
 
-from edged.commissioning.releases import rig_in
+from edged.commissioning.jobsfolder import contents_with
+from edged.commissioning.releases import jobs_of, rig_in
 from edged.commissioning.setups import RIG, Contents, number_of
 from edged.commissioning.shelf import Shelf
 from edged.commissioning.whatif import JobChange, changed_job
@@ -51,9 +52,10 @@ class Candidates:
         return await asyncio.to_thread(taught)
 
     async def of_release(self, number: int) -> Contents:
-        """By the rig of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
+        """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
         kept = await asyncio.to_thread(self._shelf.open, number)
-        return {**self._active(), RIG: rig_in(kept).rig}
+        jobs, active = jobs_of(kept), self._active()
+        return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept).rig}
 
     async def of_change(self, name: str, change: JobChange) -> Contents:
         """By one job with other limits, features or contrast. Raises `UserError`."""

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from edged.commissioning.jobsfolder import Jobs, with_job
 from edged.errors import TeachError
+from edged.files.jobs import TEXT
 
 REPLACED = ".old"
 """What `edged teach` keeps a job that it replaced under."""
@@ -23,6 +25,24 @@ class JobLine:
     name: str
     number: int
     digest: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A job as files, by place in its folder. replaced : folder of the one that makes room."""
+
+    folder: str
+    replaced: str | None
+    files: Mapping[str, bytes]
+
+    def put(self, jobs: Jobs) -> Jobs:
+        """Jobs with this one."""
+        return with_job(jobs, self.folder, self.files, self.replaced)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its text."""
+        return hashlib.sha256(self.files[TEXT]).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +69,15 @@ class JobsInUse:
     def line(self, folder: str) -> JobLine:
         """Raises `KeyError` for a folder that holds no job."""
         return {line.folder: line for line in self.lines}[folder]
+
+    def candidate(
+        self, name: str, number: int, replaced: str | None, files: Mapping[str, bytes]
+    ) -> Candidate:
+        """A job to be, in the folder of the one that it replaces if that has its name; `TeachError`."""
+        self.check_free(name, number, replaced)
+        former = {line.folder: line for line in self.lines}.get(replaced or "")
+        folder = former.folder if former is not None and former.name == name else name
+        return Candidate(folder, None if former is None else former.folder, files)
 
     def check_free(self, name: str, number: int, replaced: str | None) -> None:
         """Raises `TeachError` for a name or a number that another job has, or none can have.

@@ -86,7 +86,7 @@ class ReleaseRoutes:
             "POST",
             "/releases/{number:[0-9]{1,6}}/activate",
             self._return,
-            "Let the cell run by rig and cameras of a release again; jobs and settings stay",
+            "Let the cell run by rig, cameras and jobs of a release again; settings stay",
             body=Returning,
             answer=ReleaseDocument,
             audit=True,

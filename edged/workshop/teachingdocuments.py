@@ -191,6 +191,14 @@ class TeachingList(Document):
     teachings: list[TeachingLine]
 
 
+class Stale(Exception):
+    """Somebody else has changed the draft since. document : as it is now."""
+
+    def __init__(self, document: TeachingDocument) -> None:
+        self.document = document
+        super().__init__("somebody else has changed it since")
+
+
 def teaching_document(
     draft: TeachingDraft,
     seen: Seen | None,

@@ -21,11 +21,14 @@ from edged.commissioning.teachstate import (
     Point,
     Shapes,
 )
+from edged.errors import EdgedError
 from edged.files.atomic import read_bytes
 from edged.vision.part.job import MAX_TILT_DEG, MeasurementKind
+from edged.workshop.activating import Activation
 from edged.workshop.calibrationroutes import known
-from edged.workshop.teachingdocuments import TeachingDocument, TeachingList
-from edged.workshop.teachings import Stale, Teachings
+from edged.workshop.releaseroutes import Activating, ReleaseDocument, document_of_release, signature
+from edged.workshop.teachingdocuments import Stale, TeachingDocument, TeachingList
+from edged.workshop.teachings import Teachings
 from edged.workshop.teachingwishes import Grip, Tapped, WantedSize
 
 TEACHING = "/teachings/{id:[0-9]{8}-[0-9]{6}-[0-9a-f]{4}}"
@@ -137,8 +140,9 @@ class Wishing(Revised):
 class TeachingRoutes:
     """The routes."""
 
-    def __init__(self, teachings: Teachings) -> None:
+    def __init__(self, teachings: Teachings, activation: Activation) -> None:
         self._teachings = teachings
+        self._activation = activation
 
     def add_to(self, table: RouteTable) -> None:
         """Add them."""
@@ -196,6 +200,16 @@ class TeachingRoutes:
         )
         table.route("POST", f"{TEACHING}/redo", self._redo, "Take it again", body=Revised, answer=one)
 
+        table.route(
+            "POST",
+            f"{TEACHING}/activate",
+            self._activate,
+            "Let the cell have the job",
+            body=Activating,
+            answer=ReleaseDocument,
+            audit=True,
+        )
+
     async def _list(self, _call: Call[None]) -> TeachingList:
         return await self._teachings.listed()
 
@@ -251,6 +265,24 @@ class TeachingRoutes:
 
     async def _redo(self, call: Call[Revised]) -> TeachingDocument:
         return await changed(self._teachings.step(call.part("id"), call.body.revision, 1))
+
+    async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
+        self._activation.check(call.body.token)
+        identity, body = call.part("id"), call.body
+        candidate = await known(self._teachings.candidate(identity))
+        call.trail.object, call.trail.before = candidate.folder, self._activation.fingerprint
+        # first: a kill after the exchange must not leave a draft that does not know its job
+        await self._teachings.note_activated(identity, candidate)
+        try:
+            release = await self._activation.activate_jobs(
+                candidate.put, call.visitor.name, body.note, signature(call)
+            )
+        except (EdgedError, OSError):
+            await self._teachings.note_activated(identity, None)
+            raise
+        call.trail.after = release.fingerprint
+        await self._teachings.tell(identity)
+        return document_of_release(release, is_active=True)
 
     async def _picture(self, call: Call[None]) -> web.Response:
         draft = await known(self._teachings.draft(call.part("id")))

@@ -29,15 +29,16 @@ from edged.commissioning.teachstate import (
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TeachError
-from edged.files.jobs import SHAPE, TEXT, read_job
+from edged.files.jobs import SHAPE, TEXT, job_files, read_job
 from edged.files.rig import rig_of
 from edged.session.notices import Notices
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.checks import RigInUse
-from edged.workshop.jobsinuse import JobLine, JobsInUse
+from edged.workshop.jobsinuse import Candidate, JobLine, JobsInUse
 from edged.workshop.tasks import Tasks
 from edged.workshop.teachingdocuments import (
+    Stale,
     TeachingDocument,
     TeachingLine,
     TeachingList,
@@ -60,14 +61,6 @@ FUNCTIONS = {
     name: f"edged.workshop.teachingwork:{name}" for name in ("propose_region", "regions_at", "see_part")
 }
 PLACE = "/api/v1/teachings"
-
-
-class Stale(Exception):
-    """Somebody else has changed the draft since. document : as it is now."""
-
-    def __init__(self, document: TeachingDocument) -> None:
-        self.document = document
-        super().__init__("somebody else has changed it since")
 
 
 @dataclass(eq=False, slots=True)
@@ -244,6 +237,24 @@ class Teachings:
             self._jobs().check_free(wanted.name, wanted.number, one.draft.state.job)
         return await self._wish(one, revision, "about", found)
 
+    async def candidate(self, identity: str) -> Candidate:
+        """The job that is wanted, as files. Raises `KeyError`, `TeachError` that says why there is none."""
+        one = await self._opened(identity)
+        job = (await self._seen(one)).job
+        files = {**job_files(job), **await asyncio.to_thread(one.draft.kept)}
+        return self._jobs().candidate(job.name, job.number, one.draft.state.job, files)
+
+    async def note_activated(self, identity: str, candidate: Candidate | None) -> None:
+        """The job is about to be the cell's; None: it is not after all."""
+        one = await self._opened(identity)
+        async with one.changing:
+            digest = None if candidate is None else candidate.digest
+            await asyncio.to_thread(one.draft.note_activated, digest)
+
+    async def tell(self, identity: str) -> None:
+        """Tell every page how a draft is now: whether it is active is not its own doing."""
+        self._tell(await self._opened(identity))
+
     async def step(self, identity: str, revision: int | None, by: Literal[-1, 1]) -> TeachingDocument:
         """Undo, or redo. Raises `TeachError`, `Stale`."""
         one = await self._opened(identity)
@@ -372,6 +383,10 @@ class Teachings:
             draft = await asyncio.to_thread(self._drafts.load, identity)
             self._open.setdefault(identity, _Open(draft))
         one = self._open[identity]
+        line = next((x for x in self._jobs().lines if x.digest == one.draft.state.activated), None)
+        if line is not None and (one.draft.state.job, one.draft.state.is_same_pair) != (line.folder, True):
+            async with one.changing:
+                await asyncio.to_thread(one.draft.note_job, line.folder)
         self._look(one)
         return one
 

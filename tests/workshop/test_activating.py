@@ -1,4 +1,4 @@
-"""Another rig for a running cell is a release; whatever goes wrong leaves the one before, byte for byte."""
+"""Another rig or other jobs are a release; whatever goes wrong leaves what was before, byte for byte."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import errno
 import json
 import random
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from powercuts import Record, cut
 from smallcell import SmallCell
 
 from edged.cellfiles import read_cell
+from edged.commissioning import shelf
+from edged.commissioning.jobsfolder import jobs_in, of_job, renamed, with_job
 from edged.commissioning.shelf import Release, Shelf
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
@@ -41,7 +44,8 @@ class RunningCell:
     def __init__(self, folder: Path) -> None:
         self.config, self.rig = folder / "cell.toml", folder / "rig.json"
         self.shelf = Shelf(folder / "state" / "releases")
-        self.now = CellNow(self.rig, read_cell(self.config).fingerprint, True, {}, False, "")
+        self.now = CellNow(self.rig, read_cell(self.config).fingerprint, True, {}, False, "", folder / "jobs")
+        self.now = replace(self.now, contents=read_cell(self.config).contents)
         self.refuses = ""
         self.activation = Activation(self.shelf, self.config, lambda: self.now, self._renew, self._reload)
 
@@ -63,7 +67,8 @@ class RunningCell:
 
     async def _reload(self) -> str:
         if not self.refuses:
-            self.now = replace(self.now, fingerprint=read_cell(self.config).fingerprint)
+            read = read_cell(self.config)
+            self.now = replace(self.now, fingerprint=read.fingerprint, contents=read.contents)
         return self.refuses
 
 
@@ -104,7 +109,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
     found = cell.shelf.get(1)
     assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
     assert 2 == cell.activation.active
-    with pytest.raises(UserError, match="runs by this rig already"):
+    with pytest.raises(UserError, match="runs by this already"):
         activate(cell, rig)
 
 
@@ -123,19 +128,114 @@ def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
         activate_again(cell, 7)
 
 
-def test_an_older_rig_under_newer_jobs_is_a_release_of_its_own(cell: RunningCell) -> None:
-    """Jobs and settings stay as they are: the cell that comes of it never was there before."""
+def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCell) -> None:
+    """Settings stay as they are: the cell that comes of it never was there before."""
     activate(cell, cell.wider(1.001))
-    job = cell.config.parent / "jobs" / "flange" / "job.toml"
-    job.write_text(job.read_text() + "\n# taught again\n")
+    cell.config.write_text(cell.config.read_text().replace("timeout_s = 2.0", "timeout_s = 3.0"))
     cell.now = replace(cell.now, fingerprint=read_cell(cell.config).fingerprint)
     assert None is cell.activation.active
 
     release = activate_again(cell, 1)
 
-    assert "the rig of release 1: that was better" == release.note
-    assert "# taught again" in job.read_text()
+    assert "what release 1 has: that was better" == release.note
+    assert "timeout_s = 3.0" in cell.config.read_text()
     assert cell.shelf.get(1).rig == load_rig(cell.rig).calibration_id
+
+
+def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:
+    """A job as the flange, with a pair that it keeps."""
+    there = of_job(jobs_in(cell.now.jobs), "flange")
+    return {**renamed(there, name=name, number=number), "taught/left.png": b"pixels"}
+
+
+def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None = None) -> Release:
+    """As Anna."""
+    files = job_files(cell, name, number)
+
+    async def asked() -> Release:
+        return await cell.activation.activate_jobs(
+            lambda jobs: with_job(jobs, name, files, replaced), "Anna", f"job {name}"
+        )
+
+    return asyncio.run(asked())
+
+
+def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerprint(
+    cell: RunningCell,
+) -> None:
+    """With the pair that it keeps, beside the others; back and forth all bytes are the same."""
+    before, files = cell.now.fingerprint, cell.files()
+
+    release = activate_job(cell, "ring", 2)
+
+    assert (2, ("flange", "ring"), 1) == (release.number, release.jobs, release.parent)
+    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    after = cell.files()
+    assert {**after, "jobs/ring/taught/left.png": b"pixels"} == after
+    assert files.items() <= after.items()
+    back = activate_again(cell, 1)
+    assert (1, before, files) == (back.number, cell.now.fingerprint, cell.files())
+    assert (2, after) == (activate_again(cell, 2).number, cell.files())
+    assert [] == [entry.name for entry in cell.config.parent.iterdir() if entry.name.startswith(".jobs")]
+    activate_job(cell, "disc", 2, replaced="ring")
+    assert not (cell.now.jobs / "ring").exists()
+    assert [(1, "flange"), (2, "disc")] == sorted(
+        (one.number, one.name) for one in read_cell(cell.config).jobs
+    )
+    activate_again(cell, 2)
+    assert after == cell.files()
+
+
+def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
+    """Two of one number, one that cannot be read, and not the one that the configuration begins with."""
+    files = cell.files()
+    with pytest.raises(UserError, match="both have the number 1"):
+        activate_job(cell, "ring", 1)
+    with pytest.raises(UserError, match=r"no usable job 'flange'"):
+        activate_job(cell, "ring", 2, replaced="flange")
+    cell.refuses = "no"
+    with pytest.raises(UserError, match="runs on as before: no"):
+        activate_job(cell, "ring", 2)
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+
+
+def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
+    cell: RunningCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As under systemd; nothing has changed."""
+    files = cell.files()
+
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(activating, "write_jobs", read_only)
+    with pytest.raises(FileFormatError, match=r"jobs: .*Read-only.*let cell\.jobs of .*state/jobs"):
+        activate_job(cell, "ring", 2)
+    assert files == cell.files()
+
+
+def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> None:
+    """Before anything is written; what it says is kept; of the way back the reason is the signature."""
+    asked: list[tuple[Mapping[str, bytes], str | None]] = []
+
+    async def gate(contents: Mapping[str, bytes], signed: str | None) -> shelf.Tested:
+        asked.append((contents, signed))
+        if signed is None:
+            raise UserError("3 good ones would be bad")
+        return shelf.Tested(regression=None, cycles=9, good_to_bad=3, signed=signed)
+
+    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
+    files = cell.files()
+    with pytest.raises(UserError, match="3 good ones"):
+        activate_job(cell, "ring", 2)
+    assert (files, []) == (cell.files(), cell.shelf.all())
+    wanted = with_job(jobs_in(cell.now.jobs), "ring", job_files(cell, "ring", 2), None)
+    release = asyncio.run(cell.activation.activate_jobs(lambda _: wanted, "Anna", "ring", "seen all three"))
+    assert (3, "seen all three") == (release.tested.good_to_bad, asked[1][1])
+    assert read_cell(cell.config).contents == asked[1][0]
+    activate_again(cell, 1)
+    assert (read_cell(cell.config).contents, "that was better") == asked[2]
 
 
 def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
@@ -265,3 +365,36 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
         found.add(fingerprint)
         shutil.rmtree(disk)
     assert {before, after} == found
+
+
+def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
+    template: Path, tmp_path: Path
+) -> None:
+    """With another rig: at any call the cell loads, and after the next start it is one of both."""
+    root = tmp_path / "real"
+    root.mkdir()
+    record = Record(root)
+    with record.watching():
+        replace_folder(root / "cell", files_in(template))
+        cell = RunningCell(root / "cell")
+        activate(cell, cell.wider(1.001))
+        activate_job(cell, "ring", 2)
+        activate_again(cell, 1)
+        start = len(record.calls)
+        now = cell.now.fingerprint
+        after = activate_again(cell, 3).fingerprint
+    dice, found = random.Random(4), set()
+    for number in range(16):
+        disk = tmp_path / f"cut{number}"
+        cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
+        config = disk / "cell" / "cell.toml"
+        read_cell(config)  # also before it is finished
+        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        fingerprint = read_cell(config).fingerprint
+        shelf = Shelf(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in shelf.all() if one.activated}
+        assert fingerprint == now or (fingerprint == after and {now, after} <= active)
+        assert (fingerprint == after) == (config.parent / "jobs" / "ring" / "taught" / "left.png").is_file()
+        found.add(fingerprint)
+        shutil.rmtree(disk)
+    assert {now, after} == found

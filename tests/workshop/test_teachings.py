@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import io
 import json
 import os
 import signal
@@ -16,7 +17,11 @@ import numpy as np
 import pytest
 from cells import flange
 from partcell import PartCell
+from rich.console import Console
 
+from edged.commands.check import check
+from edged.commands.teach import PairSource, teach
+from edged.files.jobs import load_job
 from edged.vision.teaching.region import Polygon
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
@@ -53,7 +58,7 @@ def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
         token = await cell.take()
         draft = await cell.begun(**token)
         assert None is draft["trouble"], draft["trouble"]
-        assert ("none", 1, 640, 480) == (draft["name"], draft["number"], draft["width"], draft["height"])
+        assert ("part1", 1, 640, 480) == (draft["name"], draft["number"], draft["width"], draft["height"])
         corners = np.array(draft["region"][0]["points"])
         mask = Polygon(corners).painted(640, 480)
         truth = flange()
@@ -175,3 +180,57 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
             assert kept[0] == after
 
     asyncio.run(second())
+
+
+def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
+    """The first makes the cell complete, byte for byte what the command teaches; edited from the pair that it
+    keeps it is the next release; going back restores the fingerprint."""
+    kept: dict[str, Any] = {}
+
+    async def test(cell: PartCell) -> None:
+        token = await cell.take()
+        draft = await cell.begun(**token)
+        assert (409, "setup_refused") == await refused(
+            cell, "POST", f"/teachings/{draft['id']}/activate", {"note": "without the cell"}
+        )
+        status, first = await cell.ask(
+            "POST", f"/teachings/{draft['id']}/activate", {**token, "note": "first"}
+        )
+        assert (200, 1, ["part1"], True) == (status, first["number"], first["jobs"], first["active"])
+        _, now = await cell.ask("GET", "/cell")
+        assert ([], [{"number": 1, "name": "part1"}]) == (now["missing"], now["jobs"])
+        draft = await cell.learnt(draft["id"])
+        assert ("part1", True) == (draft["job"], draft["active"])
+        folder = tmp_path / "jobs" / "part1"
+        kept["text"], kept["region"] = (folder / "job.toml").read_bytes(), draft["region"][0]["points"]
+        assert (422, "input") == await refused(
+            cell, "POST", f"/teachings/{draft['id']}/activate", {**token, "note": "again"}
+        )
+        text = (folder / "job.toml").read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1")
+        (folder / "job.toml").write_text(text)
+        await cell.daemon.reload()
+
+        edited = await cell.begun(job="part1")
+        assert (draft["region"], "part1", False) == (edited["region"], edited["job"], edited["active"])
+        edited = await cell.change("PUT", edited, "/features", {"features": {"c3": False}})
+        edited = await cell.change("PUT", edited, "", {"name": "ring", "gripping": {"z_mm": 2.0}})
+        status, second = await cell.ask(
+            "POST", f"/teachings/{edited['id']}/activate", {**token, "note": "ring"}
+        )
+        assert (200, ["ring"]) == (status, second["jobs"])
+        job = load_job(tmp_path / "jobs" / "ring")
+        assert (0.1, 6) == (job.limits.max_sigma_mm, len(job.circles)), "people's edits were lost"
+        assert [0.0, 0.0, 2.0] == job.picking.grasps[0].part_from_tcp[:3, 3].tolist()
+        assert not folder.exists()
+        status, back = await cell.ask("POST", "/releases/1/activate", {**token, "reason": "better"})
+        assert (200, first["fingerprint"]) == (status, back["fingerprint"])
+        assert kept["text"] == (folder / "job.toml").read_bytes()
+
+    cell = run(tmp_path, test)
+    assert 0 == check(cell.config, as_json=True)
+    taught = tmp_path / "jobs" / "part1" / "taught"
+    region = "polygon:" + ";".join(f"{x},{y}" for x, y in kept["region"])
+    source = PairSource(taught / "left.png", taught / "right.png", region)
+    teach(cell.rig, source, "part1", tmp_path / "by_command", Console(file=io.StringIO()))
+    for name in ("job.toml", "shape.npz"):
+        assert (tmp_path / "by_command" / name).read_bytes() == (taught.parent / name).read_bytes(), name
