@@ -25,7 +25,15 @@ from edged.adapters.modbus import (
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import LoadedCell
-from edged.app.status import Running, config_summary, facts, job_list, overview, register_rows
+from edged.app.status import (
+    Running,
+    config_summary,
+    facts,
+    job_list,
+    overview,
+    register_rows,
+    sigma_limits,
+)
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
@@ -267,6 +275,7 @@ class Servers:
                     convention=lambda: Convention[running().loaded.cell.config.modbus.convention.upper()],
                     overview=lambda: overview(running()),
                     fingerprint=lambda: running().loaded.setup.fingerprint,
+                    limits=lambda: sigma_limits(running().loaded),
                 )
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": self._state})

@@ -167,6 +167,12 @@ def job_list(loaded: LoadedCell) -> list[tuple[int, str]]:
     return [(job.number, job.name) for job in loaded.setup.jobs.values()]
 
 
+def sigma_limits(loaded: LoadedCell) -> dict[int, float]:
+    """What each job allows a coordinate's sigma to be, mm, by its number."""
+    cell = loaded.cell
+    return {job.number: job.limits.max_sigma_mm for job in cell.jobs} if isinstance(cell, CellFiles) else {}
+
+
 def config_summary(loaded: LoadedCell) -> dict[str, Any]:
     """What `edged/<cell>/config` answers; asterisks say that there is a password's hash, and no more."""
     return {

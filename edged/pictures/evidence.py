@@ -71,9 +71,11 @@ class Residuals:
     share: FloatArray
 
 
-def features_of(measured: Measured) -> list[Feature]:
-    """All outlines of a part, as they are reported. A circle's begins at the part's x and goes to its y."""
-    target = measured.target
+def outlines_of(target: Target) -> list[tuple[str, FloatArray, bool]]:
+    """Name, outline (N, 3) in the rig frame, and whether it is closed, of all that was measured of a part.
+
+    A circle's begins at the part's x and goes to its y.
+    """
     axes = target.rig_from_part[:3, :3].T
     outlines = [
         (circle.name, circle_outline(circle.centre_mm, circle.radius_mm, axes), True)
@@ -90,14 +92,19 @@ def features_of(measured: Measured) -> list[Feature]:
     outlines += [
         (edge.name, np.linspace(edge.start_mm, edge.end_mm, OUTLINE_POINTS), False) for edge in target.edges
     ]
+    return outlines
+
+
+def features_of(measured: Measured) -> list[Feature]:
+    """All outlines of a part, as they are reported, with the edges that they stand on."""
     seen = {
         fit.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1])) for fit in measured.fits
     }
-    reference = reference_name(target)
+    reference = reference_name(measured.target)
     nothing = (np.zeros((0, 2)),) * 2, (np.zeros(0),) * 2
     return [
         Feature(name, outline, closed, name == reference, *seen.get(name, nothing))
-        for name, outline, closed in outlines
+        for name, outline, closed in outlines_of(measured.target)
     ]
 
 

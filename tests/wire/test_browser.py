@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from browser import Browser, browser
 from cells import flange, frame_pair
@@ -41,13 +42,16 @@ def fill(web: WebPublisher) -> None:
 
 
 def on_the_page(
-    test: Callable[[Browser, WebPublisher], Awaitable[None]], width: int = 1400, height: int = 900
+    test: Callable[[Browser, WebPublisher], Awaitable[None]],
+    width: int = 1400,
+    height: int = 900,
+    limit_mm: float = 0.2,
 ) -> None:
     """Run a test on a filled page; nothing may be refused by its own security policy, or fail unseen."""
 
     async def bounded() -> None:
         rectification = make_rectification(flange().rig)
-        asked = replace(sources(), rectification=lambda: rectification)
+        asked = replace(sources(), rectification=lambda: rectification, limits=lambda: {1: limit_mm})
         web = WebPublisher("cell", WebSettings(port=0), asked)
         await web.start()
         try:
@@ -124,6 +128,31 @@ def test_a_fault_opens_with_its_reason_and_its_count() -> None:
         await page.until('document.querySelector("#viewed").textContent.includes("cycle 12")')
 
     on_the_page(test)
+
+
+def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
+    """As long as the sigma, each part by its share of the variance; what is beyond the limit is said."""
+    target = make_target()
+    x, y, z = 1e3 * np.sqrt(np.diag(target.covariance)[:3])
+    known = replace(target, by_edges=0.36 * target.covariance)
+
+    async def test(page: Browser, web: WebPublisher) -> None:
+        assert await page.value('document.querySelector("#budget").hidden')
+        web.announce(make_snapshot(12, Status.OK, (known,)))
+        await page.until('document.querySelectorAll("#budget .bars svg").length === 3')
+        told = f"Z: {z:.1f} µm, beyond the limit: edges {0.6 * z:.1f}, calibration {0.8 * z:.1f}, "
+        assert f"{told}registration 0.0, doubt 0.0" == await page.value(
+            'document.querySelectorAll("#budget .bars svg")[2].getAttribute("aria-label")'
+        )
+        widths = await page.value(
+            '[...document.querySelectorAll("#budget .bars rect")].map((one) => +one.getAttribute("width"))'
+        )
+        edges, calibration = widths[8:10]
+        assert edges / calibration == pytest.approx(0.36 / 0.64)
+        assert (edges + calibration) / sum(widths[:4]) == pytest.approx(z / x)
+        assert "more views of the board" in await page.value('document.querySelector("#budget").textContent')
+
+    on_the_page(test, limit_mm=(y + z) / 2e3)
 
 
 @pytest.mark.parametrize("width", [390, 768, 1400])

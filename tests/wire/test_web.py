@@ -27,7 +27,8 @@ from snapshots import make_snapshot, make_target, make_transform
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
 from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import read_assets
-from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, outlines, picture
+from edged.adapters.web.marks import outlines
+from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, picture
 from edged.adapters.web.server import FREE
 from edged.domain.cell import Calibrated, CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import ExposureDone, Snapshot
@@ -259,13 +260,14 @@ def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: p
 
 
 def test_marks_lie_on_the_parts_edge() -> None:
-    """A circle of the rig, projected by the camera models and rectified, is the drawn outline."""
-    target = make_target()
+    """A circle of the rig, projected by the camera models and rectified, is the drawn outline; so are a slot
+    and an edge, by their ends."""
+    target = replace(make_target(), rig_from_part=make_transform((0.0, 0.0, 0.0), (10.0, 20.0, 200.0)))
     circle = target.circles[0]
     marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}
     width, height = RECTIFICATION.size
     for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):
-        drawn = np.array(marks[side]["circles"][0]) * [width, height] - 0.5
+        drawn, slot, edge = (np.array(one) * [width, height] - 0.5 for one in marks[side]["features"])
         raw = RECTIFICATION.raw_points(side, drawn)
         from_rig = np.eye(4) if side == "left" else RECTIFICATION.rig.right_from_left
         rays = np.column_stack([camera.normalise(raw), np.ones(len(raw))]) @ from_rig[:3, :3]
@@ -273,6 +275,32 @@ def test_marks_lie_on_the_parts_edge() -> None:
         depth = ((circle.centre_mm - eye) @ circle.normal) / (rays @ circle.normal)
         radius = np.linalg.norm(eye + depth[:, None] * rays - circle.centre_mm, axis=1)
         assert np.allclose(radius, circle.radius_mm, atol=0.01), side
+        assert np.array_equal(slot[0], slot[-1])
+        for line, ends in (
+            (edge, [target.edges[0].start_mm, target.edges[0].end_mm]),
+            (slot[[np.argmin(slot[:, 0]), np.argmax(slot[:, 0])]], [(5.5, 1.0, 200.0), (14.5, 1.0, 200.0)]),
+        ):
+            seen = camera.project(np.array(ends) @ from_rig[:3, :3].T + from_rig[:3, 3])
+            assert np.abs(RECTIFICATION.raw_points(side, line) - seen).max() < 0.3, side
+
+
+def test_the_page_says_where_a_sigma_comes_from() -> None:
+    """Of the first good part, mm and degrees, with the job's limit; squares add up to the published sigma."""
+    page = Page("cell", replace(sources(), limits=lambda: {1: 0.2}))
+    assert page.status()["budget"] is None
+    target = make_target()
+    bad = make_target(Reject.SIGMA_LIMIT)
+    known = replace(target, by_edges=0.25 * target.covariance)
+    page.take(make_snapshot(1, Status.OK, (bad, known)))
+    budget = page.status()["budget"]
+    assert (0.2, False, "rig") == (budget["limit_mm"], budget["free"], budget["frame"])
+    sigma = np.sqrt(np.diag(target.covariance))
+    np.testing.assert_allclose(budget["sigma"]["mm"], sigma[:3])
+    np.testing.assert_allclose(budget["terms"]["edges"]["deg"], 0.5 * np.degrees(sigma[3:]))
+    np.testing.assert_allclose(budget["terms"]["calibration"]["mm"], math.sqrt(0.75) * sigma[:3])
+    assert [0.0, 0.0, 0.0] == budget["terms"]["doubt"]["mm"]
+    page.take(make_snapshot(2, Status.OK, (target,)))
+    assert page.status()["budget"] is None
 
 
 def test_the_tool_is_drawn_where_it_takes_the_part() -> None:

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 
-from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.adapters.web.marks import budget, outlines
+from edged.domain.arrays import SIDES, Side
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import CommandKind, Event, ExposureDone, Snapshot
 from edged.domain.frames import FramePair
@@ -45,7 +46,6 @@ WIDTH_PX = 960
 """Of the pictures that are sent."""
 THUMBNAIL_PX = 200
 QUALITY = 82
-OUTLINE_POINTS = 72
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,8 @@ class Sources:
     rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
     shown.  registers : each with its value; empty without a Modbus server.
     metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
-    overview : for who sets the cell up.  fingerprint : of what the cell runs by.
+    overview : for who sets the cell up.  fingerprint : of what the cell runs by.  limits : of the sigma of
+    each job's coordinates, mm, by its number.
     """
 
     rectification: Callable[[], Rectification]
@@ -96,6 +97,7 @@ class Sources:
     convention: Callable[[], Convention]
     overview: Callable[[], Overview] = Overview
     fingerprint: Callable[[], str] = str
+    limits: Callable[[], Mapping[int, float]] = dict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +201,7 @@ class Page:
             "result": None if last is None else snapshot_to_json(last.snapshot),
             "why": [] if last is None else _why(last.snapshot),
             "angles": None if last is None else self._angles(last.snapshot),
+            "budget": None if last is None else self._budget(last.snapshot),
             "picture": None if last is None or last.pair is None else self._picture(last),
             "pictured_ns": self._pictured_ns,
             "facts": {group: dict(values) for group, values in self._sources.facts().items()},
@@ -222,6 +225,14 @@ class Page:
             "convention": convention.name.lower(),
             "of": [_angles(target, snapshot, convention) for target in ordered],
         }
+
+    def _budget(self, snapshot: Snapshot) -> Json | None:
+        """Where the sigma of the first target comes from, good ones first; None where that is not known."""
+        target = min(snapshot.targets, key=lambda one: bool(one.reject), default=None)
+        if target is None:
+            return None
+        limit_mm = self._sources.limits().get(snapshot.job_number)
+        return budget(target, snapshot.robot_from_rig, snapshot.registration_covariance, limit_mm)
 
     def history(self, after: int = 0) -> list[Json]:
         """The trends from the cycle that follows `after`, oldest first."""
@@ -280,47 +291,6 @@ class Page:
             for target in shown.snapshot.targets
         ]
         return {"cycle": shown.snapshot.cycle, "width": width, "height": height, "marks": marks}
-
-
-def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
-    """The measured circles (lists of x, y), the axes and the tool of a target in one rectified image, 0 to 1.
-
-    tool : from where it comes, its tip, and along its x axis; empty without a grasp.
-    """
-    centres, normals = (
-        np.array([getattr(circle, name) for circle in target.circles]).reshape(-1, 3)
-        for name in ("centre_mm", "normal")
-    )
-    radii = np.array([circle.radius_mm for circle in target.circles]).reshape(-1, 1)
-    # two directions of each circle's plane; its normal is nowhere near the y axis, or nothing would be seen
-    across = np.column_stack([-normals[:, 2], np.zeros(len(normals)), normals[:, 0]])
-    across *= radii / np.linalg.norm(across, axis=1, keepdims=True)
-    along = np.cross(normals, across)
-    phase = np.linspace(0.0, 2 * np.pi, OUTLINE_POINTS)[:, None]
-    rims = centres[:, None] + np.cos(phase) * across[:, None] + np.sin(phase) * along[:, None]
-    size = radii.max(initial=0.0) or 5.0
-    pose = target.rig_from_part
-    ends = np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, 0], pose[:3, 3] + size * pose[:3, 1]])
-    tool = np.empty((0, 3))
-    if (grasp := target.grasp) is not None:
-        tip = grasp.rig_from_tcp
-        tool = np.stack([grasp.rig_from_approach[:3, 3], tip[:3, 3], tip[:3, 3] + 0.5 * size * tip[:3, 0]])
-    return {
-        "tool": _seen(tool, rectification, side).tolist(),
-        "circles": _seen(rims, rectification, side).tolist(),
-        "axes": _seen(ends, rectification, side).tolist(),
-    }
-
-
-def _seen(points_mm: FloatArray, rectification: Rectification, side: Side) -> FloatArray:
-    """Points (..., 3) of the rig in a rectified image, (..., 2)."""
-    rectified = points_mm @ rectification.rectified_from_left.T
-    centre = rectification.centre_left_px
-    if side == "right":
-        rectified = rectified - [rectification.baseline_mm, 0.0, 0.0]
-        centre = rectification.centre_right_px
-    pixels = rectification.focal_px * rectified[..., :2] / rectified[..., 2:] + centre
-    return np.asarray(((pixels + 0.5) / rectification.size).round(4))
 
 
 def picture(pair: FramePair, rectification: Rectification, side: Side, width_px: int | None = None) -> bytes:

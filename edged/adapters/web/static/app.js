@@ -207,7 +207,7 @@ for (const side of ["left", "right"]) $(side).parentElement.addEventListener("cl
 function marks(mark, side, { width, height }) {
   const group = drawing("g", { fill: "none", "stroke-width": width / 500, stroke: mark.good ? "#2fe37a" : "#ff8f3a" });
   const place = ([x, y]) => `${(x * width).toFixed(1)},${(y * height).toFixed(1)}`;
-  for (const circle of mark[side].circles) group.append(drawing("polyline", { points: circle.map(place).join(" ") }));
+  for (const line of mark[side].features) group.append(drawing("polyline", { points: line.map(place).join(" ") }));
   const [origin, x, y] = mark[side].axes.map(place);
   for (const [name, end, at, colour] of [["x", x, mark[side].axes[1], "#ff5d52"], ["y", y, mark[side].axes[2], "#4fb3ff"]]) {
     group.append(drawing("polyline", { points: `${origin} ${end}`, stroke: colour }));
@@ -274,6 +274,72 @@ function row(tag, cells) {
   const line = element("tr");
   cells.forEach((text, i) => line.append(element(tag, i && tag === "td" ? { class: "number" } : {}, text)));
   return line;
+}
+
+// --- where the sigma comes from ---
+
+const TERMS = {
+  edges: ["edges", "#4c8fd6", "smaller with ", "light and focus", "/setup#/light"],
+  calibration: ["calibration", "#c9821c", "smaller with ", "more views of the board", "/setup#/calibrate"],
+  registration: ["registration", "#7d62c7", "smaller with ", "more touches, or poses", "/setup#/robot"],
+  doubt: ["doubt", "#d0453a", "", "what contradicts the rig", "#contradiction"],
+};
+const FREE_DEG = 60;
+
+function showBudget({ budget, result, state }) {
+  const place = $("budget");
+  place.hidden = !budget || !result || Boolean(state && state.error);
+  if (place.hidden) return place.replaceChildren();
+  const parts = [element("h3", {}, "Where the sigma comes from", element("span", { class: "muted" }, ` ${budget.frame}'s frame`)), bars(budget), shares(budget, "mm", "X Y Z", "µm", 1000)];
+  const limit = budget.limit_mm;
+  if (limit) parts.push(element("p", { class: "muted" }, `The job allows ${fixed(1000 * limit, 0)} µm for each of X, Y, Z, without the registration.`));
+  if (budget.terms.doubt.mm.some((value) => value > 0))
+    parts.push(element("p", { id: "contradiction", class: "doubt" }, "Doubt: the rows of both pictures do not meet, or all sizes are wrong alike. A camera was knocked, the part moved between both exposures, or it is another part."));
+  const before = place.querySelector("details");
+  const turned = element("details", before && before.open ? { open: "" } : {}, element("summary", {}, "the same of the rotation"), shares(budget, "deg", "about X,about Y,about Z", "°", 1));
+  place.replaceChildren(...parts, turned);
+}
+
+// a part of a bar is as long as its share of the variance: the whole is the sigma
+function bars({ sigma, terms, limit_mm: limit }) {
+  const most = Math.max(...sigma.mm);
+  const near = limit && limit < 5 * most;
+  const whole = 1.05 * Math.max(most, near ? limit : 0);
+  const list = element("div", { class: "bars" });
+  ["X", "Y", "Z"].forEach((axis, i) => {
+    const told = Object.keys(TERMS).map((name) => `${name} ${fixed(1000 * terms[name].mm[i], 1)}`).join(", ");
+    const over = limit && sigma.mm[i] > limit ? ", beyond the limit" : "";
+    const view = drawing("svg", { viewBox: "0 0 100 10", preserveAspectRatio: "none", role: "img", "aria-label": `${axis}: ${fixed(1000 * sigma.mm[i], 1)} µm${over}: ${told}` });
+    let x = 0;
+    for (const [name, [, colour]] of Object.entries(TERMS)) {
+      const width = sigma.mm[i] > 0 ? (100 * terms[name].mm[i] ** 2) / sigma.mm[i] / whole : 0;
+      view.append(drawing("rect", { x, y: 1, width, height: 8, fill: colour }));
+      x += width;
+    }
+    if (near) view.append(drawing("path", { d: `M${(100 * limit) / whole} 0V10`, class: "limit" }));
+    list.append(element("span", {}, axis), view, element("b", {}, `${fixed(1000 * sigma.mm[i], 1)} µm`));
+  });
+  if (limit && !near) list.append(element("span", {}), element("span", { class: "muted" }, `the limit is ${fixed(limit / most, 0)} times as long`), element("span", {}));
+  return list;
+}
+
+function shares({ terms, free }, unit, axes, name, factor) {
+  const may = document.querySelector('header a[href="/setup"]');
+  const digits = unit === "mm" ? 1 : 4;
+  const table = element("table", { class: "shares" }, element("thead", {}, row("th", [`1 σ, ${name}`, ...axes.split(unit === "mm" ? " " : ",")])));
+  const body = element("tbody");
+  for (const [key, [title, colour, how, remedy, link]] of Object.entries(TERMS)) {
+    const values = terms[key][unit];
+    const line = row("td", ["", ...values.map((value) => (unit === "deg" && free && value > FREE_DEG ? "free" : fixed(factor * value, digits)))]);
+    const swatch = drawing("svg", { viewBox: "0 0 1 1", class: "swatch", "aria-hidden": "true" });
+    swatch.append(drawing("rect", { width: 1, height: 1, fill: colour }));
+    line.firstChild.append(swatch, title);
+    const matters = unit === "mm" && values.some((value) => value > 0);
+    if (matters) line.firstChild.append(element("span", { class: "remedy" }, how, may || link[0] === "#" ? element("a", { href: link }, remedy) : remedy));
+    body.append(line);
+  }
+  table.append(body);
+  return table;
 }
 
 // --- trends ---
@@ -383,6 +449,7 @@ function show(status) {
   showHead(status);
   showPictures(status);
   showResult(status);
+  showBudget(status);
   showTrends();
   showFacts(status.facts);
   showFaults(status.faults);
