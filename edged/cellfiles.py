@@ -49,10 +49,11 @@ class CellFiles:
 class UnfinishedCell:
     """A cell without a rig, or without any job: it runs in SETUP. Otherwise as `CellFiles`.
 
-    lacks : what it needs first. missing : a line for each that is not there.
+    rig : None where there is none. lacks : what it needs first. missing : a line for each that is not there.
     """
 
     config: Config
+    rig: StereoRig | None
     fingerprint: str
     contents: Mapping[str, bytes]
     lacks: SetupSource
@@ -93,7 +94,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     if chosen is not None:
         contents[chosencameras.NAME] = chosen
     if lacking and not (others or wrong_rig or wrong_jobs):
-        return UnfinishedCell(config, identity, contents, lacking[0], tuple(problems))
+        return UnfinishedCell(config, rig, identity, contents, lacking[0], tuple(problems))
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)

@@ -125,11 +125,12 @@ def overview(running: Running) -> Overview:
     from edged.adapters.web import Overview, RigFigures
 
     loaded, drift, rig = running.loaded, running.cycle.drift, None
-    if loaded.rig is not None:
-        on_flange = loaded.setup.flange_from_rig is not None
-        registered = loaded.setup.robot_from_rig is not None
+    calibrated = loaded.cell.rig
+    if calibrated is not None:
+        on_flange = calibrated.flange_from_rig is not None
+        registered = calibrated.robot_from_rig is not None
         rig = RigFigures(
-            loaded.setup.calibration_id,
+            calibrated.calibration_id,
             "on_flange" if on_flange else "yes" if registered else "no",
             drift.verdict.name.lower(),
             drift.rows_px,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections import ChainMap
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
@@ -40,11 +39,8 @@ if TYPE_CHECKING:
 
 def _calibration_id(running: Running) -> str:
     """Of the rig that is there, also while the cell lacks jobs to measure by; or ""."""
-    loaded = running.loaded
-    if loaded.rig is not None:
-        return loaded.setup.calibration_id
-    rig = loaded.cell.contents.get("rig.json")
-    return "" if rig is None else str(json.loads(rig)["calibration_id"])
+    rig = running.loaded.cell.rig
+    return "" if rig is None else rig.calibration_id
 
 
 def _rig_in_use(running: Running) -> RigInUse | None:

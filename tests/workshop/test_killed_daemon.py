@@ -1,0 +1,142 @@
+"""kill -9 of a daemon that is being set up, step by step: the next one has all that was answered."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from smallcell import free_port
+
+from edged.commands.stage import USER
+from edged.files.rig import load_rig
+
+BOARD = "chessboard:11x8:4"
+
+
+class Stage:
+    """A browser's session with one daemon."""
+
+    def __init__(self, process: asyncio.subprocess.Process, session: aiohttp.ClientSession) -> None:
+        self.process, self.session = process, session
+        self.token: dict[str, str] = {}
+
+    async def ask(self, method: str, path: str, document: Any = None) -> Any:
+        """The answer, as the page gets it."""
+        headers = {"Origin": str(self.session._base_url).rstrip("/")}  # noqa: SLF001  (what a browser sends)
+        async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
+            body = await answer.json() if answer.content_type.endswith("json") else None
+            assert answer.status < 300, body
+            return body
+
+    async def until(self, path: str, holds: Callable[[Any], object]) -> Any:
+        """The first answer of which something holds."""
+        while True:
+            document = await self.ask("GET", path)
+            if holds(document):
+                return document
+            await asyncio.sleep(0.05)
+
+    async def take(self) -> None:
+        """The cell, whoever had it before."""
+        self.token = await self.ask("POST", "setup", {"take_over": True})
+
+    async def view(self, place: str) -> Any:
+        """Hold the board where the draft wants it, at first in the middle, and take a pair."""
+        draft = await self.until(
+            place, lambda one: not one["views"] or (one["suggestion"] and not one["guiding"])
+        )
+        ghost = draft["suggestion"] if draft["views"] else {"left": [], "right": []}
+        wanted = {side: ghost[side] for side in ("left", "right") if ghost[side]}
+        await self.ask("PUT", "stage/hand", wanted)
+        await self.until("stage", lambda one: not one["moving"])
+        return await self.ask("POST", f"{place}/views", self.token)
+
+
+@asynccontextmanager
+async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stage]:
+    """The daemon, which is killed at the end. ports : web, Modbus, Zenoh."""
+    given = [f"--{name}-port={port}" for name, port in zip(("web", "modbus", "zenoh"), ports, strict=True)]
+    command = ["-m", "edged", "demo", "--stage", "--in-process", "--folder", str(folder), *given]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL
+    )
+    try:
+        assert process.stdout is not None
+        while (said := re.search(r"password (\S+)", (await process.stdout.readline()).decode())) is None:
+            pass
+        origin, form = f"http://127.0.0.1:{ports[0]}", {"name": USER, "password": said[1]}
+        async with aiohttp.ClientSession(origin, cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+            while True:
+                with contextlib.suppress(aiohttp.ClientConnectorError):
+                    async with session.post("/login", data=form, allow_redirects=False) as answer:
+                        assert 303 == answer.status
+                        break
+                await asyncio.sleep(0.05)
+            yield Stage(process, session)
+    finally:
+        process.kill()
+        await process.wait()
+
+
+@pytest.mark.slow
+def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
+    """While views are taken, while it is solved, after it was activated; SETUP ends for a person alone."""
+    kept: dict[str, Any] = {}
+
+    async def taking(cell: Stage) -> None:
+        await cell.take()
+        await cell.ask("PUT", "stage", {"showing": "board", "still": True})
+        draft = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"})
+        kept["place"] = f"calibrations/{draft['id']}"
+        for _ in range(3):
+            kept["draft"] = await cell.view(kept["place"])
+
+    async def solving(cell: Stage) -> None:
+        draft = await cell.ask("GET", kept["place"])
+        for name in ("revision", "boards", "views"):
+            of_views = [[view["name"], view["used"]] for view in draft["views"]]
+            assert [[view["name"], view["used"]] for view in kept["draft"]["views"]] == of_views
+            assert name == "views" or kept["draft"][name] == draft[name]
+        now = await cell.ask("GET", "cell")
+        assert ("SETUP", True) == (now["state"], now["setup"]["unattended"])
+        await cell.take()
+        await cell.ask("PUT", "stage", {"showing": "board", "still": True})
+        for _ in range(4):
+            await cell.view(kept["place"])
+        task = (await cell.ask("POST", f"{kept['place']}/solve", {}))["task"]
+        await cell.until(f"tasks/{task}", lambda one: one["text"] != "waits for its turn")
+
+    async def activating(cell: Stage) -> None:
+        draft = await cell.ask("GET", kept["place"])
+        assert (None, None, 7) == (draft["solved"], draft["task"], len(draft["views"]))
+        assert not (tmp_path / "cell" / "rig.json").exists()
+        await cell.take()
+        task = (await cell.ask("POST", f"{kept['place']}/solve", {}))["task"]
+        ended = await cell.until(f"tasks/{task}", lambda one: one["state"] != "running")
+        assert ("done", None) == (ended["state"], ended["problem"])
+        kept["release"] = await cell.ask("POST", f"{kept['place']}/activate", {**cell.token, "note": "first"})
+
+    async def running(cell: Stage) -> None:
+        now = await cell.ask("GET", "cell")
+        assert (kept["release"]["rig"], ["jobs"]) == (now["rig"]["id"], now["missing"])
+        assert kept["release"]["rig"] == load_rig(tmp_path / "cell" / "rig.json").calibration_id
+        listed = (await cell.ask("GET", "releases"))["releases"]
+        assert [(1, True)] == [(one["number"], one["active"]) for one in listed]
+        assert (await cell.ask("GET", kept["place"]))["active"]
+        assert None is (await cell.ask("GET", "audit?most=1"))["problem"]
+
+    async def test() -> None:
+        ports = free_port(), free_port(), free_port()
+        for one in (taking, solving, activating, running):
+            async with asyncio.timeout(120), stage(tmp_path / "cell", ports) as cell:
+                await one(cell)
+
+    asyncio.run(test())
