@@ -27,6 +27,7 @@ from edged.files.statefolder import state_folder
 from edged.logs import fields
 from edged.loop.loaded import Setup
 from edged.ports import Publisher
+from edged.session.jobuse import JobUse
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 
@@ -99,7 +100,8 @@ class Daemon:
         )
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
-        self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, *observers)
+        self._job_use = JobUse()
+        self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
         self._notices = Notices()
         self._live = LivePictures(self._cycle, self._notices)
         self._cameras_room = CamerasRoom(
@@ -225,7 +227,13 @@ class Daemon:
 
         if self._workshop is None:
             self._workshop = Workshop(
-                self._path, self._cycle, lambda: self._running, self._notices, self._live, self._read_again
+                self._path,
+                self._cycle,
+                lambda: self._running,
+                self._notices,
+                self._live,
+                self._read_again,
+                self._job_use,
             )
         return (CameraRoutes(self._cameras_room).add_to, *self._workshop.rooms(), *self._more_rooms)
 

@@ -8,14 +8,18 @@ from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edged.adapters.modbus import ModbusPublisher
 from edged.app.status import Running
 from edged.capture.tasks import cancel_and_await
 from edged.cellfiles import CellFiles
 from edged.commissioning.shelf import Shelf
 from edged.cycle import Cycle
+from edged.domain.events import Command, CommandKind
 from edged.domain.frames import FramePair
+from edged.errors import SetupRefused
 from edged.files.statefolder import state_folder
 from edged.robot.orientations import Convention
+from edged.session.jobuse import JobUse
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
@@ -25,6 +29,7 @@ from edged.workshop.calibrations import Calibrations
 from edged.workshop.candidates import Candidates
 from edged.workshop.checks import Checks, RigInUse
 from edged.workshop.cycles import Cycles
+from edged.workshop.jobs import Jobs
 from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
 from edged.workshop.regressions import Active, Regressions
@@ -88,9 +93,11 @@ class Workshop:
         notices: Notices,
         live: LivePictures,
         reload: Callable[[], Awaitable[str]],
+        job_use: JobUse,
     ) -> None:
         self._cycle = cycle
         self._running = running
+        self._used = 0  # commands of the page
         folder = state_folder(config)
         # while the cell measures, one processor is left to it alone
         rooms = calibrations, cycles, registrations, regressions, teachings, trials
@@ -158,6 +165,9 @@ class Workshop:
             self.teachings.job,
             lambda: _settings(running()),
         )
+        self._jobs = Jobs(
+            folder / "retired.json", shelf, self._activation, lambda: _jobs_in_use(running()), job_use
+        )
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)
 
@@ -166,6 +176,7 @@ class Workshop:
         from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
         from edged.workshop.checkroutes import CheckRoutes
         from edged.workshop.cycleroutes import CycleRoutes
+        from edged.workshop.jobroutes import JobRoutes
         from edged.workshop.registrationroutes import RegistrationRoutes
         from edged.workshop.regressionroutes import RegressionRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
@@ -180,6 +191,7 @@ class Workshop:
             RegistrationRoutes(self._registrations, self._activation).add_to,
             TeachingRoutes(self.teachings, self._activation).add_to,
             TrialRoutes(self._trials).add_to,
+            JobRoutes(self._jobs, self._activation, self._use_job).add_to,
             RegressionRoutes(self._regressions, self._candidates).add_to,
         ]
 
@@ -189,6 +201,14 @@ class Workshop:
             self._trials.offer(number, pair)
         else:
             self._calibrations.offer(number, pair)
+
+    def _use_job(self, number: int) -> None:
+        """Change the job as a PLC would, where none does. Raises `SetupRefused`, `CommandRefused`."""
+        modbus = self._running().servers.get("modbus")
+        if isinstance(modbus, ModbusPublisher) and modbus.owner:
+            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
+        self._used += 1
+        self._cycle.submit(Command(CommandKind.CHANGE_JOB, "page", self._used, job=number))
 
     def _cell_now(self) -> CellNow:
         loaded = self._running().loaded

@@ -164,10 +164,15 @@ class TeachingDrafts:
         return draft
 
 
+def keeps_pair(folder: Path) -> bool:
+    """Whether a job keeps what it was taught by."""
+    return (folder / TAUGHT / _CONTENT).is_file()
+
+
 def kept_pair(folder: Path) -> tuple[tuple[Image, Image], Content]:
     """What a job was taught by. Raises `TeachError` where it does not keep that, `FileFormatError`."""
     place = folder / TAUGHT
-    if not (place / _CONTENT).is_file():
+    if not keeps_pair(folder):
         raise TeachError(
             f"{folder.name} does not keep the pair it was taught from: teach it from a fresh one"
         )

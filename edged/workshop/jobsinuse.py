@@ -19,12 +19,13 @@ REPLACED = ".old"
 
 @dataclass(frozen=True, slots=True)
 class JobLine:
-    """A job of the cell. folder : its name.  digest : SHA-256 of its text."""
+    """A job of the cell. folder : its name.  digest : SHA-256 of its text.  features : how many."""
 
     folder: str
     name: str
     number: int
     digest: str
+    features: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,4 +105,6 @@ def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:
 @lru_cache(maxsize=256)
 def _line(folder: str, content: bytes) -> JobLine:
     text = tomllib.loads(content.decode("utf-8-sig"))
-    return JobLine(folder, str(text["name"]), int(text["number"]), hashlib.sha256(content).hexdigest())
+    features = sum(len(text.get(kind, ())) for kind in ("circle", "slot", "edge", "corner"))
+    digest = hashlib.sha256(content).hexdigest()
+    return JobLine(folder, str(text["name"]), int(text["number"]), digest, features)

@@ -1,0 +1,62 @@
+"""Which job is active, and how often each was of use: for who looks after the jobs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from edged.domain.cell import CellState
+from edged.domain.events import Event, JobChanged, Snapshot
+from edged.domain.measurement import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """Of a job since the daemon started. last_ns : UTC, when it measured last; 0: not yet."""
+
+    cycles: int = 0
+    good: int = 0
+    last_ns: int = 0
+
+    @property
+    def good_share(self) -> float | None:
+        """None before the first cycle."""
+        return self.good / self.cycles if self.cycles else None
+
+
+class JobUse:
+    """A publisher that publishes nothing. By number: a job that is taught again goes on."""
+
+    def __init__(self) -> None:
+        self._uses: dict[int, Use] = {}
+        self._active = 0
+
+    @property
+    def active(self) -> int:
+        """Number of the active job; 0: there is none."""
+        return self._active
+
+    def of(self, number: int) -> Use:
+        """Of the job with a number."""
+        return self._uses.get(number, Use())
+
+    async def start(self) -> None:
+        """Nothing to open."""
+
+    def announce(self, event: Event) -> None:
+        """Count; cycles of a fault of the cameras say nothing of a job."""
+        match event:
+            case CellState():
+                self._active = event.job_number
+            case JobChanged():
+                self._active = event.number
+            case Snapshot() if event.status is not Status.CAPTURE_FAULT:
+                use = self.of(event.job_number)
+                self._uses[event.job_number] = replace(
+                    use,
+                    cycles=use.cycles + 1,
+                    good=use.good + (event.status is Status.OK),
+                    last_ns=event.published_ns,
+                )
+
+    async def close(self) -> None:
+        """Nothing to close."""
