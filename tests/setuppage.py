@@ -47,6 +47,14 @@ async def take(page: Browser) -> None:
     await page.until('document.querySelector(".lease.mine")')
 
 
+async def take_over(page: Browser) -> None:
+    """The cell, from the session that asks beside the page."""
+    await press(page, "Take over")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await page.until('document.querySelector(".lease.mine")')
+
+
 async def go(page: Browser, step: str) -> None:
     """To a step, by its link."""
     await page.value(f"""location.hash = "#/{step}" """)

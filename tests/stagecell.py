@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -71,33 +72,36 @@ def run(folder: Path, test: Callable[[Newcomer], Awaitable[None]], *, gige: bool
     """A test beside a running stage, bounded. gige : cameras on the network, not inside the process."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(60):
-            await staged()
-
-    async def staged() -> None:
-        ports = free_port(), free_port(), free_port()
-        with VirtualWorld(gige=gige, staged=True) as world:
-            assert world.stage is not None
-            path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
-            routes = StageRoutes(world.stage)
-            loaded = load_any_cell(path)
-            daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
-            running = asyncio.create_task(daemon.run())
-            try:
-                jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-                base = f"http://127.0.0.1:{ports[0]}"
-                async with aiohttp.ClientSession(base, cookie_jar=jar) as session:
-                    newcomer = Newcomer(world, session, ports[0], daemon)
-                    while True:
-                        try:
-                            await newcomer.take()
-                            break
-                        except aiohttp.ClientConnectorError:
-                            assert not running.done()
-                            await asyncio.sleep(0.02)
-                    await test(newcomer)
-            finally:
-                daemon.stop()
-                await running
+        async with asyncio.timeout(60), staged(folder, gige=gige) as newcomer:
+            await test(newcomer)
 
     asyncio.run(bounded())
+
+
+@asynccontextmanager
+async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
+    """A running stage, and a session that has logged in and taken the cell."""
+    ports = free_port(), free_port(), free_port()
+    with VirtualWorld(gige=gige, staged=True) as world:
+        assert world.stage is not None
+        path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
+        routes = StageRoutes(world.stage)
+        loaded = load_any_cell(path)
+        daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
+        running = asyncio.create_task(daemon.run())
+        try:
+            jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
+            base = f"http://127.0.0.1:{ports[0]}"
+            async with aiohttp.ClientSession(base, cookie_jar=jar) as session:
+                newcomer = Newcomer(world, session, ports[0], daemon)
+                while True:
+                    try:
+                        await newcomer.take()
+                        break
+                    except aiohttp.ClientConnectorError:
+                        assert not running.done()
+                        await asyncio.sleep(0.02)
+                yield newcomer
+        finally:
+            daemon.stop()
+            await running

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from browser import Browser, browser
-from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from browser import browser
+from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
 from stagecell import PASSWORD, Newcomer, run
 
 from edged.commands.stage import USER
@@ -27,14 +27,6 @@ GHOST = 'document.querySelector(".ghost polygon")'
 
 GAUGES = '[...document.querySelectorAll(".gauge")].map((one) => one.getAttribute("class"))'
 CHECK_STEP = """document.querySelector('a[href="#/check"] .state').textContent.trim()"""
-
-
-async def take_over(page: Browser) -> None:
-    """The cell, from the session that asks beside the page."""
-    await press(page, "Take over")
-    await page.until('document.querySelector("dialog[open]")')
-    await page.click("dialog[open] .primary")
-    await page.until('document.querySelector(".lease.mine")')
 
 
 def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ skip = Zum Inhalt
 nav = Seiten
 nav-run = Betrieb
 nav-setup = Einrichten
+nav-jobs = Aufträge
 nav-system = System
 nav-manual = Handbuch
 language = Sprache
@@ -143,3 +144,9 @@ stage-wave-right = Vor der rechten Kamera winken
 stage-ring-left = Ring des linken Objektivs
 stage-ring-right = Ring des rechten Objektivs
 stage-ring = { $turn } einer Vierteldrehung
+
+## Ein Bild, das man genau ansieht
+zoom = Vergrößerung
+zoom-in = Näher
+zoom-out = Weiter weg
+zoom-all = Alles

@@ -5,6 +5,7 @@ skip = To the content
 nav = Pages
 nav-run = Run
 nav-setup = Set up
+nav-jobs = Jobs
 nav-system = System
 nav-manual = Manual
 language = Language
@@ -143,3 +144,9 @@ stage-wave-right = Wave before the right camera
 stage-ring-left = Ring of the left lens
 stage-ring-right = Ring of the right lens
 stage-ring = { $turn } of a quarter turn
+
+## A picture that is looked at closely
+zoom = Zoom
+zoom-in = Closer
+zoom-out = Further away
+zoom-all = All

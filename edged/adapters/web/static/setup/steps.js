@@ -39,13 +39,16 @@ export const STEPS = [
   { id: "light", load: () => import("./pages/light.js"), needs: ["cameras"], state: ofLight },
   { id: "calibrate", load: () => import("./pages/calibrate.js"), needs: ["calibrations"], state: ofRig },
   { id: "check", load: () => import("./pages/check.js"), needs: ["checks"], state: ofCheck },
-  { id: "teach", state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
-  { id: "try", state: () => "none" },
+  { id: "teach", load: () => import("./pages/teach.js"), needs: ["teachings"], state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
+  { id: "try", load: () => import("./pages/try.js"), needs: ["trials"], state: () => "none" },
   { id: "robot", load: () => import("./pages/robot.js"), needs: ["registrations"], state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
 // Not steps: what runs, and what ran before; in the head of every page.
-export const BESIDE = [{ id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" }];
+export const BESIDE = [
+  { id: "jobs", load: () => import("./pages/jobs.js"), needs: ["jobs"], state: () => "none" },
+  { id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" },
+];
 export const PAGES = [...STEPS, ...BESIDE];
 export const isBuilt = ({ load, needs }) => load && (!needs || needs.some(offers));
 export const next = computed(() => (cell.value ? STEPS.filter(isBuilt).find(({ id, state }) => id !== "welcome" && state() !== "tick") : undefined));

@@ -7,6 +7,9 @@ import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
 import { Dialog, NumberField, say, Shape } from "../pieces.js";
 import { has, number, t } from "../texts.js";
+import { styled } from "./styles.js";
+
+await styled("calibrate");
 
 const GOAL_UM = 5;
 const FEW = 3; // views give no calibration yet, whatever they are

@@ -6,6 +6,9 @@ import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { say, Shape } from "../pieces.js";
 import { has, number, t } from "../texts.js";
+import { styled } from "./styles.js";
+
+await styled("cameras");
 
 // The cell looks itself: it compares whole pictures, and exchanges the cameras where they are swapped.
 function Wave() {

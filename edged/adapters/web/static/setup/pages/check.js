@@ -6,6 +6,9 @@ import { cell, checked, holds, lookAtCheck, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
 import { NumberField, say, Shape } from "../pieces.js";
 import { moment, number, sign as signed, t } from "../texts.js";
+import { styled } from "./styles.js";
+
+await styled("check");
 
 const SHAPES = { OK: "tick", NOT_OK: "gap", UNDECIDED: "doubt" };
 const inWords = (verdict) => t(`checked-${verdict.toLowerCase().replace("_", "-")}`);

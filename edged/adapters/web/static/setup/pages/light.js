@@ -6,6 +6,33 @@ import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { NumberField, Shape, Slider } from "../pieces.js";
 import { number, t } from "../texts.js";
+import { styled } from "./styles.js";
+
+await styled("light");
+
+const READ_PX = 480;
+const CLIPPED = 252; // JPEG: what was 255 comes back as 252 and more
+const DARK = 12; // as the cell counts it
+const STRIPE_PX = 5;
+
+// Stripes where nothing can be measured: clipped leaning right, too dark leaning left, so that no colour is needed.
+function stripe(bitmap, canvas) {
+  const width = Math.min(READ_PX, bitmap.width);
+  const height = Math.round((bitmap.height * width) / bitmap.width);
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(bitmap, 0, 0, width, height);
+  const image = context.getImageData(0, 0, width, height);
+  const pixels = new Uint32Array(image.data.buffer);
+  for (let y = 0, i = 0; y < height; y++)
+    for (let x = 0; x < width; x++, i++) {
+      const grey = pixels[i] & 255;
+      if (grey >= CLIPPED) pixels[i] = (x + y) % (2 * STRIPE_PX) < STRIPE_PX ? 0xff1a1aff : 0xff000000;
+      else if (grey <= DARK) pixels[i] = (x - y + 10 * READ_PX) % (2 * STRIPE_PX) < 2 ? 0xffff9a3c : 0;
+      else pixels[i] = 0;
+    }
+  context.putImageData(image, 0, 0);
+}
 
 const SETTINGS = [
   { name: "exposure_us", unit: "µs", digits: 0, isLogarithmic: true },
@@ -115,7 +142,7 @@ export default function Light() {
     <p class="lead">${t("light-what")}</p>
     <p class="legend"><span class="stripes-clipped"></span> ${t("legend-clipped")} <span class="stripes-dark"></span> ${t("legend-dark")}</p>
     <${Pair}
-      isStriped=${true}
+      stripe=${stripe}
       over=${fields}
       below=${(side) => html`<${Settings} side=${side} /> <${Quality} side=${side} />`}
     />

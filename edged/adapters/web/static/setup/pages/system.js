@@ -5,6 +5,9 @@ import { holds, look, mayTake, offers, token } from "../live.js";
 import { People } from "./people.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { moment, t } from "../texts.js";
+import { styled } from "./styles.js";
+
+await styled("system");
 
 const releases = signal(null);
 const find = () =>

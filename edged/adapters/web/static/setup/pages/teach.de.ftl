@@ -1,0 +1,167 @@
+# Texte der Seite, die einen Auftrag einlernt.
+
+teach-title = Einlernen
+teach-what = Zeigen Sie das Teil einmal beiden Kameras. edged schlägt vor, woran es misst, und sagt bei jedem Tippen, wie genau die Koordinaten damit werden.
+teach-no-rig = Es gibt noch keine Kalibrierung: ohne sie hat kein Bild Millimeter.
+
+## Wie man beginnt
+teach-begin = Ein neues Teil
+teach-begin-what = Legen Sie das Teil hin, wo es gemessen wird, mit nichts anderem darum herum.
+teach-take = Bildpaar aufnehmen
+teach-taking = Einen Augenblick …
+teach-take-cell = Nehmen Sie die Zelle, um ein Paar aufzunehmen: ihre Kameras werden gebraucht.
+teach-begun = Zuvor begonnen
+teach-go-on = Weiter damit
+teach-go-on-with = Weiter mit { $name }
+teach-known = Aufträge dieser Zelle
+teach-known-what = Ändern Sie einen auf dem Paar, mit dem er eingelernt wurde, oder lernen Sie ihn neu ein. Er bleibt, wie er ist, bis Sie den neuen benutzen.
+teach-edit = Ändern
+teach-edit-job = { $name } ändern
+teach-again = Neu einlernen
+teach-again-job = Neu einlernen: { $name }, aus einem frischen Paar
+
+## Der Entwurf
+teach-undo = Rückgängig
+teach-redo = Wiederholen
+teach-undone = Rückgängig gemacht.
+teach-redone = Wiederholt.
+teach-other = Anderes Teil
+teach-discard = Verwerfen
+teach-discard-title = { $name } verwerfen?
+teach-discard-what = Das Paar und alles, was darauf gewählt wurde, ist dann weg. Ein Auftrag in Gebrauch bleibt.
+teach-changes = ändert { $job }
+teach-proposing = Sucht, was sich messen lässt …
+teach-trouble = Daraus wird noch nichts gelernt:
+
+## Was es taugt
+teach-predicted = Zu erwarten bei diesem Teil, wo es jetzt liegt
+teach-predicted-later = Tippen Sie im linken Bild auf das Teil.
+teach-predicted-none = Mit dem, was jetzt genommen ist, lässt sich keine Lage sagen: nehmen Sie mindestens einen Kreis, ein Langloch oder zwei Kanten.
+teach-free = unbekannt: nicht zu unterscheiden
+teach-better = war ± { $before }
+teach-worse = war ± { $before }
+teach-no-rivals = Keine andere Drehung sieht so aus.
+teach-rival = Um { $angle }° gedreht sieht es sich selbst zu { $percent } % ähnlich: nehmen Sie ein Merkmal, das sich dort unterscheidet, sonst kann die Drehung falsch sein.
+teach-far-rival = Um { $angle }° gedreht sieht es sich selbst zu { $percent } % ähnlich: das wird unterschieden.
+
+## Die Bilder
+teach-tools = Was ein Tippen ins linke Bild tut
+teach-choose = Merkmale nehmen und lassen
+teach-now-choose = Tippen Sie auf einen Umriss oder mitten in ein Loch: durchgezogen mit Haken ist genommen, gestrichelt gelassen.
+teach-now-reference = Tippen Sie auf den Punkt, dessen Koordinaten ausgegeben werden: edged nimmt die Mitte dessen, was dort ist.
+teach-now-gripping = Tippen Sie, wo der Greifer fassen soll.
+teach-picture-left = Linkes Bild. Pfeile bewegen ein Kreuz, Enter tippt dort, Plus und Minus vergrößern, 0 zeigt alles.
+teach-picture-right = Rechtes Bild, derselbe Ausschnitt
+teach-look = Ansehen
+teach-look-at = { $key } ansehen
+teach-place-reference = Bezug
+teach-place-gripping = Griff
+teach-place-reference-said = Der Bezugspunkt ist gesetzt.
+teach-place-gripping-said = Der Greifpunkt ist gesetzt.
+
+## Wo das Teil ist
+teach-part = Wo das Teil ist
+teach-tool-tap = Tippen
+teach-tool-rectangle = Rechteck
+teach-tool-circle = Kreis
+teach-tool-polygon = Vieleck
+teach-tool-brush = Radieren
+teach-tool-tap-what = Tippen Sie auf das Teil: der Bereich wächst bis zu seinem Umriss.
+teach-tool-rectangle-what = Ziehen Sie von Ecke zu Ecke, oder tippen Sie beide an.
+teach-tool-circle-what = Ziehen Sie von der Mitte zum Rand, oder tippen Sie beide an.
+teach-tool-polygon-what = Tippen Sie Ecke um Ecke; die erste noch einmal schließt es.
+teach-tool-brush-what = Übermalen Sie, was nicht das Teil ist, etwa einen Schatten oder ein Etikett.
+teach-cut = Ausschneiden
+teach-place = Eines in die Mitte setzen
+teach-close = Schließen
+teach-no-region = Noch nichts: gelernt würde das ganze Bild.
+teach-adds = { $kind } { $shape }
+teach-cuts = { $kind } { $shape }, ausgeschnitten
+teach-remove = Entfernen
+teach-remove-shape = Form { $shape } entfernen
+teach-shape-rectangle = Rechteck
+teach-shape-circle = Kreis
+teach-shape-polygon = Umriss
+teach-shape-brush = Radierter Strich
+teach-handle = { $kind } { $shape }, Punkt { $point }: { $x }, { $y } px. Pfeile bewegen ihn.
+
+## Merkmale
+teach-features = Merkmale: { $taken } von { $count } genommen
+teach-features-what = Gemessen wird an dem, was genommen ist. Lassen Sie, was unscharf ist oder sich am Teil bewegt.
+teach-no-features = Sie kommen, wenn die Zelle weiß, wo das Teil ist.
+teach-take-all = Alle nehmen
+teach-taken-said = { $key } ist genommen.
+teach-left-said = { $key } ist gelassen.
+teach-kind-circle = Kreis
+teach-kind-slot = Langloch
+teach-kind-edge = Kante
+teach-kind-corner = Ecke
+teach-kind-curve = Kurve
+teach-size-diameter = Ø { $mm } mm
+teach-size-length = { $mm } mm lang
+teach-size-width = { $mm } mm breit
+teach-why-not-seen = in diesem Paar nicht zu sehen
+teach-why-left-out = von Hand weggelassen
+teach-warnings = Sehen Sie sich das an
+teach-warning-cut = Der Umriss ist abgeschnitten.
+teach-warning-round = Es ist rund: seine Drehung lässt sich nicht sagen.
+teach-warning-symmetric = Gedreht ist es nicht zu unterscheiden.
+teach-warning-confusable = Gedreht sieht es sehr ähnlich aus.
+teach-warning-weak = Wenig Kontrast: mehr Licht, oder von der Seite.
+teach-warning-few-points = Wenige Kanten: ein größerer oder schärferer Ausschnitt hülfe.
+teach-warning-few-levels = Klein im Bild: nähere Kameras hülfen.
+teach-warning-lopsided = Eine Richtung ist viel schlechter bekannt als die andere.
+teach-warning-not-found = Es wurde im eigenen Bild nicht wiedergefunden.
+
+## Punkte und Maße
+teach-reference = Bezugspunkt
+teach-reference-what = Der Punkt, dessen Koordinaten SPS und Roboter bekommen. Vorgeschlagen: der am besten bekannte.
+teach-reference-tap = Im Bild antippen
+teach-reference-feature = oder die Mitte von
+teach-gripping = Greifpunkt
+teach-gripping-what = Wo der Greifer fasst, wenn das woanders ist: vom Bezugspunkt aus, entlang der Achsen des Teils.
+teach-gripping-tap = Antippen
+teach-gripping-type = Eintippen
+teach-gripping-none = Kein anderer Ort
+teach-sizes = Maße, die beurteilt werden
+teach-sizes-what = An jedem Teil gemessen. Außerhalb von Sollmaß ± Toleranz ist das Teil nicht gut.
+teach-size-of = Von
+teach-size-to = Bis
+teach-size-kind = Was
+teach-size-witness = Das Maß, mit dem jedes Teil die Kalibrierung überwacht: immer gemessen.
+teach-size-alone = – (das eigene Maß)
+teach-size-add = Dieses Maß hinzufügen
+teach-size-good = innerhalb
+teach-size-bad = außerhalb
+teach-size-remove = Das Maß { $name } entfernen
+teach-nominal = Sollmaß
+teach-tolerance = Toleranz ±
+teach-measure-radius = Radius
+teach-measure-distance = Abstand
+teach-measure-angle = Winkel
+teach-measure-width = Breite
+teach-measure-length = Länge
+teach-measure-height = Höhe
+teach-measure-flatness = Ebenheit
+
+## Seine Freigabe
+teach-job = Der Auftrag
+teach-name = Name
+teach-name-wrong = Buchstaben, Ziffern, „_“, „.“ oder „-“, am Anfang ein Buchstabe oder eine Ziffer
+teach-number = Nummer an der SPS
+teach-activate = Diesen Auftrag benutzen
+teach-try = Erst ausprobieren
+teach-activate-title = { $name } benutzen?
+teach-activate-what = Er wird eine eigene Freigabe. Was auch schiefgeht, die alten bleiben; zurück geht es mit einem Schritt in der Liste der Freigaben.
+teach-note = Warum (für alle, die es später ansehen)
+teach-activated = { $name } ist in Gebrauch, als Freigabe { $number }.
+teach-sign-title = Aufgezeichnete gute Teile würden durchfallen
+teach-sign-count =
+    { $count ->
+        [one] Ein aufgezeichnetes Teil, das gut war, ist es mit diesem Auftrag nicht.
+       *[other] { $count } aufgezeichnete Teile, die gut waren, sind es mit diesem Auftrag nicht.
+    }
+teach-sign-some = Aufgezeichnete Teile, die gut waren, sind es mit diesem Auftrag nicht.
+teach-sign-what = Sehen Sie sie zuerst an. Wenn es so sein soll, sagen Sie warum: es steht mit Ihrem Namen im Protokoll.
+teach-sign-reason = Warum es trotzdem richtig ist
+teach-sign = Unterschreiben und benutzen

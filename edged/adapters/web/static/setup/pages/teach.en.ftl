@@ -1,0 +1,167 @@
+# Texts of the page that teaches a job.
+
+teach-title = Teach
+teach-what = Show the part once to both cameras. edged proposes what to measure by, and says at each tap how precise that makes the coordinates.
+teach-no-rig = There is no calibration yet: without one no picture has millimetres.
+
+## How one begins
+teach-begin = A new part
+teach-begin-what = Lay the part where it is to be measured, with nothing else around it.
+teach-take = Take the pair
+teach-taking = One moment …
+teach-take-cell = Take the cell to take a pair: its cameras are needed.
+teach-begun = Begun before
+teach-go-on = Go on
+teach-go-on-with = Go on with { $name }
+teach-known = Jobs of this cell
+teach-known-what = Change one on the pair that it was taught with, or teach it again. It stays as it is until you use the new one.
+teach-edit = Change
+teach-edit-job = Change { $name }
+teach-again = Teach again
+teach-again-job = Teach again: { $name }, from a fresh pair
+
+## The draft
+teach-undo = Undo
+teach-redo = Redo
+teach-undone = Undone.
+teach-redone = Done again.
+teach-other = Another part
+teach-discard = Discard
+teach-discard-title = Discard { $name }?
+teach-discard-what = The pair and all that was chosen on it are gone. A job that is in use stays.
+teach-changes = changes { $job }
+teach-proposing = Looking for what can be measured …
+teach-trouble = This teaches nothing yet:
+
+## What it is worth
+teach-predicted = Expected of this part, where it lies now
+teach-predicted-later = Tap the part in the left picture.
+teach-predicted-none = With what is taken now, no position can be told: take one circle, slot or two edges at least.
+teach-free = not known: cannot be told apart
+teach-better = was ± { $before }
+teach-worse = was ± { $before }
+teach-no-rivals = No other rotation looks like it.
+teach-rival = Turned by { $angle }° it looks { $percent } % like itself: take a feature that differs there, or its rotation may be wrong.
+teach-far-rival = Turned by { $angle }° it looks { $percent } % like itself: told apart.
+
+## The pictures
+teach-tools = What a tap in the left picture does
+teach-choose = Take and leave features
+teach-now-choose = Tap an outline, or the middle of a hole: solid and ticked is taken, dashed is left.
+teach-now-reference = Tap the point whose coordinates are published: edged takes the middle of what is there.
+teach-now-gripping = Tap where the gripper is to hold.
+teach-picture-left = Left picture. Arrows move a cross, Enter taps there, plus and minus zoom, 0 shows all.
+teach-picture-right = Right picture, the same part of it
+teach-look = Look
+teach-look-at = Look at { $key }
+teach-place-reference = reference
+teach-place-gripping = grip
+teach-place-reference-said = The reference is set.
+teach-place-gripping-said = The gripping point is set.
+
+## Where the part is
+teach-part = Where the part is
+teach-tool-tap = Tap
+teach-tool-rectangle = Rectangle
+teach-tool-circle = Circle
+teach-tool-polygon = Polygon
+teach-tool-brush = Erase
+teach-tool-tap-what = Tap the part: the region grows to its outline.
+teach-tool-rectangle-what = Drag from corner to corner, or tap both.
+teach-tool-circle-what = Drag from the middle to the rim, or tap both.
+teach-tool-polygon-what = Tap corner after corner; the first one again closes it.
+teach-tool-brush-what = Paint over what is not the part, such as a shadow or a label.
+teach-cut = Cut out
+teach-place = Put one in the middle
+teach-close = Close it
+teach-no-region = Nothing yet: the whole picture would be learnt.
+teach-adds = { $kind } { $shape }
+teach-cuts = { $kind } { $shape }, cut out
+teach-remove = Remove
+teach-remove-shape = Remove shape { $shape }
+teach-shape-rectangle = Rectangle
+teach-shape-circle = Circle
+teach-shape-polygon = Outline
+teach-shape-brush = Erased stroke
+teach-handle = { $kind } { $shape }, point { $point }: { $x }, { $y } px. Arrows move it.
+
+## Features
+teach-features = Features: { $taken } of { $count } taken
+teach-features-what = edged measures by what is taken. Leave what is blurred, or moves in the part.
+teach-no-features = They come when the cell knows where the part is.
+teach-take-all = Take all
+teach-taken-said = { $key } is taken.
+teach-left-said = { $key } is left.
+teach-kind-circle = circle
+teach-kind-slot = slot
+teach-kind-edge = edge
+teach-kind-corner = corner
+teach-kind-curve = curve
+teach-size-diameter = Ø { $mm } mm
+teach-size-length = { $mm } mm long
+teach-size-width = { $mm } mm wide
+teach-why-not-seen = not seen in this pair
+teach-why-left-out = left out by a person
+teach-warnings = Look at this
+teach-warning-cut = The outline is cut off.
+teach-warning-round = It is round: its rotation cannot be told.
+teach-warning-symmetric = Turned, it cannot be told apart.
+teach-warning-confusable = Turned, it looks much alike.
+teach-warning-weak = Little contrast: more light, or from the side.
+teach-warning-few-points = Few edges: a larger or a sharper part of it would help.
+teach-warning-few-levels = Small in the picture: closer cameras would help.
+teach-warning-lopsided = One direction is known much worse than the other.
+teach-warning-not-found = It was not found again in its own picture.
+
+## Points and sizes
+teach-reference = Reference
+teach-reference-what = The point whose coordinates the PLC and the robot get. Proposed: the best known one.
+teach-reference-tap = Tap it in the picture
+teach-reference-feature = or the middle of
+teach-gripping = Gripping point
+teach-gripping-what = Where the gripper holds, if that is another place: from the reference, along the part's own axes.
+teach-gripping-tap = Tap it
+teach-gripping-type = Type it
+teach-gripping-none = No other place
+teach-sizes = Sizes to judge
+teach-sizes-what = Measured on every part. Outside nominal ± tolerance the part is not good.
+teach-size-of = From
+teach-size-to = To
+teach-size-kind = What
+teach-size-witness = The size by which each part watches the calibration: always measured.
+teach-size-alone = – (its own size)
+teach-size-add = Add this size
+teach-size-good = within
+teach-size-bad = outside
+teach-size-remove = Remove the size { $name }
+teach-nominal = Nominal
+teach-tolerance = Tolerance ±
+teach-measure-radius = radius
+teach-measure-distance = distance
+teach-measure-angle = angle
+teach-measure-width = width
+teach-measure-length = length
+teach-measure-height = height
+teach-measure-flatness = flatness
+
+## Its release
+teach-job = The job
+teach-name = Name
+teach-name-wrong = Letters, digits, "_", "." or "-", beginning with a letter or digit
+teach-number = Number on the PLC
+teach-activate = Use this job
+teach-try = Try it first
+teach-activate-title = Use { $name }?
+teach-activate-what = It becomes a release of its own. Whatever fails, the old ones stay; the way back is one step in the list of releases.
+teach-note = Why (for whoever looks at it later)
+teach-activated = { $name } is in use, as release { $number }.
+teach-sign-title = Recorded good parts would fail
+teach-sign-count =
+    { $count ->
+        [one] One recorded part that was good is not good with this job.
+       *[other] { $count } recorded parts that were good are not good with this job.
+    }
+teach-sign-some = Recorded parts that were good are not good with this job.
+teach-sign-what = Look at them first. If that is as it should be, say why: it is kept in the audit with your name.
+teach-sign-reason = Why it is right nevertheless
+teach-sign = Sign and use it

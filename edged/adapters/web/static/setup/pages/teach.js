@@ -1,0 +1,248 @@
+// Teaching a job: a pair of the part, what of it is measured by, what that promises, and its release.
+import { html, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { cell, holds, look, mayTake, SIDES, sign, token } from "../live.js";
+import { Pair } from "./picture.js";
+import { Dialog, say, Shape } from "../pieces.js";
+import { styled } from "./styles.js";
+import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
+import { change, drafts, find, jobs, lit, open, see, teaching } from "./teaching.js";
+import { draws, Region, RegionTools, stroked, tapped, tool, TOOLS } from "./teachregion.js";
+import { Naming, Reference, Sizes } from "./teachsizes.js";
+import { box, lookAt, ZoomButtons, Zoomed } from "./zoom.js";
+import { moment, t } from "../texts.js";
+
+await styled("teach");
+const ROOM = 1.3; // of what is shown, to what was found
+
+// --- how one begins ---
+
+function Begin() {
+  const [isTaking, setTaking] = useState(false);
+  const begin = (body) =>
+    attempt(async () => {
+      sign();
+      setTaking(true);
+      try {
+        open(await ask("POST", "teachings", body));
+        tool.value = "tap";
+        box.value = null;
+      } finally {
+        setTaking(false);
+      }
+    });
+  const goOn = (id) => attempt(async () => open(await ask("GET", `teachings/${id}`)));
+  const begun = (drafts.value ?? []).filter(({ active }) => !active);
+  const known = (jobs.value ?? []).filter(({ retired }) => !retired);
+  const fresh = { token: token.value };
+  return html`<h1>${t("teach-title")}</h1>
+    <p class="lead">${t("teach-what")}</p>
+    <${Pair} />
+    <section aria-labelledby="teach-begin">
+      <h2 id="teach-begin">${t("teach-begin")}</h2>
+      <p>${t("teach-begin-what")}</p>
+      <div class="actions"><button type="button" class="primary big" disabled=${!holds.value || isTaking} onClick=${() => begin(fresh)}>${t(isTaking ? "teach-taking" : "teach-take")}</button></div>
+      ${!holds.value && html`<p class="hint">${t("teach-take-cell")}</p>`}
+    </section>
+    ${begun.length > 0 &&
+    html`<section aria-labelledby="teach-begun">
+      <h2 id="teach-begun">${t("teach-begun")}</h2>
+      <ul class="tiles">${begun.map(
+        ({ id, name, author, created }) =>
+          html`<li class="tile" key=${id}><h3 translate=${false}>${name}</h3><p class="muted" translate=${false}>${moment(created)} · ${author}</p>
+            <div class="actions"><button type="button" aria-label=${t("teach-go-on-with", { name })} onClick=${() => goOn(id)}>${t("teach-go-on")}</button></div></li>`,
+      )}</ul>
+    </section>`}
+    ${known.length > 0 &&
+    html`<section aria-labelledby="teach-known">
+      <h2 id="teach-known">${t("teach-known")}</h2>
+      <p class="hint">${t("teach-known-what")}</p>
+      <ul class="tiles">${known.map(
+        ({ name, number: count }) =>
+          html`<li class="tile" key=${name}><h3 translate=${false}>${count} ${name}</h3>
+            <div class="actions"><button type="button" disabled=${!mayTake.value || isTaking} aria-label=${t("teach-edit-job", { name })} onClick=${() => begin({ job: name })}>${t("teach-edit")}</button>
+              <button type="button" disabled=${!holds.value || isTaking} aria-label=${t("teach-again-job", { name })} onClick=${() => begin({ ...fresh, job: name })}>${t("teach-again")}</button></div></li>`,
+      )}</ul>
+    </section>`}`;
+}
+
+// --- the pictures ---
+
+const PLACES = { reference: ([x, y]) => ({ reference: { x, y } }), gripping: (at) => ({ gripping: { at } }) };
+async function tap(at, scale) {
+  if (!mayTake.value) return;
+  if (tool.value in PLACES) {
+    if (await change("PUT", "", PLACES[tool.value](at))) say(t(`teach-place-${tool.value}-said`));
+    tool.value = "choose";
+  } else if (tool.value === "choose") {
+    const feature = featureAt(at, scale);
+    if (feature) await toggle(feature);
+  } else tapped(at, scale);
+}
+const hover = (at, scale) => {
+  lit.value = at && tool.value === "choose" ? (featureAt(at, scale)?.key ?? null) : null;
+};
+
+// How much further left things are in the right picture, by what is in both: it then shows the same.
+function parallax({ reference, features }) {
+  if (reference?.left && reference?.right) return [reference.right[0] - reference.left[0], reference.right[1] - reference.left[1]];
+  const both = features.find(({ outline }) => outline.left.length && outline.right?.length)?.outline;
+  const middleOf = (line, i) => line.reduce((sum, at) => sum + at[i], 0) / line.length;
+  return both ? [0, 1].map((i) => middleOf(both.right, i) - middleOf(both.left, i)) : [0, 0];
+}
+
+function Pictures({ size }) {
+  const shift = parallax(teaching.value);
+  const over = (side) => (scale) => html`${side === "left" && html`<${Region} scale=${scale} isEdited=${TOOLS.includes(tool.value) && tool.value !== "tap"} />`}
+    <${Outlines} side=${side} /><${Features} side=${side} scale=${scale} /><${Places} side=${side} scale=${scale} />`;
+  return html`<div class="editor">
+    <div class="tools" role="group" aria-label=${t("teach-tools")}>
+      <button type="button" aria-pressed=${tool.value === "choose"} onClick=${() => (tool.value = "choose")}>${t("teach-choose")}</button>
+      <button type="button" aria-pressed=${TOOLS.includes(tool.value)} onClick=${() => (tool.value = "tap")}>${t("teach-part")}</button>
+      <${ZoomButtons} size=${size} />
+    </div>
+    ${TOOLS.includes(tool.value) ? html`<${RegionTools} size=${size} />` : html`<p class="hint">${t(`teach-now-${tool.value}`)}</p>`}
+    <div class="pair">${SIDES.map(
+      (side) => html`<div key=${side}><figure><figcaption>${t(side)}</figcaption>
+        <${Zoomed} side=${side} size=${size} src=${teaching.value.pictures[side]} label=${t(`teach-picture-${side}`)} shift=${shift} tool=${tool.value} draw=${over(side)}
+          onTap=${side === "left" ? tap : null} onStroke=${side === "left" && mayTake.value && draws() ? stroked : null} onHover=${side === "left" ? hover : null} /></figure>
+        ${side === "right" && html`<${FeatureList} size=${size} />`}</div>`,
+    )}</div>
+  </div>`;
+}
+
+function Trouble() {
+  const { proposing, trouble } = teaching.value;
+  useEffect(() => {
+    if (!proposing) return undefined;
+    // pushed as well; asked for where a message was missed
+    const timer = setInterval(async () => {
+      const fresh = await attempt(() => ask("GET", `teachings/${teaching.value.id}`));
+      if (fresh) see(fresh);
+    }, 2000);
+    return () => clearInterval(timer);
+  }, [proposing]);
+  if (proposing || !trouble) return null;
+  return html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("teach-trouble")} <span translate=${false} lang="en">${trouble.text}</span></p>`;
+}
+
+// --- its release ---
+
+function Activate() {
+  const [asked, setAsked] = useState(""); // "", note, sign
+  const [note, setNote] = useState("");
+  const [reason, setReason] = useState("");
+  const [worse, setWorse] = useState(null);
+  const [release, setRelease] = useState(null);
+  const { id, name, proposing, features, predicted } = teaching.value;
+  const activate = (signed) =>
+    attempt(async () => {
+      try {
+        const made = await ask("POST", `teachings/${id}/activate`, { ...(holds.value ? { token: token.value } : {}), note, ...(signed ? { signed } : {}) });
+        setAsked("");
+        setRelease(made);
+        say(t("teach-activated", { name, number: made.number }));
+        await look();
+      } catch (problem) {
+        if (problem.code !== "regression") throw problem;
+        setWorse(problem);
+        setAsked("sign");
+      }
+    });
+  const text = (id_, value, onValue) => html`<label class="field"><span>${t(id_)}</span><input value=${value} maxlength="200" onInput=${(event) => onValue(event.currentTarget.value)} /></label>`;
+  const isReady = features.some(({ taken }) => taken) && predicted && !proposing;
+  return html`<section aria-labelledby="teach-job">
+    <h2 id="teach-job">${t("teach-job")}</h2>
+    <${Naming} />
+    <div class="actions"><button type="button" class="primary big" disabled=${!isReady || !mayTake.value} onClick=${() => setAsked("note")}>${t("teach-activate")}</button>
+      <a class="button" href="#/try">${t("teach-try")}</a></div>
+    ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("teach-activated", { name, number: release.number })}</p>`}
+    <${Dialog} title=${t("teach-activate-title", { name })} isOpen=${asked === "note"} onClose=${() => setAsked("")}>
+      <p>${t("teach-activate-what")}</p>
+      ${text("teach-note", note, setNote)}
+      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${() => activate()}>${t("teach-activate")}</button></div>
+    <//>
+    <${Dialog} title=${t("teach-sign-title")} isOpen=${asked === "sign"} onClose=${() => setAsked("")}>
+      <p><${Shape} is="doubt" /> ${Number.isFinite(worse?.params?.good_to_bad) ? t("teach-sign-count", { count: worse.params.good_to_bad }) : t("teach-sign-some")}</p>
+      <p class="hint" translate=${false} lang="en">${worse?.detail}</p>
+      <p>${t("teach-sign-what")}</p>
+      ${text("teach-sign-reason", reason, setReason)}
+      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!reason.trim()} onClick=${() => activate(reason)}>${t("teach-sign")}</button></div>
+    <//>
+  </section>`;
+}
+
+// --- the whole ---
+
+const step = (way) => async () => (await change("POST", `/${way}`)) && say(t(way === "undo" ? "teach-undone" : "teach-redone"));
+function Bar() {
+  const [isAsked, setAsked] = useState(false);
+  const { name, job, can_undo, can_redo, author, created } = teaching.value;
+  const discard = async () => {
+    setAsked(false);
+    const { id } = teaching.value;
+    const gone = await attempt(async () => {
+      await ask("DELETE", `teachings/${id}`, {});
+      return true;
+    });
+    if (gone) shut();
+  };
+  useEffect(() => {
+    const key = (event) => {
+      if (!(event.ctrlKey || event.metaKey) || !/^[zy]$/i.test(event.key) || event.target.matches("input, textarea, select") || !mayTake.value) return;
+      event.preventDefault();
+      const isForth = event.shiftKey || /y/i.test(event.key);
+      if (isForth ? teaching.value.can_redo : teaching.value.can_undo) step(isForth ? "redo" : "undo")();
+    };
+    addEventListener("keydown", key);
+    return () => removeEventListener("keydown", key);
+  }, []);
+  return html`<div class="draft-bar">
+    <p><strong translate=${false}>${name}</strong> <span class="muted"><span translate=${false}>${moment(created)} · ${author}</span>${job && html` · ${t("teach-changes", { job })}`}</span></p>
+    <div class="actions">
+      <button type="button" disabled=${!can_undo || !mayTake.value} onClick=${step("undo")}>${t("teach-undo")}</button>
+      <button type="button" disabled=${!can_redo || !mayTake.value} onClick=${step("redo")}>${t("teach-redo")}</button>
+      <button type="button" onClick=${shut}>${t("teach-other")}</button>
+      <button type="button" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("teach-discard")}</button>
+    </div>
+    <${Dialog} title=${t("teach-discard-title", { name })} isOpen=${isAsked} onClose=${() => setAsked(false)}>
+      <p>${t("teach-discard-what")}</p>
+      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" onClick=${discard}>${t("teach-discard")}</button></div>
+    <//>
+  </div>`;
+}
+function shut() {
+  open(null);
+  attempt(find);
+}
+
+export default function Teach() {
+  useEffect(() => {
+    if (!teaching.value || teaching.value.active) attempt(find);
+  }, []);
+  const id = teaching.value?.id;
+  const isProposed = (teaching.value?.features.length ?? 0) > 0;
+  useEffect(() => {
+    if (!id) return;
+    tool.value = isProposed ? "choose" : "tap"; // what comes next, until somebody chooses otherwise
+    const { width, height, features } = teaching.value;
+    if (isProposed) lookAt({ width, height }, centre(around(features)), ROOM * extent(around(features)));
+  }, [id, isProposed]);
+  if (cell.value.missing.includes("rig"))
+    return html`<h1>${t("teach-title")}</h1><p class="lead">${t("teach-what")}</p>
+      <p><${Shape} is="gap" /> ${t("teach-no-rig")}</p>
+      <div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;
+  if (!teaching.value) return html`<${Begin} />`;
+  const size = { width: teaching.value.width, height: teaching.value.height };
+  return html`<h1>${t("teach-title")}</h1>
+    <${Bar} />
+    <${Predicted} />
+    <${Trouble} />
+    <${Pictures} size=${size} />
+    <div class="columns">
+      <${Warnings} size=${size} />
+      <${Reference} />
+      <${Sizes} />
+      <${Activate} />
+    </div>`;
+}

@@ -1,0 +1,56 @@
+// The draft of a job that is taught: what the cell keeps of it, and every change by way of the cell.
+import { effect, signal } from "../../vendor/ui.js";
+import { ask, attempt, Problem } from "../api.js";
+import { cell, offers, told } from "../live.js";
+
+const KEPT = "edged.teaching";
+export const teaching = signal(null);
+export const drafts = signal(null);
+export const jobs = signal(null);
+export const lit = signal(null); // the feature under mouse or focus, in pictures and list alike
+
+const pushed = told("teaching");
+effect(() => {
+  if (!pushed.value || pushed.value.id !== teaching.peek()?.id) return;
+  if (pushed.value.gone) open(null);
+  else see(pushed.value);
+});
+
+// What is newer than what is shown; answers and messages may come in any order.
+export function see(document) {
+  if (document.id === teaching.peek()?.id && document.revision >= teaching.peek().revision) teaching.value = document;
+}
+
+export function open(document) {
+  teaching.value = document;
+  lit.value = null;
+  if (document) localStorage.setItem(KEPT, document.id);
+  else localStorage.removeItem(KEPT);
+}
+
+// What there is to go on with; and the draft that was open here, unless it is in use by now.
+export async function find() {
+  [{ teachings: drafts.value }, { jobs: jobs.value }] = await Promise.all([ask("GET", "teachings"), offers("jobs") ? ask("GET", "jobs") : cell.value]);
+  const last = drafts.value.find(({ id, active }) => id === localStorage.getItem(KEPT) && !active);
+  if (last) open(await ask("GET", `teachings/${last.id}`));
+}
+
+// One change after the other, each to what the one before made: whoever taps quickly is not late by their own doing.
+let queue = Promise.resolve();
+export function change(method, path, body = {}) {
+  const done = queue.then(() => attempt(() => send(method, path, body)));
+  queue = done.catch(() => {});
+  return done;
+}
+
+async function send(method, path, body) {
+  const { id, revision } = teaching.value;
+  try {
+    see(await ask(method, `teachings/${id}${path}`, { ...body, revision }));
+    return true;
+  } catch (problem) {
+    if (problem.status !== 412) throw problem;
+    see(problem.params?.document ?? (await ask("GET", `teachings/${id}`)));
+    throw new Problem({ status: 412, code: "stale", detail: problem.detail });
+  }
+}

@@ -1,0 +1,49 @@
+// What is tried: the newest result of each live pair, and the map of what is to be expected.
+import { computed, signal } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { holds, told, token } from "../live.js";
+
+export const chosen = signal(""); // "job:NAME" or "teaching:ID"
+export const map = signal(null);
+export const mapTrouble = signal(null);
+const pushed = told("trial");
+const loaded = signal(null);
+const newest = computed(() => pushed.value ?? loaded.value);
+export const trial = computed(() => newest.value);
+export const isOn = computed(() => Boolean(newest.value?.on));
+
+const wish = () => {
+  const [kind, ...rest] = chosen.value.split(":");
+  return { [kind]: rest.join(":") };
+};
+
+export const look = () =>
+  attempt(async () => {
+    loaded.value = await ask("GET", "trials");
+    const { teaching, job } = loaded.value ?? {};
+    if (loaded.value?.on) chosen.value = teaching ? `teaching:${teaching}` : `job:${job}`;
+  });
+
+export const run = (on) =>
+  attempt(async () => {
+    const state = await ask("PUT", "trials", { token: token.value, ...(on ? wish() : {}), on });
+    if (state) loaded.value = state;
+    if (!on) pushed.value = null;
+  });
+
+// What is not looked at is not tried: the page is left, the cell has better to do.
+export const rest = () => isOn.value && holds.value && run(false);
+
+export async function findMap() {
+  map.value = null;
+  mapTrouble.value = null;
+  const asked = chosen.value;
+  if (!asked) return;
+  const query = new URLSearchParams(wish()).toString();
+  try {
+    const found = await ask("GET", `trials/map?${query}`);
+    if (asked === chosen.value) map.value = found;
+  } catch (problem) {
+    if (asked === chosen.value) mapTrouble.value = problem;
+  }
+}

@@ -1,0 +1,174 @@
+// Trying a job: live, while the part is pushed around; where it will be how precise; and whether sigma is honest.
+import { html, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { cell, holds, rawSize, sign, task, token } from "../live.js";
+import { say, Shape } from "../pieces.js";
+import { has, number, t } from "../texts.js";
+import { Pair } from "./picture.js";
+import { styled } from "./styles.js";
+import { chosen, findMap, isOn, look, rest, run, trial } from "./trial.js";
+import { SigmaMap } from "./trymap.js";
+
+await styled("try");
+
+const AXES = ["x", "y", "z"];
+const TURNS = ["a", "b", "c"];
+const LONGEST_SHARE = 0.025; // of the picture's width: a whisker of one pixel in twenty may be longer
+const STEPS = [1, 2, 5];
+
+const line = (outline) => `M${outline.map(([x, y]) => `${x} ${y}`).join("L")}`;
+
+// The factor of 1, 2, 5, 10 ... by which 19 of 20 residuals stay short enough to be drawn.
+function magnified(targets, width) {
+  const all = targets.flatMap(({ residuals }) => ["left", "right"].flatMap((side) => (residuals?.[side] ?? []).map(([, , dx, dy]) => Math.hypot(dx, dy)))).sort((one, other) => one - other);
+  if (!all.length) return null;
+  const most = Math.max((LONGEST_SHARE * width) / Math.max(all[Math.floor(0.95 * (all.length - 1))], 1e-3), 1);
+  const decade = 10 ** Math.floor(Math.log10(most));
+  return Math.max(...STEPS.map((one) => one * decade).filter((one) => one <= most));
+}
+
+// Over one live picture: outlines, what is missing dashed, residuals as whiskers, and a scale for them.
+function over(side) {
+  const targets = isOn.value ? (trial.value?.targets ?? []) : [];
+  const { width, height } = rawSize(side);
+  const factor = magnified(targets, width);
+  const px = width / 640;
+  return html`<g class="tried" style=${{ "--px": px }}>
+    ${targets.map(
+      (target, i) => html`<g key=${i} class=${target.status === "OK" ? "good" : "bad"}>
+        ${(target.missing?.[side] ?? []).map((one, n) => html`<path key=${n} class="missing" d=${line(one)} />`)}
+        ${(target.outlines?.[side] ?? []).map((one, n) => html`<g key=${n}><path class="rim" d=${line(one)} /><path class="line" d=${line(one)} /></g>`)}
+        ${factor && html`<path class="whiskers" d=${(target.residuals?.[side] ?? []).map(([x, y, dx, dy]) => `M${x} ${y}l${dx * factor} ${dy * factor}`).join("")} />`}
+        ${target[side] && html`<path class="centre" d="M${target[side][0] - 8 * px} ${target[side][1]}h${16 * px}M${target[side][0]} ${target[side][1] - 8 * px}v${16 * px}" />`}
+      </g>`,
+    )}
+    ${factor && html`<g class="scale"><path d="M${20 * px} ${height - 20 * px}h${0.1 * factor}M${20 * px} ${height - 24 * px}v${8 * px}M${20 * px + 0.1 * factor} ${height - 24 * px}v${8 * px}" /><text x=${26 * px + 0.1 * factor} y=${height - 15 * px} translate=${false}>${number(0.1, 1)} px ×${factor}</text></g>`}
+  </g>`;
+}
+
+const inWords = (id, otherwise) => (has(id) ? t(id) : otherwise);
+const dashed = (code) => String(code).toLowerCase().replaceAll("_", "-");
+
+function Verdict() {
+  if (!isOn.value) return html`<p class="big figure"><${Shape} is="none" /> ${t("try-off")}</p>`;
+  if (!trial.value?.status) return html`<p class="big figure" role="status"><${Shape} is="busy" /> ${t("try-coming")}</p>`;
+  const { status, words_code: code, targets = [] } = trial.value;
+  const isGood = status === "OK";
+  const reasons = [...new Set([...(code && !isGood ? [code] : []), ...targets.flatMap(({ reasons: list = [] }) => list)])];
+  return html`<div class="big figure" role="status">
+    <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${inWords(`try-status-${dashed(status)}`, status)}</strong></p>
+    ${reasons.map((one) => html`<p key=${one} class="small">${inWords(`try-why-${dashed(one)}`, one)}</p>`)}
+  </div>`;
+}
+
+function Pose({ target: { pose, sigma_um, sigma_deg } }) {
+  if (!pose) return null;
+  const row = (name, value, digits, unit, sigma, sigmaDigits, sigmaUnit) =>
+    html`<tr key=${name}><th scope="row" translate=${false}>${name.toUpperCase()}</th><td translate=${false}>${number(value, digits)} ${unit}</td><td translate=${false}>${Number.isFinite(sigma) ? `± ${number(sigma, sigmaDigits)} ${sigmaUnit}` : "–"}</td></tr>`;
+  return html`<table class="pose"><caption class="unseen">${t("try-pose")}</caption>
+    <tbody>${AXES.map((axis) => row(axis, pose[`${axis}_mm`], 3, "mm", sigma_um?.[axis], sigma_um?.[axis] < 9.95 ? 1 : 0, "µm"))}
+    ${TURNS.map((turn) => row(turn, pose[`${turn}_deg`], 3, "°", sigma_deg?.[turn], 3, "°"))}</tbody></table>`;
+}
+
+// --- hold still ---
+
+const STILL = 30;
+function Still() {
+  const [id, setId] = useState(null);
+  const [result, setResult] = useState(null);
+  const [failed, setFailed] = useState(null);
+  const state = id && task.value?.id === id ? task.value : null;
+  const begin = () =>
+    attempt(async () => {
+      sign();
+      setResult(null);
+      setFailed(null);
+      setId((await ask("POST", "trials/still", { token: token.value, pictures: STILL })).task);
+    });
+  useEffect(() => {
+    if (!id) return undefined;
+    // pushed as well; asked for where a message was missed
+    const timer = setInterval(async () => {
+      const told = await attempt(() => ask("GET", `tasks/${id}`));
+      if (told) task.value = told;
+    }, 1000);
+    return () => clearInterval(timer);
+  }, [id]);
+  useEffect(() => {
+    if (!state || state.state === "running") return;
+    setId(null);
+    if (state.state !== "done") return setFailed(state);
+    setResult(state.result);
+    say(sentenceOf(state.result));
+  }, [state?.state]);
+  return html`<section aria-labelledby="try-still">
+    <h2 id="try-still">${t("try-still")}</h2>
+    <p class="hint">${t("try-still-what")}</p>
+    <div class="actions"><button type="button" disabled=${!holds.value || !isOn.value || Boolean(id)} onClick=${begin}>${t("try-still-start", { count: STILL })}</button></div>
+    ${id && html`<div role="status"><label class="meter"><span>${t("try-still-running")}</span><progress max="1" value=${state?.done ?? undefined}></progress></label></div>`}
+    ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("try-still-failed")} <span translate=${false} lang="en">${failed.problem?.detail ?? failed.problem ?? ""}</span></p>`}
+    ${result && html`<${StillResult} ...${result} />`}
+  </section>`;
+}
+
+const sentenceOf = ({ verdict, chi2, expected = [0.7, 1.3], n }) => t(`try-verdict-${dashed(verdict)}`, { chi2: number(chi2, 2), low: number(expected[0], 1), high: number(expected[1], 1), count: n });
+
+function StillResult(result) {
+  const { scatter_um, edges_um, verdict } = result;
+  return html`<p class="verdict" role="status"><${Shape} is=${verdict === "honest" ? "tick" : "doubt"} /> ${sentenceOf(result)}</p>
+    <table class="pose"><thead><tr><th scope="col"><span class="unseen">${t("try-axis")}</span></th><th scope="col">${t("try-scatter")}</th><th scope="col">${t("try-edges")}</th></tr></thead>
+      <tbody>${AXES.map((axis) => html`<tr key=${axis}><th scope="row" translate=${false}>${axis.toUpperCase()}</th>${[scatter_um, edges_um].map((one) => html`<td translate=${false}>${number(one[axis], 2)} µm</td>`)}</tr>`)}</tbody></table>`;
+}
+
+// --- what is tried ---
+
+function Choice() {
+  const [drafts, setDrafts] = useState([]);
+  useEffect(() => {
+    attempt(async () => setDrafts((await ask("GET", "teachings")).teachings.filter(({ active }) => !active)));
+  }, []);
+  const options = [...drafts.map(({ id, name }) => [`teaching:${id}`, name, true]), ...cell.value.jobs.map(({ name, number: count }) => [`job:${name}`, `${count} ${name}`, false])];
+  const first = drafts.find(({ id }) => id === localStorage.getItem("edged.teaching"))?.id;
+  useEffect(() => {
+    if (!options.some(([key]) => key === chosen.value)) chosen.value = first ? `teaching:${first}` : (options[0]?.[0] ?? "");
+  }, [options.length]);
+  const choose = async ({ currentTarget }) => {
+    const wasOn = isOn.value;
+    chosen.value = currentTarget.value;
+    if (wasOn) await run(true);
+  };
+  if (!options.length) return html`<p><${Shape} is="gap" /> ${t("try-nothing")}</p><div class="actions"><a class="button primary" href="#/teach">${t("step-teach")}</a></div>`;
+  return html`<div class="row choice-row">
+    <label class="field"><span>${t("try-which")}</span><select name="which" onChange=${choose}>
+      ${[true, false].map((isDraft) => {
+        const group = options.filter(([, , one]) => one === isDraft);
+        return group.length > 0 && html`<optgroup key=${isDraft} label=${t(isDraft ? "try-drafts" : "try-jobs")}>${group.map(([key, name]) => html`<option key=${key} value=${key} translate=${false} selected=${key === chosen.value}>${name}</option>`)}</optgroup>`;
+      })}
+    </select></label>
+    <button type="button" class=${isOn.value ? "" : "primary"} aria-pressed=${isOn.value} disabled=${!holds.value || !chosen.value} onClick=${() => run(!isOn.value)}>${t(isOn.value ? "try-stop" : "try-start")}</button>
+  </div>
+  ${!holds.value && html`<p class="hint">${t("try-take")}</p>`}`;
+}
+
+export default function Try() {
+  useEffect(() => {
+    look();
+    return rest;
+  }, []);
+  useEffect(() => {
+    findMap();
+  }, [chosen.value]);
+  if (cell.value.missing.includes("rig"))
+    return html`<h1>${t("try-title")}</h1><p><${Shape} is="gap" /> ${t("try-no-rig")}</p><div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;
+  const targets = isOn.value ? (trial.value?.targets ?? []) : [];
+  return html`<h1>${t("try-title")}</h1>
+    <p class="lead">${t("try-what")}</p>
+    <${Choice} />
+    <${Verdict} />
+    <${Pair} over=${over} />
+    <div class="try-columns">
+      ${targets.length > 0 && html`<section aria-labelledby="try-measured"><h2 id="try-measured">${t("try-measured")}</h2>${targets.map((target, i) => html`<${Pose} key=${i} target=${target} />`)}<p class="hint">${t("try-whiskers")}</p></section>`}
+      <${Still} />
+      ${chosen.value && html`<${SigmaMap} />`}
+    </div>`;
+}

@@ -1,0 +1,284 @@
+"""A job is taught on the page, by taps and by keys, on a stage whose part is known exactly."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import shutil
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from browser import Browser, browser
+from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from stagecell import PASSWORD, Newcomer, staged
+
+from edged.commands.stage import USER
+from edged.files.rig import save_rig
+from edged.sim.cell import demo_rig
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+
+DIAMETERS_MM = [28.0, 8.0, 3.2, 3.2, 3.2, 3.2, 1.8]
+"""Of the stage's flange, in the order of its features."""
+LEFT = "[data-side=left]"
+VIEW = f"""document.querySelector("{LEFT}").getAttribute("viewBox").split(" ").map(Number)"""
+PROPOSED = f"""document.querySelectorAll("{LEFT} .feature").length >= 7"""
+ROWS = '[...document.querySelectorAll(".features-list li")].map((row) => row.innerText)'
+CHECKED = '[...document.querySelectorAll(".features-list input")].map((box) => box.checked)'
+FIGURES = '[...document.querySelectorAll(".figures-of dd")]'
+QUIET = '!document.querySelector("progress")'
+"""The cell looks for nothing any more."""
+CTRL, SHIFT, ALT = 2, 8, 1
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A stage with a rig and its part on the table, one browser, and a draft that is proposed."""
+
+    runner: asyncio.Runner
+    newcomer: Newcomer
+    page: Browser
+    draft: str
+
+    def run(self, test: Callable[[], Awaitable[None]]) -> None:
+        """A test's coroutine, bounded; nothing may fail unseen."""
+
+        async def bounded() -> None:
+            async with asyncio.timeout(60):
+                await test()
+                assert [] == self.page.complaints
+
+        self.runner.run(bounded())
+
+    async def open(self, width: int = 1280, height: int = 900, query: str = "") -> None:
+        """The page with the draft, as it comes back after a reload."""
+        await self.page.value(f'localStorage.setItem("edged.teaching", "{self.draft}")')
+        await self.page.open("about:blank", width, height)
+        await self.page.open(f"{self.newcomer.origin}/setup{query}#/teach", width, height)
+        await self.page.until(PROPOSED)
+
+    async def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The draft, as soon as the cell keeps it so."""
+        return await kept(self.newcomer, self.draft, is_so)
+
+    async def key(self, name: str, modifiers: int = 0, code: int = 0) -> None:
+        """A key with others held."""
+        for kind in ("keyDown", "keyUp"):
+            await self.page.ask(
+                "Input.dispatchKeyEvent", type=kind, key=name, modifiers=modifiers, windowsVirtualKeyCode=code
+            )
+
+
+async def kept(newcomer: Newcomer, draft: str, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The draft, as soon as the cell keeps it so."""
+    place = f"teachings/{draft}"
+    while not is_so(document := await newcomer.ask("GET", place)):  # noqa: ASYNC110  (nothing else tells)
+        await asyncio.sleep(0.05)
+    return dict(document)
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    """One for all."""
+    folder = tmp_path_factory.mktemp("teach")
+    save_rig(folder / "rig.json", demo_rig())
+
+    async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, str]:
+        newcomer = await stack.enter_async_context(staged(folder, gige=False))
+        page = await stack.enter_async_context(browser())
+        newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
+        await newcomer.ask("PUT", "stage", {"showing": "part"})
+        draft = (await newcomer.ask("POST", "teachings", newcomer.token, 201))["id"]
+        await kept(newcomer, draft, lambda document: document["proposing"] is None)
+        await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+        return newcomer, page, draft
+
+    with asyncio.Runner() as runner:
+        stack = AsyncExitStack()
+        newcomer, page, draft = runner.run(ready(stack))
+        yield Stand(runner, newcomer, page, draft)
+        runner.run(stack.aclose())
+
+
+def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_costs(stand: Stand) -> None:
+    """Picture and list are one: what is tapped or ticked in one shows in both; keys undo the last tap."""
+
+    async def test() -> None:
+        page = stand.page
+        await take_over(page)
+        await go(page, "teach")
+        await page.until('document.querySelector("main h2")')
+        assert [] == await page.violations()
+        await press(page, "Take the pair")
+        await page.until(PROPOSED)
+        sizes = [re.search(r"Ø ([\d.]+) mm", row) for row in await page.value(ROWS)]
+        diameters_mm = [float(size[1]) for size in sizes if size]
+        assert DIAMETERS_MM == pytest.approx(diameters_mm, abs=0.02)
+
+        figures = f"{FIGURES}.map((dd) => parseFloat(dd.innerText.slice(2)))"
+        await page.until(QUIET)
+        before = await page.value(figures)
+        assert 6 == len(before)  # X Y Z A B C
+        assert all(0 < value < 10 for value in before)
+        await page.click(f"{LEFT} [data-key=c0]")  # within it are smaller ones: c1 has its middle
+        await page.until(f"{CHECKED}[1] === false")
+        await page.until('document.querySelectorAll(".feature.left[data-key=c1]").length === 2')
+        for row in (1, 3, 4, 5):
+            await page.click(f".features-list li:nth-child({row}) input")
+            await page.until(f"{CHECKED}[{row - 1}] === false")
+        await page.until('document.querySelector(".worse .before")')
+        worse = await page.value(figures)  # with two small holes, both on one side
+        assert worse[3] > before[3]
+
+        await page.value('document.querySelector(".features-list li:nth-child(3) input").focus()')
+        await page.until('document.querySelectorAll(".feature.lit[data-key=c2]").length === 2')
+        await page.value("document.activeElement.blur()")
+        await stand.key("z", CTRL, 90)
+        await page.until(f"{CHECKED}[4] === true")
+        for row in (4, 3, 1, 2):
+            await press(page, "Undo")
+            await page.until(f"{CHECKED}[{row - 1}] === true")
+        await page.until(QUIET)
+        assert before == await page.value(figures)
+        await press(page, "Redo")
+        await page.until(f"{CHECKED}[1] === false")
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+
+    stand.run(test)
+
+
+def test_wheel_and_fingers_bring_a_place_nearer_and_both_pictures_show_it(stand: Stand) -> None:
+    """The point under the wheel stays where it was; the right picture has the same size."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await press(page, "All")
+        await page.until(f"{VIEW}[2] === 1280")
+        await page.wheel(LEFT, -400)
+        await page.until(f"{VIEW}[2] < 700")
+        x, y, width, height = await page.value(VIEW)
+        assert (639.5, 479.5) == pytest.approx((x + width / 2, y + height / 2), abs=2)
+        right = VIEW.replace("left", "right")
+        assert [width, height] == (await page.value(right))[2:]
+        await page.pinch(LEFT, (100, 200))
+        await page.until(f"{VIEW}[2] < {0.7 * width}")
+        await press(page, "All")
+        await page.until(f"{VIEW}[2] === 1280")
+
+    stand.run(test)
+
+
+def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stand) -> None:
+    """Arrows 1 px, with shift 10, with alt 0.1; a cross in the picture taps with Enter; Delete removes."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await page.value(f"""document.querySelector("{LEFT}").focus()""")
+        was = await page.value(CHECKED)
+        assert was[1]
+        await stand.key("Enter")  # the middle of what is shown, which is that of the part: the bore
+        await page.until(f"{CHECKED}[1] === false")
+        await stand.key("Enter")
+        await page.until(f"{CHECKED}[1] === true")
+
+        start = (await stand.until(lambda now: now["proposing"] is None))["shapes"]
+        await press(page, "Where the part is")
+        await press(page, "Rectangle")
+        await press(page, "Put one in the middle")
+        await page.until('document.querySelectorAll(".handle").length === 4')
+        await page.until(said("Rectangle 2"))
+        first = (await stand.until(lambda now: now["shapes"][-1]["kind"] == "rectangle"))["shapes"][-1]
+        await page.value('document.querySelector(".handle").focus()')
+        for modifiers in (0, SHIFT, ALT):
+            await stand.key("ArrowRight", modifiers)
+        moved = (await stand.until(lambda now: now["shapes"][-1] != first))["shapes"][-1]
+        assert 11.1 == pytest.approx(moved["x"] - first["x"], abs=1e-6)
+        assert 11.1 == pytest.approx(first["width"] - moved["width"], abs=1e-6)
+        await page.until(QUIET)
+        await page.value('document.querySelector(".handle").focus()')
+        await stand.key("Delete")
+        await page.until('!document.querySelector(".handle")')
+        for _ in range(3):  # the rectangle, its corner, and that it is gone
+            await press(page, "Undo")
+        await stand.until(lambda now: now["shapes"] == start)
+
+    stand.run(test)
+
+
+def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
+    """A tap near a hole makes its middle the reference; a size is judged at once against the true one."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await press(page, "Tap it in the picture")
+        await page.click(f"{LEFT} [data-key=c3]")
+        await page.until('document.querySelector(".columns select").value === "c3"')
+        await press(page, "Type it")
+        await page.until('document.querySelector("[name=grip-z]")')
+        await page.type("[name=grip-z]", "-2,5")
+        await page.until('document.querySelector("[name=grip-z]").value === "-2.500"')
+        assert -2.5 == (await stand.until(lambda now: now["gripping"] is not None))["gripping"]["z_mm"]
+
+        await press(page, "Add this size")
+        await page.until('document.querySelector("[name=nominal]")')
+        await page.type("[name=nominal]", "14")
+        await page.type("[name=tolerance]", "0.02")
+        await page.until(said("within"))
+        await page.type("[name=nominal]", "14.1")
+        await page.until(said("outside"))
+
+        await page.type("[name=job]", "no spaces")
+        await page.until(said("beginning with a letter or digit"))
+        await page.type("[name=job]", "flange-2")
+        await page.until('document.querySelector(".draft-bar strong").textContent === "flange-2"')
+
+    stand.run(test)
+
+
+def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> None:
+    """A change to what is no longer so is not made; the page has the newer draft, and says so."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await page.value(
+            "import('/static/setup/pages/teaching.js').then(({teaching}) => "
+            "{ teaching.value = {...teaching.value, revision: teaching.value.revision - 1, name: 'older'}; })"
+        )
+        was = await page.value(CHECKED)
+        await page.click(".features-list li:nth-child(4) input")
+        await page.until(said("Somebody else, or another screen, changed this meanwhile"))
+        assert was == await page.value(CHECKED)
+        assert "older" != await page.value('document.querySelector(".draft-bar strong").textContent')
+        page.complaints.clear()  # of the refusal
+
+    stand.run(test)
+
+
+@pytest.mark.parametrize(("width", "height"), [(360, 740), (1920, 1080)])
+def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
+    """axe finds nothing, all is translated and fits, also twice as large, and a finger hits every target."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(width, height, "?pseudo")
+        await page.until(QUIET)
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        await page.value('document.documentElement.style.fontSize = "200%"')
+        assert 0 == await page.value(TOO_WIDE)
+        assert not await page.value(DIALOG)
+
+    stand.run(test)
