@@ -29,6 +29,8 @@ WAVE_S = 8.0
 """Somebody walks to the camera, waves, and comes back."""
 SURE = 2
 """Pairs one after the other that show the same camera's hand."""
+VIRTUAL = {"vendor": "edged", "model": "virtual", "serial": "", "address": "", "trouble": None}
+"""A camera in the daemon's own process: it is where it is."""
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
 
@@ -79,6 +81,8 @@ class CamerasRoom:
 
     async def found(self) -> list[dict[str, Any]]:
         """Every camera that answers, with the side that it is."""
+        if self._loaded().cell.config.cameras.source == "virtual-inprocess":
+            return [{**VIRTUAL, "side": side} for side in SIDES]
         cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
         devices = self._devices()
         return [_described(info, _side_of(info, devices)) for info in cameras]
@@ -136,7 +140,7 @@ class CamerasRoom:
         self._cycle.renew_setup(token)
         loaded, changes = self._loaded(), self._cycle.camera_changes
         stated = {side: change.stated() for side, change in changes.items()}
-        if loaded.rig is not None and any("device" in change for change in stated.values()):
+        if loaded.cell.rig is not None and any("device" in change for change in stated.values()):
             raise UserError(
                 "the rig was calibrated with the cameras as they are: calibrate, and activate both"
             )
@@ -209,8 +213,8 @@ class CamerasRoom:
         loaded, tried = self._loaded(), self._cycle.camera_changes
         section = with_tried(loaded.cell.config.cameras, cameras)
         sizes: tuple[Size, Size] | None = None
-        if loaded.rig is not None:
-            left, right = loaded.rig.rig.left, loaded.rig.rig.right
+        if (rig := loaded.cell.rig) is not None:
+            left, right = rig.left, rig.right
             sizes = (left.width, left.height), (right.width, right.height)
         head = head_of(section, self._world, external=loaded.setup.listens, calibrated=sizes)
         await self._cycle.try_head(token, head, cameras)

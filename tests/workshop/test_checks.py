@@ -35,6 +35,8 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
     async def test(newcomer: Newcomer) -> None:
         body = {**newcomer.token, "board": BOARD}
         true = newcomer.world.cell.rig
+        seen = (await newcomer.ask("GET", "cameras"))["found"]
+        assert ["left", "right"] == [one["side"] for one in seen], "whatever else answers on this machine"
         nothing = {"last": None, "is_current": False, "boards": [], "parts": []}
         assert nothing == await newcomer.ask("GET", "checks")
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
