@@ -75,12 +75,14 @@ class Newcomer:
 
 
 @contextlib.asynccontextmanager
-async def stage(folder: Path, world: VirtualWorld) -> AsyncIterator[tuple[Newcomer, Daemon]]:
+async def stage(
+    folder: Path, world: VirtualWorld, *, gige: bool = True
+) -> AsyncIterator[tuple[Newcomer, Daemon]]:
     """The running stage, and a session with it."""
     if world.stage is None:
         raise ValueError("no stage")
     ports = free_port(), free_port(), free_port()
-    path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=True)
+    path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
     routes = StageRoutes(world.stage)
     daemon = Daemon(path, load_any_cell(path), observers=[routes], world=world, rooms=[routes.add_to])
     running = asyncio.create_task(daemon.run())

@@ -37,7 +37,7 @@ from edged.sim.render.scene import Part
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.geometry.camera import CameraModel, StereoRig
-from edged.vision.geometry.rigid import invert, rotation_matrix
+from edged.vision.geometry.rigid import about_z, invert, rotation_matrix
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.job import Job
@@ -131,6 +131,17 @@ def errors(target: Target, where: FloatArray) -> FloatArray:
     return np.append(target.position_mm - where[:3, 3], turn)
 
 
+def as_drawn(part_from_job: FloatArray) -> FloatArray:
+    """Where the job's frame is in the part, without the errors of teaching: on its face, at a drawn place.
+
+    Its turn stays: a part's turn is told against the one that was taught.
+    """
+    drawn_frame = np.eye(4)
+    drawn_frame[:3, :3] = about_z(float(np.arctan2(part_from_job[1, 0], part_from_job[0, 0])))
+    drawn_frame[:2, 3] = part_from_job[:2, 3].round(2)
+    return drawn_frame
+
+
 def run(part: Part, rig: StereoRig, poses: int) -> Row:
     """One part at so many places."""
     exact, known = prepare(replace(rig, covariance=None)), prepare(rig)
@@ -141,7 +152,7 @@ def run(part: Part, rig: StereoRig, poses: int) -> Row:
         region_around(rig, pose()[:3, 3], 15.0),
         part.name,
     )
-    part_from_job = invert(pose()) @ job.rig_from_part
+    part_from_job = as_drawn(invert(pose()) @ job.rig_from_part)
     rng = np.random.default_rng(7)
     before = measured(job, exact, noisy_pair(greys, rng))
     if before is None:

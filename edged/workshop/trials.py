@@ -259,7 +259,8 @@ class Trials:
         except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
             trial.token = None
         except (EdgedError, OSError) as error:
-            log.warning("a live pair cannot be tried: %s", error)
+            if trial.trouble != str(error):  # once, not with every pair
+                log.warning("a live pair cannot be tried: %s", error)
             trial.number, trial.tried, trial.trouble = number, None, str(error)
         finally:
             self._trying = None
