@@ -152,6 +152,7 @@ class Workshop:
             cycle.capture,
             lambda: _rig_in_use(running()),
             lambda: _jobs_in_use(running()),
+            self._cycles.file,
         )
         self._trials = Trials(
             folder / "still.json",

@@ -11,6 +11,7 @@ JOB/taught/              left.png, right.png, content.json: `edged` reads none o
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -41,6 +42,15 @@ class KeptContent(Kept):
     format: Literal["edged-taught"] = "edged-taught"
     version: Literal[1] = 1
     content: Content
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptPair:
+    """Raw pictures. content : by which a job was taught from them; None: none was."""
+
+    left: Image
+    right: Image
+    content: Content | None = None
 
 
 class TeachingDraft:
@@ -115,17 +125,11 @@ class TeachingDrafts:
         self._folders = DraftFolders(folder, TeachState, TeachError, ("pictures",), KEPT)
 
     def create(
-        self,
-        author: str,
-        start: Content,
-        images: tuple[Image, Image],
-        now: datetime,
-        job: str | None = None,
-        *,
-        is_same_pair: bool = False,
+        self, author: str, start: Content, pair: KeptPair, now: datetime, job: str | None = None
     ) -> TeachingDraft:
         """Begin one with a pair; the oldest beyond `KEPT` go. job : the folder that it replaces."""
-        height, width = images[0].shape
+        images = pair.left, pair.right
+        height, width = pair.left.shape
         state = TeachState(
             id=new_identity(now),
             created=now.isoformat(timespec="seconds"),
@@ -134,7 +138,7 @@ class TeachingDrafts:
             width=width,
             height=height,
             start=start,
-            is_same_pair=is_same_pair,
+            is_same_pair=pair.content is not None,
         )
         try:
             place = self._folders.place(state.id) / "pictures"
@@ -169,7 +173,7 @@ def keeps_pair(folder: Path) -> bool:
     return (folder / TAUGHT / _CONTENT).is_file()
 
 
-def kept_pair(folder: Path) -> tuple[tuple[Image, Image], Content]:
+def kept_pair(folder: Path) -> KeptPair:
     """What a job was taught by. Raises `TeachError` where it does not keep that, `FileFormatError`."""
     place = folder / TAUGHT
     if not keeps_pair(folder):
@@ -181,7 +185,7 @@ def kept_pair(folder: Path) -> tuple[tuple[Image, Image], Content]:
     except ValidationError as error:
         raise FileFormatError(f"{place / _CONTENT}: {problem_of(error.errors()[0], KeptContent)}") from error
     left, right = (load_image(place / f"{side}.png") for side in SIDES)
-    return (left, right), kept.content
+    return KeptPair(left, right, kept.content)
 
 
 def _encoded(suffix: str, image: Image, options: tuple[int, ...]) -> bytes:

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from edged.commissioning.jobsfolder import Jobs, with_job
+from edged.commissioning.teachstate import Content
 from edged.errors import TeachError
 from edged.files.jobs import TEXT
 
@@ -79,6 +80,20 @@ class JobsInUse:
         former = {line.folder: line for line in self.lines}.get(replaced or "")
         folder = former.folder if former is not None and former.name == name else name
         return Candidate(folder, None if former is None else former.folder, files)
+
+    def named(self, base: Content | None, name: str | None, replaced: JobLine | None) -> Content:
+        """What a draft begins with: name and number of the job that is replaced, else free ones.
+
+        base : what that one was taught by; None: nothing. Raises `TeachError`.
+        """
+        content = Content(name="a", number=1) if base is None else base
+        number = self.free_number if replaced is None else replaced.number
+        wanted = name or (self.free_name if replaced is None else replaced.name)
+        self.check_free(wanted, number, None if replaced is None else replaced.folder)
+        # as in the job by now, not as they were when it was taught
+        return content.with_(
+            {"sizes": None, "gripping": None, "tilt_deg": None, "name": wanted, "number": number}
+        )
 
     def check_free(self, name: str, number: int, replaced: str | None) -> None:
         """Raises `TeachError` for a name or a number that another job has, or none can have.

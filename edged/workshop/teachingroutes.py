@@ -39,18 +39,21 @@ Way = Annotated[float, Field(ge=0, le=2000)]
 
 
 class Beginning(Body):
-    """token : take a fresh pair. job : the folder of a job that is to be replaced; without token from the
-    pair that it keeps. name : left out: one that is free.
+    """token : take a fresh pair. cycle : take that of a recorded cycle. job : the folder of a job that is to
+    be replaced; without token or cycle from the pair that it keeps. name : left out: one that is free.
     """
 
     token: Token | None = None
+    cycle: Annotated[int, Field(ge=0, le=10**9)] | None = None
     job: Annotated[str, Field(max_length=128)] | None = None
     name: JobName | None = None
 
     @model_validator(mode="after")
     def _from_something(self) -> Beginning:
-        if self.token is None and self.job is None:
-            raise ValueError("expected a token, for a fresh pair, or a job, for the pair that it keeps")
+        if self.token is not None and self.cycle is not None:
+            raise ValueError("expected token or cycle, not both")
+        if self.token is None and self.cycle is None and self.job is None:
+            raise ValueError("expected a token, for a fresh pair, a cycle, or a job, for the pair it keeps")
         return self
 
 
@@ -215,7 +218,9 @@ class TeachingRoutes:
 
     async def _begin(self, call: Call[Beginning]) -> TeachingDocument:
         body = call.body
-        asked = self._teachings.begin(call.visitor.name, token=body.token, name=body.name, job=body.job)
+        asked = self._teachings.begin(
+            call.visitor.name, token=body.token, name=body.name, job=body.job, cycle=body.cycle
+        )
         draft = await known(asked)
         call.trail.object = draft.id
         return draft

@@ -19,14 +19,12 @@ from edged.adapters.web.gate import code_of
 from edged.commissioning.editing import edited
 from edged.commissioning.pairs import Progress
 from edged.commissioning.proposing import FormerFiles, Order, Seen
-from edged.commissioning.teachdrafts import TeachingDraft, TeachingDrafts, kept_pair
+from edged.commissioning.teachdrafts import TeachingDraft, TeachingDrafts
 from edged.commissioning.teachstate import (
-    Content,
     Shape,
     TeachState,
     nearest,
 )
-from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
@@ -35,7 +33,7 @@ from edged.session.notices import Notices
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.checks import RigInUse
-from edged.workshop.jobsinuse import Candidate, JobLine, JobsInUse
+from edged.workshop.jobsinuse import Candidate, JobsInUse
 from edged.workshop.tasks import Tasks
 from edged.workshop.teachingdocuments import (
     Stale,
@@ -44,6 +42,7 @@ from edged.workshop.teachingdocuments import (
     TeachingList,
     teaching_document,
 )
+from edged.workshop.teachingsources import Sources
 from edged.workshop.teachingwishes import (
     Grip,
     Tapped,
@@ -80,6 +79,7 @@ class Teachings:
     """All drafts of jobs of a cell; used on its event loop.
 
     capture : an exposure, for the token of who has the cell.  rig, jobs : those in use.
+    recorded : the file of a recorded cycle; raises `KeyError`.
     """
 
     def __init__(
@@ -91,65 +91,38 @@ class Teachings:
         capture: Callable[[str], Awaitable[FramePair]],
         rig: Callable[[], RigInUse | None],
         jobs: Callable[[], JobsInUse],
+        recorded: Callable[[int], Awaitable[Path]],
     ) -> None:
         self._drafts = TeachingDrafts(folder)
         self._worker = worker
         self._tasks = tasks
         self._notices = notices
-        self._capture = capture
         self._rig = rig
         self._jobs = jobs
+        self._sources = Sources(capture, rig, jobs, recorded)
         self._open: dict[str, _Open] = {}
         self._beginning = asyncio.Lock()
 
     # --- what is asked -----------------------------------------------------------------------
 
     async def begin(
-        self, author: str, *, token: str | None, name: str | None, job: str | None
+        self, author: str, *, token: str | None, name: str | None, job: str | None, cycle: int | None
     ) -> TeachingDocument:
-        """A new draft: from a fresh pair, else from the pair that a job was taught from.
+        """A new draft: from a fresh pair or a recorded one, else from that which a job was taught from.
 
         job : the one that it replaces. Raises `TeachError`, `SetupRefused`, `CaptureError`, `OSError`, and
-        `KeyError` for a job that there is not.
+        `KeyError` for a job or a cycle that there is not.
         """
         replaced = None if job is None else self._jobs().line(job)
-        if token is not None:
-            pair = await self._capture(token)
-            images, base = (pair.left.image, pair.right.image), Content(name="a", number=1)
-        elif replaced is not None:
-            images, base = await asyncio.to_thread(kept_pair, self._jobs().folder / replaced.folder)
-        else:
-            raise TeachError("a job is taught from a fresh pair, or from the one that a job keeps")
+        taken = await self._sources.take(token, cycle, replaced)
         async with self._beginning:
-            start = self._named(base, name, replaced)
-            one = _Open(await asyncio.to_thread(self._create, author, start, images, replaced, token is None))
+            start = self._jobs().named(taken.content, name, replaced)
+            now, folder = datetime.now(UTC), None if replaced is None else replaced.folder
+            one = _Open(await asyncio.to_thread(self._drafts.create, author, start, taken, now, folder))
             self._open = {key: value for key, value in self._open.items() if self._is_looking(value)}
             self._open[one.draft.state.id] = one
         self._look(one)
         return self._tell(one)
-
-    def _named(self, base: Content, name: str | None, replaced: JobLine | None) -> Content:
-        """With name and number: those of the job that is replaced, else free ones."""
-        if replaced is not None:
-            name, number = name or replaced.name, replaced.number
-        else:
-            number = self._jobs().free_number
-        kept = {"sizes": None, "gripping": None, "tilt_deg": None}  # as in the job by now
-        content = base.with_({**kept, "name": name or self._jobs().free_name, "number": number})
-        self._jobs().check_free(content.name, content.number, None if replaced is None else replaced.folder)
-        return content
-
-    def _create(
-        self,
-        author: str,
-        start: Content,
-        images: tuple[Image, Image],
-        replaced: JobLine | None,
-        is_same_pair: bool,
-    ) -> TeachingDraft:
-        folder = None if replaced is None else replaced.folder
-        now = datetime.now(UTC)
-        return self._drafts.create(author, start, images, now, folder, is_same_pair=is_same_pair)
 
     async def listed(self) -> TeachingList:
         """All of them."""

@@ -14,7 +14,7 @@ import pytest
 from powercuts import Record, cut
 
 from edged.commissioning import teachdrafts
-from edged.commissioning.teachdrafts import TeachingDraft, TeachingDrafts, kept_pair
+from edged.commissioning.teachdrafts import KeptPair, TeachingDraft, TeachingDrafts, kept_pair
 from edged.commissioning.teachstate import Brush, Content, Mark, Rectangle, nearest, region_of
 from edged.errors import FileFormatError, TeachError
 from edged.vision.teaching.region import Region, painted_region
@@ -28,7 +28,7 @@ C3 = Mark(kind="circle", x=40.0, y=30.0, size=9.0)
 
 def begin(folder: Path) -> TeachingDraft:
     """A new draft."""
-    return TeachingDrafts(folder).create("Anna", START, (PAIR[0], PAIR[1]), NOW)
+    return TeachingDrafts(folder).create("Anna", START, KeptPair(*PAIR), NOW)
 
 
 def steps(draft: TeachingDraft) -> None:
@@ -147,9 +147,9 @@ def test_the_pair_stays_with_the_job(tmp_path: Path) -> None:
         kept_pair(job)
     for name, data in draft.kept().items():
         (job / name).write_bytes(data)
-    images, content = kept_pair(job)
-    assert all(np.array_equal(*pair) for pair in zip(PAIR, images, strict=True))
-    assert draft.state.content == content
+    pair = kept_pair(job)
+    assert all(np.array_equal(*images) for images in zip(PAIR, (pair.left, pair.right), strict=True))
+    assert draft.state.content == pair.content
     (job / "taught" / "content.json").write_text("{}")
     with pytest.raises(FileFormatError, match=r"content\.json"):
         kept_pair(job)

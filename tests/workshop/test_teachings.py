@@ -15,14 +15,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from cells import flange
+from cells import flange, frame_pair
 from partcell import PartCell
 from rich.console import Console
 
 from edged.commands.check import check
 from edged.commands.teach import PairSource, teach
+from edged.domain.events import Snapshot
+from edged.domain.measurement import Status
+from edged.errors import TeachError
+from edged.files import recording
 from edged.files.jobs import load_job
 from edged.vision.teaching.region import Polygon
+from edged.workshop.teachingsources import recorded_pair
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
 """Of the flange: how many circles of each."""
@@ -234,3 +239,30 @@ def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) 
     teach(cell.rig, source, "part1", tmp_path / "by_command", Console(file=io.StringIO()))
     for name in ("job.toml", "shape.npz"):
         assert (tmp_path / "by_command" / name).read_bytes() == (taught.parent / name).read_bytes(), name
+
+
+def test_a_job_can_be_taught_from_a_recorded_cycle(tmp_path: Path) -> None:
+    """Of the rig in use alone, and only where there are pictures: their grey values are the recorded ones."""
+    file = tmp_path / "cycle.zip"
+    snapshot = Snapshot(
+        cycle=1,
+        status=Status.NO_TARGET,
+        command=None,
+        job="flange",
+        job_number=1,
+        calibration_id="demo",
+        fingerprint="12345678",
+        simulated=True,
+        exposed_ns=1,
+        published_ns=2,
+    )
+    file.write_bytes(recording.encode(snapshot, frame_pair(flange().left, flange().right)))
+    pair = recorded_pair(file, "demo")
+    assert np.array_equal(flange().left, pair.left)
+    assert np.array_equal(flange().right, pair.right)
+    assert None is pair.content
+    with pytest.raises(TeachError, match="measured by another rig"):
+        recorded_pair(file, "cal-2")
+    file.write_bytes(recording.encode(snapshot, None))
+    with pytest.raises(TeachError, match="has no pictures"):
+        recorded_pair(file, "demo")
