@@ -55,7 +55,7 @@ def _without(job: Job, left_out: set[str]) -> Job:
     places = [circle.name for circle in circles] + [slot.name for slot in slots]
     places += [corner.name for corner in corners]
     if not places:
-        raise TeachError(NOTHING_LEFT)
+        raise TeachError(NOTHING_LEFT, "nothing_left")
     kept = {*places, *(edge.name for edge in edges)}
     sizes = tuple(size for size in job.measurements if set(size.of) <= kept)
     witness = job.witness if job.witness in {size.name for size in sizes} else None

@@ -178,7 +178,7 @@ def kept_pair(folder: Path) -> KeptPair:
     place = folder / TAUGHT
     if not keeps_pair(folder):
         raise TeachError(
-            f"{folder.name} does not keep the pair it was taught from: teach it from a fresh one"
+            f"{folder.name} does not keep the pair it was taught from: teach it from a fresh one", "no_pair"
         )
     try:
         kept = KeptContent.model_validate_json(read_bytes(place / _CONTENT, "what a job was taught by"))

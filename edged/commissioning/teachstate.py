@@ -207,7 +207,7 @@ def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area
     for one in shapes:
         mask[one.area().painted(width, height) > 0] = 255 if one.add else 0
     if not mask.any():
-        raise TeachError("region: all of it is erased")
+        raise TeachError("region: all of it is erased", "small_region")
     return Painted(mask), []
 
 

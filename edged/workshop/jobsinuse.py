@@ -101,14 +101,16 @@ class JobsInUse:
         replaced : folder of the job whose name and number they may be.
         """
         if name.endswith(REPLACED):
-            raise TeachError(f"name {name!r}: what ends in {REPLACED} is a job that was replaced")
+            raise TeachError(f"name {name!r}: what ends in {REPLACED} is a job that was replaced", "name_old")
         for line in self.lines:
             if line.folder == replaced:
                 continue
             if name in {line.name, line.folder}:
-                raise TeachError(f"name {name!r}: there is such a job; edit that one, or choose another name")
+                text = f"name {name!r}: there is such a job; edit that one, or choose another name"
+                raise TeachError(text, "name_taken", name=name)
             if number == line.number:
-                raise TeachError(f"number {number}: is that of {line.name}; {self.free_number} is free")
+                text = f"number {number}: is that of {line.name}; {self.free_number} is free"
+                raise TeachError(text, "number_taken", number=number, name=line.name, free=self.free_number)
 
 
 def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:

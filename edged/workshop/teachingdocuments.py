@@ -11,9 +11,10 @@ from edged.commissioning.editing import grasp_of
 from edged.commissioning.proposing import Line, Seen, seen_at
 from edged.commissioning.teachdrafts import TeachingDraft
 from edged.commissioning.teachstate import Gripping, Shape, nearest
+from edged.errors import EdgedError
 from edged.robot.orientations import fixed_xyz
 from edged.vision.geometry.camera import StereoRig
-from edged.workshop.documents import Document
+from edged.workshop.documents import Document, Trouble, trouble_in
 
 Pixel = tuple[float, float]
 
@@ -23,13 +24,6 @@ class Sides(Document):
 
     left: str
     right: str
-
-
-class Trouble(Document):
-    """Why the pair and the region give no job. code : for programs."""
-
-    code: str
-    text: str
 
 
 class Outline(Document):
@@ -206,7 +200,7 @@ def teaching_document(
     place: str,
     *,
     task: str | None,
-    trouble: tuple[str, str] | None,
+    trouble: EdgedError | None,
     active: bool,
 ) -> TeachingDocument:
     """All that is known of a draft. seen, rig : what its pair teaches, as far as that is known already."""
@@ -227,7 +221,7 @@ def teaching_document(
         region=[one for one in shapes if one.add],
         exclude=[one for one in shapes if not one.add],
         proposing=task,
-        trouble=None if trouble is None else Trouble(code=trouble[0], text=trouble[1]),
+        trouble=trouble_in(trouble),
         tilt_deg=content.tilt_deg,
         can_undo=state.can_undo,
         can_redo=state.can_redo,

@@ -15,7 +15,6 @@ from typing import Literal
 
 from pydantic import JsonValue
 
-from edged.adapters.web.gate import code_of
 from edged.commissioning.editing import edited
 from edged.commissioning.pairs import Progress
 from edged.commissioning.proposing import FormerFiles, Order, Seen
@@ -69,7 +68,7 @@ class _Open:
     draft: TeachingDraft
     seen: Seen | None = None
     seen_of: tuple[object, ...] = ()
-    trouble: tuple[str, str] | None = None
+    trouble: EdgedError | None = None
     task: str | None = None
     ended: asyncio.Event = field(default_factory=asyncio.Event)
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -290,7 +289,7 @@ class Teachings:
         self._look(one)
         await one.ended.wait()
         if one.seen is None:
-            raise TeachError("nothing is learnt" if one.trouble is None else one.trouble[1])
+            raise one.trouble or TeachError("nothing is learnt")
         return one.seen
 
     async def _run_look(self, one: _Open, progress: Progress) -> None:
@@ -308,7 +307,7 @@ class Teachings:
                     if failed == 1 and isinstance(error, TaskFailed):  # somebody ended the process
                         continue
                     one.seen, one.seen_of = None, self._wanted(one)
-                    one.trouble = code_of(error), str(error)
+                    one.trouble = error
                     if isinstance(error, TaskFailed):
                         raise
                 if one.seen_of != self._wanted(one):

@@ -65,8 +65,8 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> N
     async def test() -> None:
         before = read_cell(cell.config).fingerprint
         assert [("flange", 1, False, False), ("lid", 4, True, False)] == await told()
-        assert (422, "teach") == await refused("lid", {"number": 1})
-        assert (422, "teach") == await refused("lid", {"new_name": "flange"})
+        assert (422, "teach_number_taken") == await refused("lid", {"number": 1})
+        assert (422, "teach_name_taken") == await refused("lid", {"new_name": "flange"})
         assert (400, "invalid") == await refused("lid", {"new_name": "../etc"})
         assert (400, "invalid") == await refused("lid", {})
         assert (404, "unknown") == await refused("bracket", {"number": 9})

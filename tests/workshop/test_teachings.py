@@ -152,16 +152,24 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         assert (200, "ring") == ((answer := await cell.ask("PUT", place, stale))[0], answer[1]["name"])
         status, problem = await cell.ask("PUT", place, stale)
         assert (412, "stale", "ring") == (status, problem["code"], problem["params"]["document"]["name"])
-        assert (422, "teach") == await refused(cell, "POST", f"{place}/tap", {"x": 20, "y": 20})
+        assert (422, "teach_nothing_there") == await refused(cell, "POST", f"{place}/tap", {"x": 20, "y": 20})
         everything = {one["key"]: False for one in draft["features"]}
-        assert (422, "teach") == await refused(cell, "PUT", f"{place}/features", {"features": everything})
+        nothing = {"features": everything}
+        assert (422, "teach_nothing_left") == await refused(cell, "PUT", f"{place}/features", nothing)
         assert (404, "unknown") == await refused(
             cell, "PUT", f"{place}/features", {"features": {"c99": False}}
         )
         assert (400, "invalid") == await refused(cell, "PUT", place, {"name": "../etc"})
-        assert (422, "teach") == await refused(cell, "PUT", place, {"name": "ring.old"})
+        assert (422, "teach_name_old") == await refused(cell, "PUT", place, {"name": "ring.old"})
         small = {"kind": "rectangle", "x": 1, "y": 1, "width": 4, "height": 4}
-        assert (422, "teach") == await refused(cell, "PUT", f"{place}/region", {"shapes": [small]})
+        wish = {"shapes": [small]}
+        assert (422, "teach_small_region") == await refused(cell, "PUT", f"{place}/region", wish)
+        table = {"kind": "rectangle", "x": 10, "y": 350, "width": 90, "height": 90}
+        nothing = await cell.change("PUT", draft, "/region", {"shapes": [table]})
+        assert nothing["trouble"]["code"] in {"teach_no_feature", "teach_one_sided", "teach_few_edges"}
+        assert ([], None) == (nothing["features"], nothing["predicted"])
+        back = await cell.change("POST", draft, "/undo", {})
+        assert (None, draft["features"]) == (back["trouble"], back["features"])
         bore = np.array(draft["reference"]["left"])
         tapped = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})

@@ -48,7 +48,9 @@ def create_model(
         )
     ys, xs = np.nonzero(mask)
     if len(xs) < MIN_PIXELS:
-        raise TeachError(f"the region is empty or tiny: expected at least {MIN_PIXELS} pixels")
+        raise TeachError(
+            f"the region is empty or tiny: expected at least {MIN_PIXELS} pixels", "small_region"
+        )
     low, high = np.array([xs.min(), ys.min()], float), np.array([xs.max(), ys.max()], float)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
     origin = middle if origin_px is None else np.asarray(origin_px, dtype=np.float64)
@@ -74,7 +76,8 @@ def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) 
     if not levels:
         raise TeachError(
             f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
-            "is the part inside the region, lit and in focus?"
+            "is the part inside the region, lit and in focus?",
+            "few_edges",
         )
     levels = levels[: surviving_levels(image, origin, levels)]
     radius = float(np.linalg.norm(levels[0].points, axis=1).max())

@@ -74,7 +74,8 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
     if not around:
         raise TeachError(
             f"nothing with a clear outline was tapped at {x:.0f}, {y:.0f} px: draw the region around the "
-            "part, or light it so that it differs from the table"
+            "part, or light it so that it differs from the table",
+            "nothing_there",
         )
     least = RIVAL * max(one.strength for one in around)
     nested: list[_Outline] = []

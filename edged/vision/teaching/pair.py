@@ -242,7 +242,8 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
     """The largest circle that both cameras see, and the plane it lies in."""
     if not ellipses:
         raise TeachError(
-            "no circle found, and no face with straight edges: a job needs a feature that both cameras see"
+            "no circle found, and no face with straight edges: a job needs a feature that both cameras see",
+            "no_feature",
         )
     for ellipse in ellipses:
         points, normals = ellipse.outline(240)
@@ -256,7 +257,9 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
             return Plane(circle.normal, float(circle.normal @ circle.centre_mm)), found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
-        "is the part seen by both cameras, and does the rig belong to these images?"
+        "is the part seen by both cameras, and does the rig belong to these images?",
+        "one_sided",
+        count=len(ellipses),
     )
 
 

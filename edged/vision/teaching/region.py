@@ -33,7 +33,8 @@ class Region:
         numbers = (self.x, self.y, self.width, self.height)
         if not all(np.isfinite(numbers)) or min(self.width, self.height) < MIN_WIDTH_PX:
             raise TeachError(
-                f"region {numbers}: expected X,Y,W,H with a width and height of at least {MIN_WIDTH_PX} px"
+                f"region {numbers}: expected X,Y,W,H with a width and height of at least {MIN_WIDTH_PX} px",
+                "small_region",
             )
         columns, rows = np.arange(width), np.arange(height)[:, None]
         inside = (columns >= self.x) & (columns <= self.x + self.width)
@@ -53,7 +54,8 @@ class Circle:
         numbers = (self.x, self.y, self.radius)
         if not all(np.isfinite(numbers)) or self.radius < MIN_WIDTH_PX / 2:
             raise TeachError(
-                f"region circle {numbers}: expected X,Y,R with a radius of at least {MIN_WIDTH_PX // 2} px"
+                f"region circle {numbers}: expected X,Y,R with a radius of at least {MIN_WIDTH_PX // 2} px",
+                "small_region",
             )
         columns, rows = np.arange(width), np.arange(height)[:, None]
         return _as_mask(np.hypot(columns - self.x, rows - self.y) <= self.radius)
@@ -77,7 +79,8 @@ class Polygon:
             first, second = crossing
             raise TeachError(
                 f"region polygon: the side after corner {first + 1} crosses the one after corner "
-                f"{second + 1}; expected the corners in order around the part"
+                f"{second + 1}; expected the corners in order around the part",
+                "crossing",
             )
         return _as_mask(coverage(corners, height, width) >= 0.5)
 
@@ -142,7 +145,9 @@ def painted_region(region: Area, exclude: Sequence[Area], width: int, height: in
 def _check_content(inside: Image, otherwise: str) -> None:
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows) or min(np.ptp(rows), np.ptp(columns)) + 1 < MIN_WIDTH_PX:
-        raise TeachError(f"region: {otherwise}; expected at least {MIN_WIDTH_PX} px of the left image")
+        raise TeachError(
+            f"region: {otherwise}; expected at least {MIN_WIDTH_PX} px of the left image", "small_region"
+        )
 
 
 def _as_mask(inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Image:
