@@ -16,10 +16,12 @@ from argon2 import PasswordHasher
 from scriptedhead import Ear, Head, make_setup
 from yarl import URL
 
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
 from edged.cycle import Cycle
 from edged.files.users import RoleName, User, UserFile
 from edged.robot.orientations import Convention
+from edged.workshop.plcroutes import PlcRoutes
 
 PASSWORD = "correct horse"
 HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
@@ -78,6 +80,7 @@ class Cell(BrowserSession):
         self.cycle, self.web, self.head, self.ear, self.state = cycle, web, head, ear, state
         self.asleep_s = asleep_s
         self.plant = Overview()
+        self.modbus: ModbusPublisher | None = None
         self.runs_by = ""
 
     def sleep(self, seconds: float) -> None:
@@ -104,9 +107,15 @@ def run(
 
 @asynccontextmanager
 async def running(
-    ear: Ear, commissioning: bool, users: Mapping[str, RoleName] | None = USERS
+    ear: Ear,
+    commissioning: bool,
+    users: Mapping[str, RoleName] | None = USERS,
+    modbus: ModbusSettings | None = None,
 ) -> AsyncIterator[Cell]:
-    """A cell with a head in memory, its page on a free port, and a browser's session with it."""
+    """A cell with a head in memory, its page on a free port, and a browser's session with it.
+
+    modbus : what it also serves, with the page of it.
+    """
     with TemporaryDirectory() as folder:
         state = Path(folder)
         if users is None:
@@ -128,23 +137,30 @@ async def running(
         )
         settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
         asleep_s = [0.0]
+        plc = None if modbus is None else ModbusPublisher(modbus, cycle)
         web = WebPublisher(
             "cell1",
             settings,
             sources,
             commissioner=cycle,
             clock_s=lambda: time.monotonic() + asleep_s[0],
+            rooms=[] if plc is None else [PlcRoutes(lambda: plc).add_to],
         )
         await web.start()
-        cycle.set_publishers([ear, web])
+        if plc is not None:
+            await plc.start()
+        cycle.set_publishers([ear, web, *([] if plc is None else [plc])])
         task = asyncio.create_task(cycle.run())
         try:
             jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
             async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
                 cell = Cell(cycle, web, head, ear, session, asleep_s, state)
+                cell.modbus = plc
                 seen.append(cell)
                 yield cell
         finally:
             cycle.stop()
             await task
             await web.close()
+            if plc is not None:
+                await plc.close()

@@ -178,6 +178,7 @@ class Workshop:
         from edged.workshop.checkroutes import CheckRoutes
         from edged.workshop.cycleroutes import CycleRoutes
         from edged.workshop.jobroutes import JobRoutes
+        from edged.workshop.plcroutes import PlcRoutes
         from edged.workshop.registrationroutes import RegistrationRoutes
         from edged.workshop.regressionroutes import RegressionRoutes
         from edged.workshop.releaseroutes import ReleaseRoutes
@@ -190,6 +191,7 @@ class Workshop:
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,
+            PlcRoutes(lambda: self._running().servers.get("modbus")).add_to,
             TeachingRoutes(self.teachings, self._activation).add_to,
             TrialRoutes(self._trials).add_to,
             JobRoutes(self._jobs, self._activation, self._use_job).add_to,

@@ -36,6 +36,7 @@ from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
+from edged.plc.ladder import Ladder
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
@@ -107,6 +108,7 @@ class CellRegisters:
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
+        self.ladder = Ladder()
         self._place(reg.REGISTRATION, reg.registration_values(Registration(), 0, self._epoch))
         self.clients = 0
         self.changed: Callable[[], None] = lambda: None  # told of each write and event
@@ -325,6 +327,7 @@ class CellRegisters:
         timeout_ms = self._command[_offset("TIMEOUT")]
         known = code in set(CommandKind)
         flange, written = self._taken_flange()
+        self.ladder.writes(code, job, written)
         event = hs.SequenceWritten(
             self._command[_offset("CMD_SEQ")],
             known,
@@ -438,7 +441,9 @@ class CellRegisters:
         )
 
     def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
-        self._state, effects = hs.step(self._state, event, now_s)
+        before = self._state
+        self._state, effects = hs.step(before, event, now_s)
+        self.ladder.took(event, before, self._state, effects, now_s)
         for effect in effects:
             if isinstance(effect, hs.Answered):
                 self._submitted.pop(effect.ticket, None)

@@ -17,6 +17,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain.events import Event
 from edged.errors import CommandRefused
+from edged.plc.ladder import Exchange
 from edged.plc.registers import BLOCKS, COMMAND, JOBS, Number, Register, decode, encode
 from edged.ports import Commander
 
@@ -43,6 +44,7 @@ class ModbusPublisher:
         clients = itertools.count(1)
         self._refusals = Refusals()
         self._tcp = TcpServer(settings, self._cell, clients, self._refusals, context)
+        self._cell.ladder.name_of = self._tcp.peer
         serial = settings.serial
         self._rtu = (
             RtuServer(serial, settings.unit_id, self._cell, next(clients)) if serial is not None else None
@@ -111,6 +113,16 @@ class ModbusPublisher:
         """Who holds the right to write: an address, or a word for who has none; "" for nobody."""
         owner = self._cell.owner
         return "" if owner is None else self._tcp.peer(owner) or "serial line, robot or OPC UA"
+
+    @property
+    def settings(self) -> ModbusSettings:
+        """What it runs by."""
+        return self._settings
+
+    @property
+    def exchanges(self) -> list[Exchange]:
+        """The last commands and what became of them, the youngest first."""
+        return self._cell.ladder.exchanges
 
     @property
     def refused_writers(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ export const STEPS = [
   { id: "teach", load: () => import("./pages/teach.js"), needs: ["teachings"], state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
   { id: "try", load: () => import("./pages/try.js"), needs: ["trials"], state: () => "none" },
   { id: "robot", load: () => import("./pages/robot.js"), needs: ["registrations"], state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
-  { id: "plc", state: () => (cell.value.plc.owner ? "tick" : "none") },
+  { id: "plc", load: () => import("./pages/plc.js"), needs: ["plc"], state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];
 // Not steps: what runs, and what ran before; in the head of every page.
 export const BESIDE = [

@@ -1,0 +1,173 @@
+"""What PLC and cell said to each other last, command by command, for people: it changes nothing."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from edged.domain.events import CommandKind
+from edged.plc import handshake as hs
+from edged.plc.registers import UINT16_MAX, Measured
+
+KEPT = 50
+MOST_RUNGS = 16
+"""Of one command; what comes later is not kept."""
+FARTHEST_MM = 20_000.0
+"""No robot's flange is farther from its base."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """One thing that was said. after_s : since the command. what : a code. detail : of it, "" for none.
+
+    what : by the PLC "command", "acknowledged", "taken_down"; by the cell "exposure", "result" (detail: its
+    code, valid or not), "ack", "nack" (detail: the reason), "barred": it was not its turn.
+    """
+
+    after_s: float
+    what: str
+    detail: str = ""
+    valid: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class Exchange:
+    """One command and what became of it. began_ns : UTC. code : of the COMMAND register.
+
+    hint : "bytes" or "words" that look exchanged in what was written, or "". times : so often in a row.
+    """
+
+    number: int
+    began_ns: int
+    client: str
+    sequence: int
+    code: int
+    job: int
+    hint: str = ""
+    times: int = 1
+    rungs: list[Rung] = field(default_factory=list)
+
+    @property
+    def command(self) -> str:
+        """Its name; "" for one that there is not."""
+        return CommandKind(self.code).name if self.code in set(CommandKind) else ""
+
+
+class Ladder:
+    """The last exchanges; told of each step of the handshake.
+
+    name_of : a client, by its number; None where it has no address.
+    """
+
+    def __init__(self, clock_ns: Callable[[], int] = time.time_ns) -> None:
+        self.name_of: Callable[[int], str | None] = lambda _client: None
+        self._clock_ns = clock_ns
+        self._kept: deque[Exchange] = deque(maxlen=KEPT)
+        self._by_ticket: dict[int, tuple[Exchange, float]] = {}
+        self._count = 0
+        self._next = (0, 0, "")  # command, job and hint of what is written now
+
+    @property
+    def exchanges(self) -> list[Exchange]:
+        """The youngest first."""
+        return list(reversed(self._kept))
+
+    def writes(self, code: int, job: int, flange_mm: tuple[float, ...]) -> None:
+        """What stands in the command block while CMD_SEQ is taken. flange_mm : () where none was written."""
+        self._next = code, job, _hint(code, flange_mm)
+
+    def took(
+        self,
+        event: hs.Event[Measured],
+        before: hs.Handshake[Measured],
+        after: hs.Handshake[Measured],
+        effects: tuple[hs.Effect, ...],
+        now_s: float,
+    ) -> None:
+        """A step of the handshake. Cheap where nothing was said: each read of a register is a step."""
+        match event:
+            case hs.Tick() if not effects:
+                return
+            case hs.SequenceWritten():
+                if after.ticket != before.ticket:
+                    self._begin(event.client, after.ticket, now_s)
+                elif event.sequence == 0 != before.command_sequence:
+                    self._add(before.ticket, now_s, "taken_down")
+            case hs.Barred(client):
+                self._bar(client, before.ticket)
+            case hs.AckWritten(sequence):
+                shown = before.result
+                if shown is not None and shown.sequence == sequence != before.acknowledged:
+                    self._add(before.ticket, now_s, "acknowledged")
+            case hs.Exposed() if after.exposure_done and not before.exposure_done:
+                self._add(after.ticket, now_s, "exposure")
+            case hs.Finished() if after.result is not None and after.result is not before.result:
+                self._show(after, now_s)
+        if isinstance(event, hs.SequenceWritten) and after.result is not None and effects:
+            self._show(after, now_s)  # NEXT_PART
+        for effect in effects:
+            if isinstance(effect, hs.Answered):
+                reason = "" if effect.answer is hs.Answer.ACK else effect.reason.name
+                self._add(effect.ticket, now_s, "nack" if reason else "ack", reason)
+
+    def _begin(self, client: int, ticket: int, now_s: float) -> None:
+        code, job, hint = self._next
+        exchange = self._keep(client, ticket & hs.SEQUENCE_MASK, code, job)
+        exchange.hint = hint
+        self._by_ticket[ticket] = exchange, now_s
+        while len(self._by_ticket) > KEPT:
+            del self._by_ticket[next(iter(self._by_ticket))]
+        exchange.rungs.append(Rung(0.0, "command"))
+
+    def _bar(self, client: int, ticket: int) -> None:
+        name = self._named(client)
+        last = self._kept[-1] if self._kept else None
+        if last is not None and last.client == name and last.rungs[-1].what == "barred":
+            last.times += 1  # it goes on writing
+            return
+        self._keep(client, ticket & hs.SEQUENCE_MASK, 0, 0).rungs.append(Rung(0.0, "barred"))
+
+    def _show(self, state: hs.Handshake[Measured], now_s: float) -> None:
+        assert state.result is not None
+        result = state.result
+        if result.sequence == state.ticket & hs.SEQUENCE_MASK and state.command_sequence:
+            valid = hs.is_valid(state, now_s)
+            self._add(state.ticket, now_s, "result", result.payload.code.name, valid=valid)
+
+    def _keep(self, client: int, sequence: int, code: int, job: int) -> Exchange:
+        self._count += 1
+        exchange = Exchange(self._count, self._clock_ns(), self._named(client), sequence, code, job)
+        self._kept.append(exchange)
+        return exchange
+
+    def _add(self, ticket: int, now_s: float, what: str, detail: str = "", *, valid: bool = False) -> None:
+        exchange, began_s = self._by_ticket.get(ticket, (None, 0.0))
+        if exchange is not None and len(exchange.rungs) < MOST_RUNGS:
+            exchange.rungs.append(Rung(max(0.0, now_s - began_s), what, detail, valid))
+
+    def _named(self, client: int) -> str:
+        return self.name_of(client) or ""
+
+
+def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
+    """What a client has exchanged, where what it writes makes sense only the other way round.
+
+    >>> _hint(0x0100, ())
+    'bytes'
+    """
+    commands = set(CommandKind)
+    if code not in commands and (code >> 8 | (code & 0xFF) << 8) in commands:
+        return "bytes"
+    place = flange_mm[:3]
+    if any(abs(mm) > FARTHEST_MM for mm in place) and all(abs(_turned(mm)) <= FARTHEST_MM for mm in place):
+        return "words"
+    return ""
+
+
+def _turned(mm: float) -> float:
+    """With the words of its register, in µm, exchanged."""
+    value = round(mm * 1000) & 0xFFFFFFFF
+    other = (value & UINT16_MAX) << 16 | value >> 16
+    return (other - (1 << 32) if other >> 31 else other) / 1000

@@ -1,0 +1,155 @@
+"""The page of PLC and go live: what both said, which words are swapped, a client's source, and READY."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import shutil
+import struct
+import zipfile
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from browser import Browser, browser
+from scriptedhead import Ear, until
+from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
+from webcell import PASSWORD, Cell, running
+
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.domain.cell import CellPhase
+from edged.plc.registers import WordOrder
+from edged.plc.texts import FORMATS, SEVERAL
+from edged.workshop.plcroutes import FILES
+
+pytestmark = pytest.mark.slow
+CLIENT = 4711
+"""Of no connection: as OPC UA writes."""
+
+
+def beside(test: Callable[[Cell, ModbusPublisher], Awaitable[None]], order: WordOrder = "high") -> None:
+    """A test beside a cell that serves Modbus, bounded."""
+
+    async def bounded() -> None:
+        settings = ModbusSettings(port=0, word_order=order)
+        async with asyncio.timeout(60), running(Ear(), True, modbus=settings) as cell:
+            assert cell.modbus is not None
+            await until(lambda: cell.ear.state() is CellPhase.READY)
+            await test(cell, cell.modbus)
+
+    asyncio.run(bounded())
+
+
+async def command(cell: Cell, modbus: ModbusPublisher, sequence: int, code: int = 1) -> dict[str, Any]:
+    """Write a command; its ladder when it has ended."""
+    modbus.write(CLIENT, {"COMMAND": code, "JOB": 0, "CMD_SEQ": sequence})
+    ends = ("ack", "nack")
+    await until(lambda: modbus.exchanges[0].rungs[-1].what in ends)
+    return dict((await cell.ask("GET", "/api/v1/plc/exchanges", None))[1]["exchanges"][0])
+
+
+def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
+    """Two commands as they were; every source is what `edged registers` prints, several files are packed."""
+
+    async def test(cell: Cell, modbus: ModbusPublisher) -> None:
+        await cell.log_in("Vera")
+        modbus.write(CLIENT, {"CMD_SEQ": 0})
+        right, wrong = await command(cell, modbus, 5), await command(cell, modbus, 6, 99)
+        assert ("", 99, 6) == (wrong["command"], wrong["code"], wrong["sequence"])
+        assert [("plc", "command", ""), ("cell", "nack", "UNKNOWN_COMMAND")] == [
+            (rung["by"], rung["what"], rung["detail"]) for rung in wrong["rungs"]
+        ]
+        assert ["command", "exposure", "result", "ack"] == [rung["what"] for rung in right["rungs"]]
+        assert ("LOCATE", "NO_TARGET", None) == (
+            right["command"],
+            right["rungs"][2]["detail"],
+            right["hint"],
+        )
+        status, plc = await cell.ask("GET", "/api/v1/plc", None)
+        assert (200, True, modbus.port, "high") == (status, plc["listening"], plc["port"], plc["word_order"])
+        assert {one["kind"]: one["file"] for one in plc["clients"]} == FILES
+        for kind in FILES:
+            async with cell.session.get(f"/api/v1/plc/clients/{kind}") as answer:
+                assert FILES[kind] in answer.headers["Content-Disposition"]
+                data = await answer.read()
+            if kind in SEVERAL:
+                with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                    files = {name: archive.read(name).decode() for name in archive.namelist()}
+                assert SEVERAL[kind]() == files
+            else:
+                assert FORMATS[kind]() == data.decode()
+        async with cell.session.get("/api/v1/plc/clients/cobol") as answer:
+            assert 404 == answer.status
+
+    beside(test)
+
+
+def swapped(value: int, words: bool, octets: bool) -> int:
+    """As a client reads 32 bits that it puts together otherwise."""
+    pair = struct.unpack(">2H", struct.pack(">I", value))
+    pair = tuple(((word & 255) << 8) | word >> 8 for word in pair) if octets else pair
+    return int.from_bytes(struct.pack(">2H", *(pair[::-1] if words else pair)), "big")
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
+    """Words, bytes, an address that is one off; READY; the last commands as they come; nothing is cut off."""
+
+    async def test(cell: Cell, modbus: ModbusPublisher) -> None:
+        async with browser() as page:
+            await log_in(page, cell.origin, "Anna", PASSWORD, "/setup", (1280, 900))
+            await take(page)
+            await go(page, "plc")
+            await page.until(said("How the PLC reaches the cell"))
+            assert await page.value(said("Only one thing is missing: you have the cell."))
+            await check_probes(page)
+
+            await press(page, "Give the cell back: READY")
+            await page.until(DIALOG)
+            await page.click("dialog[open] .primary")
+            await page.until(said("The cell is READY: it measures for the plant."))
+            modbus.write(CLIENT, {"CMD_SEQ": 0})
+            modbus.write(CLIENT, {"COMMAND": 256, "JOB": 0, "CMD_SEQ": 8})
+            await page.until(said("Your bytes are swapped"))
+            modbus.write(CLIENT, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 9})
+            await page.until(said("EXPOSURE_DONE: the robot may leave the picture"))
+            await page.until(said("result: no part found."))
+            assert [] == await page.violations()
+            assert [] == await page.value(SMALL_TARGETS)
+
+            await page.open(f"{cell.origin}/setup?pseudo#/plc", 360, 740)
+            await page.until('document.querySelectorAll(".plc-exchanges details").length === 2')
+            assert [] == await page.value(UNTRANSLATED)
+            assert 0 == await page.value(TOO_WIDE)
+            assert [] == page.complaints
+
+    beside(test)
+
+
+async def check_probes(page: Browser) -> None:
+    """What stands there after each thing that a PLC may show."""
+    u32 = 0x01020304
+    shown = {
+        str(u32): "Right: words",
+        hex(u32): "Right: words",
+        str(swapped(u32, words=True, octets=False)): 'set modbus.word_order = "low"',
+        str(swapped(u32, words=False, octets=True)): "The two bytes of each word are swapped",
+        str(swapped(u32, words=True, octets=True)): "Bytes and words are both swapped",
+        str(0x030442F6): "The address is one too high",
+        str(0x00030102): "The address is one too low",
+        str(0x0102): "That is one word of two",
+        "12": "That is something else",
+        "abc": "A number, as",
+    }
+    for text, sentence in shown.items():
+        await page.type("[name=shows]", text)
+        await page.until(said(sentence))
+    await page.value(
+        """(one => { one.value = "PROBE_F32"; one.dispatchEvent(new Event("change", {bubbles: true})); })
+        (document.querySelector("[name=probe]"))"""
+    )
+    (whole,) = struct.unpack(">I", struct.pack(">f", 123.456))
+    (other,) = struct.unpack(">f", struct.pack(">I", swapped(whole, words=True, octets=False)))
+    for text, sentence in {"123,456": "Right: words", repr(other): "Your words are swapped"}.items():
+        await page.type("[name=shows]", text)
+        await page.until(said(sentence))
