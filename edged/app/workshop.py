@@ -28,7 +28,7 @@ from edged.workshop.activating import Activation, CellNow
 from edged.workshop.calibrations import Calibrations
 from edged.workshop.candidates import Candidates
 from edged.workshop.checks import Checks, RigInUse
-from edged.workshop.cycles import Cycles
+from edged.workshop.cycles import Cycles, JobsNow
 from edged.workshop.jobs import Jobs
 from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
@@ -135,7 +135,11 @@ class Workshop:
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
-        self._cycles = Cycles(lambda: _recordings(running()), self._worker)
+        self._cycles = Cycles(
+            lambda: _recordings(running()),
+            self._worker,
+            lambda: JobsNow(running().loaded.cell.config.cell.jobs, running().loaded.cell.contents),
+        )
         self._registrations = Registrations(
             folder / "registrations",
             self._worker,

@@ -76,7 +76,7 @@ def measured_by(contents: Contents, place: Path) -> MeasuredBy:
             continue
         files = {one: contents.get(f"{path.parent}/{one}", b"") for one in (TEXT, SHAPE)}
         job = job_of(files, place / path.parent)
-        jobs[job.number], digests[job.number] = job, _digest(*files.values())
+        jobs[job.number], digests[job.number] = job, job_digest(*files.values())
     return MeasuredBy(rig, jobs, _bounds(contents, place), _digest(contents[RIG]), digests)
 
 
@@ -127,10 +127,15 @@ def _number_of(text: bytes, name: str) -> tuple[int, bool]:
         raise FileFormatError(f"{name}: no number can be read: {error}") from error
 
 
+def job_digest(text: bytes, shape: bytes) -> str:
+    """What tells jobs apart, by their files."""
+    return _digest(text, shape)
+
+
 def digest_of(contents: Contents) -> str:
     """What tells setups apart by all that results stand on, but the configuration, and names of folders."""
     texts = [PurePosixPath(name) for name in contents if PurePosixPath(name).name == TEXT]
-    jobs = [_digest(contents[str(path)], contents.get(str(path.with_name(SHAPE)), b"")) for path in texts]
+    jobs = [job_digest(contents[str(path)], contents.get(str(path.with_name(SHAPE)), b"")) for path in texts]
     return _digest(contents.get(RIG, b""), *(job.encode() for job in sorted(jobs)))
 
 

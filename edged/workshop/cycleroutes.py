@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
 from typing import Annotated, Literal
 
 from aiohttp import web
@@ -11,7 +12,8 @@ from edged.adapters.web.routes import Body, Call, RouteTable
 from edged.adapters.web.visitors import Role
 from edged.commissioning.recorded import MOST, Wanted
 from edged.commissioning.whatif import Change, Features, LimitChange, WhatIf
-from edged.errors import FileFormatError
+from edged.domain.arrays import Side
+from edged.errors import FileFormatError, ImageError
 from edged.workshop.calibrationroutes import known
 from edged.workshop.cycles import CycleDocument, CycleList, Cycles
 
@@ -79,6 +81,14 @@ class CycleRoutes:
             answer="image/jpeg",
         )
         table.route(
+            "GET",
+            f"{CYCLE}/taught/{{side:left|right}}.jpg",
+            self._taught_picture,
+            "A picture of the pair that its job was taught from, where the job keeps it",
+            role=see,
+            answer="image/jpeg",
+        )
+        table.route(
             "POST",
             f"{CYCLE}/what-if",
             self._what_if,
@@ -97,12 +107,22 @@ class CycleRoutes:
         return await known(self._cycles.document(int(call.part("number"))))
 
     async def _picture(self, call: Call[None]) -> web.Response:
-        side: Literal["left", "right"] = "left" if call.part("side") == "left" else "right"
-        try:
-            data = await known(self._cycles.picture(int(call.part("number")), side))
-        except FileFormatError:
-            raise web.HTTPNotFound from None
-        return web.Response(body=data, content_type="image/jpeg")
+        return await _jpeg(self._cycles.picture(*_asked(call)))
+
+    async def _taught_picture(self, call: Call[None]) -> web.Response:
+        return await _jpeg(self._cycles.taught_picture(*_asked(call)))
 
     async def _what_if(self, call: Call[Trying]) -> WhatIf:
         return await known(self._cycles.what_if(int(call.part("number")), call.body.change()))
+
+
+def _asked(call: Call[None]) -> tuple[int, Side]:
+    return int(call.part("number")), "left" if call.part("side") == "left" else "right"
+
+
+async def _jpeg(asked: Awaitable[bytes]) -> web.Response:
+    try:
+        data = await known(asked)
+    except (FileFormatError, ImageError):
+        raise web.HTTPNotFound from None
+    return web.Response(body=data, content_type="image/jpeg")

@@ -8,20 +8,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 import cv2
 from pydantic import BaseModel, ConfigDict
 
 from edged.commissioning.recorded import Damaged, Line, Records, Wanted
-from edged.commissioning.setups import Setups
+from edged.commissioning.setups import Contents, Setups, job_digest, number_of
 from edged.commissioning.sight import PartSight, parts_of, taught_part
+from edged.commissioning.teachdrafts import TAUGHT
 from edged.commissioning.whatif import Change, WhatIf
-from edged.domain.arrays import Side
+from edged.domain.arrays import Image, Side
 from edged.errors import FileFormatError
 from edged.files import recording
+from edged.files.images import load_image
+from edged.files.jobs import SHAPE, TEXT
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.worker import Worker
@@ -100,24 +104,63 @@ class Sight(BaseModel):
     parts: list[PartSight]
 
 
+class JobLimits(BaseModel):
+    """What the job of a cycle allowed then; `contrast` and `min_score` are of its search."""
+
+    model_config = ConfigDict(frozen=True)
+    max_sigma_mm: float
+    max_rms_px: float
+    min_support: float
+    max_epipolar_px: float
+    radius_tolerance_mm: float | None
+    form_tolerance_mm: float | None
+    min_score: float
+    depth_mm: list[float]
+    contrast: float
+
+
 class CycleDocument(CycleLine):
-    """A recorded cycle with its features. trouble : why there are none: "setup", its rig or job is not kept
+    """A recorded cycle with its features. folder : of its job, as the cell has it now; null: not any more.
+
+    trouble : why there are none: "setup", its rig or job is not kept
     or damaged; "snapshot", its own text is. beside : the newest good cycle of the job, if there is one.
     """
 
     trouble: str | None
     trouble_text: str
     reference: str
+    folder: str | None
+    limits: JobLimits | None
     now: Sight | None
     taught: Sight | None
     beside: Sight | None
 
 
-class Cycles:
-    """Used on the event loop. folder : where the cell records now; None: it does not."""
+@dataclass(frozen=True, slots=True)
+class JobsNow:
+    """The jobs that the cell has now. place : their folder. contents : of the files that it measures by."""
 
-    def __init__(self, folder: Callable[[], Path | None], worker: Worker) -> None:
+    place: Path
+    contents: Contents
+
+    def folder_of(self, number: int, digest: str | None) -> tuple[str | None, bool]:
+        """The folder of the job with a number, and whether it is still the same job."""
+        for name, text in self.contents.items():
+            path = PurePosixPath(name)
+            if path.name == TEXT and number_of(text, name) == number:
+                files = text, self.contents.get(str(path.with_name(SHAPE)), b"")
+                return path.parent.name, job_digest(*files) == digest
+        return None, False
+
+
+class Cycles:
+    """Used on the event loop. folder : where the cell records now; None: it does not. jobs : that it has."""
+
+    def __init__(
+        self, folder: Callable[[], Path | None], worker: Worker, jobs: Callable[[], JobsNow]
+    ) -> None:
         self._folder = folder
+        self._jobs = jobs
         self._worker = worker
         self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
         # of that thread alone
@@ -135,6 +178,10 @@ class Cycles:
     async def picture(self, number: int, side: Side) -> bytes:
         """A picture of it, JPEG. Raises `KeyError`, `FileFormatError`."""
         return await self._on_disc(self._picture)(number, side)
+
+    async def taught_picture(self, number: int, side: Side) -> bytes:
+        """A picture of the pair that the job of a cycle was taught from. Raises as `picture`."""
+        return await self._on_disc(self._taught_picture)(number, side)
 
     async def what_if(self, number: int, change: Change | None) -> WhatIf:
         """By a change, or what would have helped. Raises `KeyError`, `UserError`, `TaskFailed`."""
@@ -186,25 +233,30 @@ class Cycles:
         line = records.line(entry)
         if isinstance(line, Damaged):
             raise FileFormatError(line.why)
-        facts = CycleLine.model_validate(line).model_dump()
-        nothing = {"reference": "", "now": None, "taught": None, "beside": None}
+        facts = {**CycleLine.model_validate(line).model_dump(), "reference": ""}
+        nothing = dict.fromkeys(("folder", "limits", "now", "taught", "beside"))
         snapshot, _ = recording.load_snapshot(entry.path)
         try:
             prepared, job = self._setups.of(entry.path, snapshot)
+            digest = self._setups.setup_of(entry.path, snapshot).job_digests[job.number]
+            folder, is_same = self._jobs().folder_of(job.number, digest)
         except FileFormatError as error:
             return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
         rig = prepared.rig
         try:
             parts = parts_of(snapshot, rig, job, str(entry.path))
         except FileFormatError as error:
-            return CycleDocument(**facts, trouble="snapshot", trouble_text=str(error), **nothing)
+            return CycleDocument(
+                **facts, trouble="snapshot", trouble_text=str(error), reference="", **nothing
+            )
         return CycleDocument(
-            **facts,
+            **{**facts, "reference": job.reference},
             trouble=None,
             trouble_text="",
-            reference=job.reference,
-            now=_sight("now", rig, line, parts),
-            taught=_sight("taught", rig, None, [taught_part(rig, job)]),
+            folder=folder,
+            limits=_limits(job),
+            now=_sight("now", rig, _pictures(line), parts, line),
+            taught=_sight("taught", rig, self._of_teaching(line, folder, is_same), [taught_part(rig, job)]),
             beside=self._beside(records, line, job),
         )
 
@@ -217,21 +269,56 @@ class Cycles:
         try:
             snapshot, _ = recording.load_snapshot(entry.path)
             rig, its_job = self._setups.of(entry.path, snapshot)
-            return _sight("good", rig.rig, good, parts_of(snapshot, rig.rig, its_job, str(entry.path)))
+            parts = parts_of(snapshot, rig.rig, its_job, str(entry.path))
+            return _sight("good", rig.rig, _pictures(good), parts, good)
         except FileFormatError:
             return None
 
+    def _of_teaching(self, line: Line, folder: str | None, is_same: bool) -> Pictures | None:
+        """Of the pair that the job keeps; one that was taught again keeps another."""
+        if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
+            return None
+        left, right = (f"{PLACE}/{line.number}/taught/{side}.jpg" for side in ("left", "right"))
+        return Pictures(left=left, right=right)
+
+    def _taught_file(self, folder: str, side: Side) -> Path:
+        return self._jobs().place / folder / TAUGHT / f"{side}.png"
+
     def _picture(self, number: int, side: Side) -> bytes:
-        image = recording.load_picture(self._known().entry(number).path, side)
-        _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
-        return data.tobytes()
+        return _jpeg(recording.load_picture(self._known().entry(number).path, side))
+
+    def _taught_picture(self, number: int, side: Side) -> bytes:
+        line = self._known().line(self._known().entry(number))
+        folder = None if isinstance(line, Damaged) else self._jobs().folder_of(line.job_number, None)[0]
+        if folder is None or not self._taught_file(folder, side).is_file():
+            raise KeyError(number)
+        return _jpeg(load_image(self._taught_file(folder, side)))
 
 
-def _sight(kind: str, rig: StereoRig, line: Line | None, parts: list[PartSight]) -> Sight:
-    pictures = None
-    if line is not None and line.has_pictures:
-        left, right = (f"{PLACE}/{line.number}/{side}.jpg" for side in ("left", "right"))
-        pictures = Pictures(left=left, right=right)
+def _jpeg(image: Image) -> bytes:
+    _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+    return data.tobytes()
+
+
+def _limits(job: Job) -> JobLimits:
+    limits = asdict(job.limits)
+    return JobLimits(
+        **{**limits, "depth_mm": list(job.limits.depth_mm)},
+        min_score=job.search.min_score,
+        contrast=job.search.min_contrast,
+    )
+
+
+def _pictures(line: Line) -> Pictures | None:
+    if not line.has_pictures:
+        return None
+    left, right = (f"{PLACE}/{line.number}/{side}.jpg" for side in ("left", "right"))
+    return Pictures(left=left, right=right)
+
+
+def _sight(
+    kind: str, rig: StereoRig, pictures: Pictures | None, parts: list[PartSight], line: Line | None = None
+) -> Sight:
     return Sight(
         kind=kind,
         number=None if line is None else line.number,

@@ -32,7 +32,7 @@ from edged.payload import Json
 from edged.sim.cell import VirtualCell
 from edged.vision.geometry.rigid import apply
 from edged.workshop import cyclework
-from edged.workshop.cycles import FUNCTIONS, Cycles
+from edged.workshop.cycles import FUNCTIONS, Cycles, JobsNow
 from edged.workshop.worker import Worker
 
 
@@ -283,7 +283,7 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
 
     async def asked() -> None:
         worker = Worker(FUNCTIONS)
-        cycles = Cycles(lambda: folder, worker)
+        cycles = Cycles(lambda: folder, worker, lambda: JobsNow(tmp_path, {}))
         document = await cycles.document(GOOD)
         assert ("setup", None, True) == (document.trouble, document.now, document.has_pictures)
         assert (await cycles.picture(GOOD, "left"))[:2] == b"\xff\xd8"

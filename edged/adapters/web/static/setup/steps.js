@@ -47,6 +47,7 @@ export const STEPS = [
 // Not steps: what runs, and what ran before; in the head of every page.
 export const BESIDE = [
   { id: "jobs", load: () => import("./pages/jobs.js"), needs: ["jobs"], state: () => "none" },
+  { id: "cycles", load: () => import("./pages/cycles.js"), needs: ["cycles"], state: () => "none" },
   { id: "system", load: () => import("./pages/system.js"), needs: ["releases", "users"], state: () => "none" },
 ];
 export const PAGES = [...STEPS, ...BESIDE];

@@ -1,0 +1,184 @@
+// A new job or rig tried on all recorded cycles before it is used: what gets worse, worst first, with its pictures.
+import { html, signal, useEffect, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../api.js";
+import { holds, look, mayTake, offers, task, token } from "../live.js";
+import { say, Shape } from "../pieces.js";
+import { moment, number, sign, t } from "../texts.js";
+import { open, reasonsOf, statusOf } from "./recorded.js";
+
+const ROWS = 10;
+const running = signal(null); // {task, regression}
+const kept = signal(null);
+const result = signal(null);
+const candidates = signal(null);
+
+const find = () =>
+  attempt(async () => {
+    kept.value = (await ask("GET", "regressions")).regressions;
+  });
+
+// What may be used next: rigs that were solved, drafts of jobs, older releases.
+const search = () =>
+  attempt(async () => {
+    const lists = await Promise.all(["calibrations", "teachings", "releases"].map((one) => (offers(one) ? ask("GET", one) : {})));
+    const [calibrations, teachings, releases] = lists.map((one, i) => one[["calibrations", "teachings", "releases"][i]] ?? []);
+    candidates.value = [
+      ...teachings.filter(({ active }) => !active).map(({ id, name, created }) => ({ kind: "teaching", id, what: name, at: created })),
+      ...calibrations.filter(({ active }) => !active).map(({ id, boards, created }) => ({ kind: "calibration", id, what: boards.join(", "), at: created })),
+      ...releases.filter(({ active }) => !active).map(({ number: count, note, created }) => ({ kind: "release", id: String(count), what: note, at: created })),
+    ].slice(0, 20);
+  });
+
+export async function begin(body) {
+  const begun = await attempt(() => ask("POST", "regressions", body));
+  if (!begun) return;
+  running.value = begun;
+  result.value = null;
+  say(t("cycles-test-begun"));
+  document.getElementById("regressions")?.scrollIntoView({ block: "start" });
+}
+const bodyOf = ({ kind, id }) => ({ [kind]: kind === "release" ? Number(id) : id });
+
+export async function show(id) {
+  result.value = (await attempt(() => ask("GET", `regressions/${id}`))) ?? null;
+}
+
+function Progress() {
+  const [told, setTold] = useState(null);
+  const { task: id, regression } = running.value;
+  useEffect(() => {
+    // told over the socket; asked, too, for what ended before this page listened
+    let isOver = false;
+    const look = async () => {
+      if (isOver) return;
+      const now = task.value?.id === id ? task.value : await ask("GET", `tasks/${id}`).catch(() => null);
+      if (isOver) return;
+      setTold(now);
+      if (now && now.state !== "running") {
+        running.value = null;
+        if (now.state === "done") {
+          await show(regression);
+          await find();
+          if (result.value) say(t(result.value.passes ? "cycles-passes" : "cycles-worse", { count: result.value.counts.good_to_bad }));
+        } else if (now.problem) await attempt(() => Promise.reject(Object.assign(new Error(now.problem.detail), now.problem)));
+        return;
+      }
+      setTimeout(look, 500);
+    };
+    look();
+    return () => {
+      isOver = true;
+    };
+  }, [id]);
+  return html`<div class="meter">
+    <label>${t("cycles-testing", { percent: number(100 * (told?.done ?? 0)) })} <progress max="1" value=${told?.done ?? 0}></progress></label>
+    <div class="actions"><button type="button" onClick=${() => attempt(() => ask("DELETE", `tasks/${id}`, {}))}>${t("cycles-cancel")}</button></div>
+  </div>`;
+}
+
+const axes = (values, digits) => ["X", "Y", "Z"].map((axis, i) => `${axis} ${sign(values[i], digits)}`).join("  ");
+function Changed({ one }) {
+  const { number: count, at, before, after, reasons, apart_sigmas, apart_um, lost, pictures } = one;
+  return html`<tr>
+    <th scope="row"><button type="button" class="quiet" aria-label=${t("cycles-look-name", { number: count })} onClick=${() => open(count)}><img src=${pictures.left} alt="" loading="lazy" width="96" /> <span class="figure" translate=${false}>${count}</span></button></th>
+    <td translate=${false}>${moment(at)}</td>
+    <td>${statusOf(before)} → ${statusOf(after)}</td>
+    <td>${reasons.length ? reasonsOf(reasons) : ""} ${apart_um && html`<span class="figure" translate=${false}>${axes(apart_um, 1)} µm${apart_sigmas === null ? "" : `, ${number(apart_sigmas, 1)} σ`}</span>`} ${lost > 0 && t("cycles-lost", { count: lost })}</td>
+  </tr>`;
+}
+
+function Group({ name, list, count }) {
+  const [most, setMost] = useState(ROWS);
+  if (!count) return null;
+  return html`<h4>${t(`cycles-group-${name}`, { count })}</h4>
+    <div class="scroll tall" tabindex="0" role="region" aria-label=${t(`cycles-group-${name}`, { count })}>
+      <table class="changed">
+        <thead><tr><th scope="col">${t("cycles-cycle")}</th><th scope="col">${t("cycles-time")}</th><th scope="col">${t("cycles-result")}</th><th scope="col">${t("cycles-reasons")}</th></tr></thead>
+        <tbody>${list.slice(0, most).map((one) => html`<${Changed} key=${one.number} one=${one} />`)}</tbody>
+      </table>
+    </div>
+    ${most < list.length && html`<button type="button" onClick=${() => setMost(list.length)}>${t("cycles-all-rows", { count: list.length })}</button>`}`;
+}
+
+const PLACES = { teaching: "teachings", calibration: "calibrations" };
+function Use() {
+  const { what, passes, counts } = result.value;
+  const [note, setNote] = useState("");
+  const [reason, setReason] = useState("");
+  if (!PLACES[what.kind] || !mayTake.value) return null;
+  const use = async () => {
+    const body = { note, ...(passes ? {} : { signed: reason }), ...(holds.value ? { token: token.value } : {}) };
+    const release = await attempt(() => ask("POST", `${PLACES[what.kind]}/${what.id}/activate`, body));
+    if (!release) return;
+    say(t("cycles-used", { number: release.number }));
+    result.value = null;
+    await attempt(look);
+    await search();
+  };
+  return html`<div class="use">
+    ${!passes && html`<p><${Shape} is="doubt" /> ${t("cycles-sign-what", { count: counts.good_to_bad })}</p>`}
+    <div class="row">
+      <label class="field"><span>${t("cycles-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
+      ${!passes && html`<label class="field"><span>${t("cycles-sign")}</span><input name="signed" value=${reason} maxlength="200" onInput=${(event) => setReason(event.currentTarget.value)} /></label>`}
+    </div>
+    <div class="actions"><button type="button" class="primary" disabled=${!note.trim() || (!passes && !reason.trim())} onClick=${use}>${t(passes ? "cycles-use" : "cycles-sign-use")}</button></div>
+  </div>`;
+}
+
+function Result() {
+  const { what, at, by, cycles, passes, counts, motion, spread, good_to_bad, apart, bad_to_good, skipped, seconds } = result.value;
+  return html`<section class="result" aria-labelledby="result">
+    <h3 id="result">${t(`cycles-of-${what.kind}`, { id: what.id })}</h3>
+    <p class="big figure"><${Shape} is=${passes ? "tick" : "gap"} /> <strong>${t(passes ? "cycles-passes" : "cycles-worse", { count: counts.good_to_bad })}</strong></p>
+    <p class="muted" translate=${false}>${moment(at)} · ${by} · ${number(seconds, 0)} s</p>
+    <dl class="facts">
+      <dt>${t("cycles-tried")}</dt><dd class="figure">${cycles}</dd>
+      <dt>${t("cycles-good-stay")}</dt><dd class="figure">${counts.good_stay}</dd>
+      <dt>${t("cycles-bad-good")}</dt><dd class="figure">${counts.bad_to_good}</dd>
+      <dt>${t("cycles-bad-stay")}</dt><dd class="figure">${counts.bad_stay}</dd>
+      ${spread && html`<dt>${t("cycles-spread")}</dt><dd class="figure">${t("cycles-spread-now", { rms: number(spread.rms_um, 1), max: number(spread.max_um, 1), sigmas: number(spread.max_sigmas, 1) })}</dd>`}
+      ${motion && html`<dt>${t("cycles-motion")}</dt><dd class="figure"><span translate=${false}>${axes(motion.shift_um, 1)} µm, ${axes(motion.turn_deg, 4)}°</span><span class="hint">${t("cycles-motion-what")}</span></dd>`}
+      ${counts.skipped > 0 && html`<dt>${t("cycles-skipped")}</dt><dd class="figure">${counts.skipped} <span class="muted" translate=${false}>${skipped.slice(0, 5).map(({ number: count }) => count).join(", ")}</span></dd>`}
+    </dl>
+    <${Group} name="worse" list=${good_to_bad} count=${counts.good_to_bad} />
+    <${Group} name="apart" list=${apart} count=${counts.apart} />
+    <${Group} name="better" list=${bad_to_good} count=${counts.bad_to_good} />
+    <${Use} key=${result.value.id} />
+  </section>`;
+}
+
+export function Regressions() {
+  useEffect(() => {
+    find();
+    search();
+  }, []);
+  return html`<section aria-labelledby="regressions">
+    <h2 id="regressions">${t("cycles-regressions")}</h2>
+    <p class="hint">${t("cycles-regressions-what")}</p>
+    ${running.value && html`<${Progress} key=${running.value.task} />`}
+    ${result.value && html`<${Result} />`}
+    ${mayTake.value &&
+    candidates.value?.length > 0 &&
+    html`<h3>${t("cycles-candidates")}</h3>
+      <ul class="lines">
+        ${candidates.value.map(
+          (one) =>
+            html`<li key=${`${one.kind} ${one.id}`}>
+              <span>${t(`cycles-kind-of-${one.kind}`)} <span translate=${false}>${one.what}</span> <span class="muted" translate=${false}>${moment(one.at)}</span></span>
+              <button type="button" disabled=${running.value !== null} aria-label=${t("cycles-test-name", { what: `${t(`cycles-kind-of-${one.kind}`)} ${one.what}` })} onClick=${() => begin(bodyOf(one))}>${t("cycles-test-all")}</button>
+            </li>`,
+        )}
+      </ul>`}
+    ${kept.value?.length > 0 &&
+    html`<h3>${t("cycles-kept")}</h3>
+      <ul class="lines">
+        ${kept.value.map(
+          (one) =>
+            html`<li key=${one.id}>
+              <span><${Shape} is=${one.passes ? "tick" : "gap"} /> ${t(`cycles-of-${one.what.kind}`, { id: one.what.id })} <span class="muted" translate=${false}>${moment(one.at)} · ${one.by}</span> ${t(one.passes ? "cycles-passes" : "cycles-worse", { count: one.counts.good_to_bad })}</span>
+              <button type="button" aria-label=${t("cycles-show-name", { at: moment(one.at) })} onClick=${() => show(one.id)}>${t("cycles-show")}</button>
+            </li>`,
+        )}
+      </ul>`}
+  </section>`;
+}

@@ -1,0 +1,201 @@
+"""Recorded cycles in a real browser: a failed one beside a good one, what if, and the test before use."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from browser import Browser, browser
+from recordedcell import RecordingCell, exposures, record
+from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from smallcell import SmallCell
+from webcell import PASSWORD
+
+from edged.cellfiles import read_cell
+from edged.commissioning.drafts import Drafts, Solution
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
+from edged.files.rig import rig_text
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+VIEWS = """[...document.querySelectorAll(".recorded")]
+  .map((e) => e.getAttribute("viewBox").split(" ").map(Number))"""
+ROWS = """[...document.querySelectorAll(".features tbody tr")]
+  .map((e) => e.innerText.replaceAll(/\\s+/g, " "))"""
+VERDICTS = """[...document.querySelectorAll(".scroll.wide .status")].map((e) => e.innerText.trim())"""
+LINES = """[...document.querySelectorAll(".cycles .status")].map((e) => e.innerText.trim())"""
+GOOD = 3
+"""Good cycles, and after them one of too much sigma, a table without a part, and no pictures."""
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], RecordingCell]:
+    """A cell with five recorded cycles, each time anew, and a draft of a rig with another baseline."""
+    folder = tmp_path_factory.mktemp("cycles")
+    small = SmallCell(folder / "template", source="virtual-inprocess")
+    job = small.config.parent / "jobs" / "flange" / "job.toml"
+    job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.02"))
+    files, pairs = read_cell(small.config), exposures(small.virtual, GOOD)
+    rng = np.random.default_rng(1)
+
+    def noisy(image: Image, share: float) -> Image:
+        return np.clip(image * share + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+
+    def pair(share: float) -> FramePair:
+        left, right = (replace(one, image=noisy(one.image, share)) for one in (pairs[0].left, pairs[0].right))
+        return FramePair(left, right)
+
+    record(folder / "recordings", files, [*pairs, pair(0.15), pair(0.02), None])
+    relation = files.rig.right_from_left.copy()
+    relation[:3, 3] *= 1.02
+    wide = replace(files.rig, right_from_left=relation, calibration_id="wide")
+    number = iter(range(100))
+
+    def made() -> RecordingCell:
+        one = RecordingCell(folder / f"cell{next(number)}", small.config.parent, folder / "recordings", pairs)
+        draft = Drafts(one.state / "drafts").create(
+            "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC), None
+        )
+        figures = {
+            "stereo_rms_px": 0.1,
+            "held_out": None,
+            "sigma_um": None,
+            "grade": "good",
+            "moved_um": None,
+        }
+        draft.solve(Solution(wide.calibration_id, rig_text(wide), b"<html>", figures))
+        return one
+
+    return made
+
+
+def on_the_page(
+    made: Callable[[], RecordingCell],
+    test: Callable[[Browser, RecordingCell], Awaitable[None]],
+    width: int = 1280,
+    height: int = 900,
+    place: str = "/setup#/cycles",
+) -> None:
+    """Run a test on Anna's page; nothing may fail unseen."""
+
+    async def bounded() -> None:
+        cell = made()
+        async with asyncio.timeout(90), cell.running(), browser() as page:
+            origin = f"http://127.0.0.1:{cell.port}"
+            await log_in(page, origin, "Anna", PASSWORD, place, (width, height))
+            await page.until('document.querySelector(".cycle")')
+            await test(page, cell)
+            assert [] == page.complaints
+
+    asyncio.run(bounded())
+
+
+async def choose(page: Browser, name: str, value: str) -> None:
+    """In a list of the filter."""
+    await page.value(
+        f"""(() => {{ const list = document.querySelector("select[name={name}]");
+        list.value = {json.dumps(value)};
+        list.dispatchEvent(new Event("change", {{bubbles: true}})); }})()"""
+    )
+
+
+async def look(page: Browser, status: str) -> None:
+    """At the newest cycle that ended so."""
+    await page.value(
+        f"""(() => {{ const all = [...document.querySelectorAll(".cycle")];
+        all.find((e) => e.innerText.includes({status!r})).click(); }})()"""
+    )
+    await page.until('document.querySelector("#cycle")')
+
+
+def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
+    cell: Callable[[], RecordingCell],
+) -> None:
+    """A failed cycle stands beside a good one at the same zoom, feature by feature; what would have helped is
+    tried at once; a reload shows the same cycle. A rig is tested on all: which good cycles become bad, each
+    with its picture; it is used with a reason that is signed, and not before.
+    """
+
+    async def test(page: Browser, cell: RecordingCell) -> None:
+        assert ["No pictures", "No part", "Not good", "OK", "OK", "OK"] == await page.value(LINES)
+        await choose(page, "reason", "SIGMA_LIMIT")
+        await page.until(f"({LINES}).length === 1")
+        await look(page, "Not good")
+        await page.until(f"({VIEWS}).length === 4")
+        views = await page.value(VIEWS)
+        assert 1 == len({(round(w, 3), round(h, 3)) for _, _, w, h in views})
+        assert all(w < 320 for _, _, w, _ in views)
+        (row,) = await page.value(ROWS)
+        assert row.startswith("c0 circle 28.0")
+        await page.click("button.quiet")
+        await page.until('document.querySelectorAll(".feature.lit").length === 4')
+        await press(page, "Whole picture")
+        await page.until(f"({VIEWS}).every(([x, y, w]) => w === 320)")
+
+        await press(page, "What would have helped?")
+        await page.until('document.querySelector(".tile h4")')
+        assert await page.value(said("instead of 20.0 µm"))
+        await press(page, "Try this")
+        await page.until(f"({VERDICTS}).join() === 'Not good,OK'")
+        await page.ask("Page.reload")
+        await page.until('document.querySelector("#cycle")')
+        assert await page.value(said("too uncertain"))
+        await press(page, "Close")
+
+        before = cell.rig.read_bytes()
+        await page.until('document.querySelector(".lines li button")')
+        await press(page, "Test on all cycles")
+        await page.until('document.querySelector("#result")')
+        assert await page.value(said(f"{GOOD} good cycles become bad."))
+        await page.until('[...document.querySelectorAll(".changed img")].some((e) => e.naturalWidth === 320)')
+        await page.type("input[name=note]", "another board")
+        assert await page.value('document.querySelector(".use button").disabled')
+        await page.type("input[name=signed]", "these parts are gone")
+        await press(page, "Sign and use it")
+        await page.until('!document.querySelector(".use")')
+        assert before != cell.rig.read_bytes()
+        await go(page, "system")
+        await page.until(said("another board"))
+
+    on_the_page(cell, test)
+
+
+def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
+    """With all that it may show, narrow and wide: axe finds nothing, all fits, fingers find every target, and
+    no word is written into the page.
+    """
+
+    async def test(page: Browser, _cell: RecordingCell) -> None:
+        await page.value('document.querySelectorAll(".cycle")[2].click()')
+        await page.until('document.querySelector("#cycle")')
+        await page.click("main .primary")
+        await page.until('document.querySelector(".tile .actions")')
+        await page.click(".tile .actions button")
+        await page.until('document.querySelector(".scroll.wide")')
+        await page.value('document.querySelectorAll("main details").forEach((e) => (e.open = true))')
+        await page.until('document.querySelector(".lines li button")')
+        await page.click(".lines li button")
+        await page.until('document.querySelector("#result")')
+        assert [] == await page.value(UNTRANSLATED)
+        for width, height in ((360, 740), (1280, 900)):
+            await page.ask(
+                "Emulation.setDeviceMetricsOverride",
+                width=width,
+                height=height,
+                deviceScaleFactor=1,
+                mobile=False,
+            )
+            assert [] == await page.violations()
+            assert 0 == await page.value(TOO_WIDE)
+            assert [] == await page.value(SMALL_TARGETS)
+
+    on_the_page(cell, test, 360, 740, "/setup?pseudo#/cycles")
