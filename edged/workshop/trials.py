@@ -49,6 +49,8 @@ log = logging.getLogger(__name__)
 FUNCTIONS = {name: f"edged.workshop.trialwork:{name}" for name in ("try_pair", "stand", "sigmas")}
 MOST_COVERED = 2000
 """Places that are told: a trail of many minutes."""
+MOST_KNOWN = 4
+"""Jobs whose trail and map are kept."""
 APART_MM = 0.5
 """A part that lies still leaves one place in the trail."""
 
@@ -71,13 +73,12 @@ class CellSettings:
 
 @dataclass(eq=False, slots=True)
 class _Trial:
-    """What is known of a job that is, or was, tried. content : the job, pickled."""
+    """What is known of a job with a rig. content : the job, pickled."""
 
     what: What
     job: Job
     content: bytes
     calibration: str
-    token: str | None = None  # of who has the cell, while it is on
     number: int = 0
     tried: Tried | None = None
     trouble: str = ""
@@ -94,11 +95,11 @@ class _Trial:
             return None
         return len(self.visited & set(np.flatnonzero(self.map.seen).tolist())) / int(self.map.seen.sum())
 
-    def document(self) -> TrialDocument:
+    def document(self, *, on: bool) -> TrialDocument:
         """As it is told."""
         tried = self.tried
         return TrialDocument(
-            on=self.token is not None,
+            on=on,
             job=self.what.job,
             teaching=self.what.teaching,
             name=self.job.name,
@@ -184,14 +185,16 @@ class Trials:
         self._jobs = jobs
         self._draft = draft
         self._settings = settings
-        self._trial: _Trial | None = None
+        self._known: dict[What, _Trial] = {}  # asked for last at the end
+        self._tried = What()  # what is tried, or was last
+        self._token: str | None = None  # of who has the cell, while it is
         self._trying: asyncio.Task[None] | None = None
         self._still: str | None = None
 
     @property
     def is_on(self) -> bool:
         """Whether live pairs are measured by a job: then nothing else looks at them."""
-        return self._trial is not None and self._trial.token is not None
+        return self._token is not None
 
     async def close(self) -> None:
         """Nothing is tried any more."""
@@ -207,19 +210,17 @@ class Trials:
         """
         self._renew(token)
         if on:
-            trial = await self._known(what)
-            trial.token = token
-        elif self._trial is not None:
-            self._trial.token = None
+            self._tried = (await self._trial_of(what)).what
+        self._token = token if on else None
         return self._tell()
 
     async def document(self) -> TrialDocument:
         """How it stands."""
-        return NOTHING if self._trial is None else self._trial.document()
+        return self._document()
 
     async def map(self, what: What) -> MapDocument:
         """What is to be expected of a job in its working volume. Raises as `turn`, and `TaskFailed`."""
-        trial = await self._known(what)
+        trial = await self._trial_of(what)
         measured = bool(trial.scatters)
         if trial.map is None or measured != trial.map_measured:
             found = await self._worker.run("sigmas", self._setup(trial), trial.scatters)
@@ -232,7 +233,7 @@ class Trials:
         self._renew(token)
         if self._tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
-        trial = await self._known(what)
+        trial = await self._trial_of(what)
         self._still = self._tasks.start("still", partial(self._hold_still, trial, token, pictures, author))
         return self._still
 
@@ -245,40 +246,44 @@ class Trials:
     def offer(self, number: int, pair: FramePair) -> None:
         """Measure a live pair, unless something else is being done."""
         busy = self._worker.is_busy or self._tasks.is_running(self._still)
-        if self._trial is not None and self.is_on and self._trying is None and not busy:
-            self._trying = asyncio.create_task(self._try(self._trial, number, pair), name="trial")
+        if self._token is not None and self._trying is None and not busy:
+            self._trying = asyncio.create_task(
+                self._try(self._tried, self._token, number, pair), name="trial"
+            )
 
-    async def _try(self, trial: _Trial, number: int, pair: FramePair) -> None:
+    async def _try(self, what: What, token: str, number: int, pair: FramePair) -> None:
+        trial = self._known.get(what)
         try:
-            assert trial.token is not None
-            self._renew(trial.token)
-            if trial.what.teaching is not None:
-                trial = await self._known(trial.what)
+            self._renew(token)
+            trial = await self._trial_of(what)
             images = pair.left.image, pair.right.image
             trial.note(number, await self._worker.run("try_pair", self._setup(trial), images))
         except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
-            trial.token = None
+            self._token = None
         except (EdgedError, OSError) as error:
-            if trial.trouble != str(error):  # once, not with every pair
-                log.warning("a live pair cannot be tried: %s", error)
-            trial.number, trial.tried, trial.trouble = number, None, str(error)
+            if trial is not None:
+                if trial.trouble != str(error):  # once, not with every pair
+                    log.warning("a live pair cannot be tried: %s", error)
+                trial.number, trial.tried, trial.trouble = number, None, str(error)
         finally:
             self._trying = None
-        if trial is self._trial:
+        if what == self._tried:
             self._tell()
 
-    async def _known(self, what: What) -> _Trial:
+    async def _trial_of(self, what: What) -> _Trial:
         """The trial of what is asked for, else of what is tried; begun anew where job or rig have changed."""
-        if what == What() and self._trial is not None:
-            what = self._trial.what
+        what = self._tried if what == What() else what
         job, rig = await self._job(what), self._in_use()
-        trial = self._trial
-        if trial is None or (trial.what, trial.calibration) != (what, rig.calibration_id):
-            trial = self._trial = _Trial(what, job, _packed(job), rig.calibration_id)
+        trial = self._known.pop(what, None)
+        if trial is None or trial.calibration != rig.calibration_id:
+            trial = _Trial(what, job, _packed(job), rig.calibration_id)
         elif trial.job is not job and trial.content != (content := _packed(job)):
-            changed = _Trial(what, job, content, rig.calibration_id, token=trial.token)
-            changed.scatters = trial.scatters  # the light is the same
-            trial = self._trial = changed
+            before, trial = trial, _Trial(what, job, content, rig.calibration_id)
+            trial.scatters = before.scatters  # the light is the same
+        self._known[what] = trial
+        while len(self._known) > MOST_KNOWN:
+            oldest = next(one for one in self._known if one != self._tried)
+            del self._known[oldest]
         return trial
 
     async def _job(self, what: What) -> Job:
@@ -301,8 +306,12 @@ class Trials:
         rig, settings = self._in_use(), self._settings()
         return TrialSetup(rig.content, rig.path, trial.content, settings.bounds, settings.convention)
 
+    def _document(self) -> TrialDocument:
+        trial = self._known.get(self._tried)
+        return NOTHING if trial is None else trial.document(on=self.is_on)
+
     def _tell(self) -> TrialDocument:
-        document = NOTHING if self._trial is None else self._trial.document()
+        document = self._document()
         self._notices.publish("trial", document.model_dump(mode="json"))
         return document
 

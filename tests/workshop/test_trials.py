@@ -105,6 +105,10 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path) -> None:
             await cell.ask("PUT", "/trials", {**token, "teaching": draft, "on": True})
             of_draft = await told(socket, lambda one: one["teaching"] == draft and one["number"])
             assert ("OK", None, 1) == (of_draft["status"], of_draft["job"], len(of_draft["covered"]))
+            _, again = await cell.ask("GET", "/trials/map?job=flange", None)
+            assert chart == again
+            _, still_on = await cell.ask("GET", "/trials", None)
+            assert (True, draft) == (still_on["on"], still_on["teaching"])
 
     run(cell, test())
 
