@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 import secrets
 import shutil
+import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -17,7 +20,10 @@ from edged.files.atomic import make_folders, read_bytes, write_atomically
 
 MOST_OPERATIONS = 2000
 _STATE = "state.json"
-DraftId = Annotated[str, Field(pattern=r"^[0-9]{8}-[0-9]{6}-[0-9a-f]{4}$")]
+BEGINNING_S = 3600.0
+"""Longer than it takes to write the first files of a draft."""
+_IDENTITY = re.compile(r"[0-9]{8}-[0-9]{6}-[0-9a-f]{4}")
+DraftId = Annotated[str, Field(pattern=f"^{_IDENTITY.pattern}$")]
 Text = Annotated[str, Field(max_length=2000)]
 
 
@@ -138,7 +144,16 @@ class DraftFolders(Generic[S]):
         draft.write(state)
         for old in self.names()[self._most :]:
             self.remove(old)
+        self._sweep()
         return draft
+
+    def _sweep(self) -> None:
+        """Forget drafts that were cut off while they began."""
+        for entry in self._folder.iterdir():
+            with contextlib.suppress(OSError):  # somebody else has removed it
+                is_old = time.time() - entry.stat().st_mtime > BEGINNING_S
+                if is_old and _IDENTITY.fullmatch(entry.name) and not (entry / _STATE).exists():
+                    shutil.rmtree(entry, ignore_errors=True)
 
     def remove(self, identity: str) -> None:
         """Forget one; it is none any more before the first of its other files goes."""

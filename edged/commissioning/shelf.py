@@ -8,6 +8,7 @@ What was ever active stays; of the others the last ones.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from datetime import datetime
 from pathlib import Path
@@ -45,6 +46,7 @@ class Release(Kept):
     """What is known of one. parent : the release that was active before.  rig : its calibration id.
 
     activated : each time.  tested : before the last time; None: no recorded cycle was concerned.
+    digests : of what each job measures by, by its folder.
     """
 
     format: Literal["edged-release"] = "edged-release"
@@ -59,6 +61,7 @@ class Release(Kept):
     jobs: tuple[Text, ...]
     activated: tuple[Text, ...] = ()
     tested: Tested | None = None
+    digests: dict[Text, Text] = Field(default_factory=dict)
 
 
 class Shelf:
@@ -88,6 +91,7 @@ class Shelf:
             fingerprint=made.backup.fingerprint,
             rig=rig,
             jobs=tuple(_jobs(made.backup)),
+            digests=_digests(made.backup),
         )
         make_folders(self._folder)
         write_atomically(self._archive(release.number), made.archive, mode=0o600)
@@ -184,6 +188,16 @@ class Shelf:
 def _jobs(cell: Backup) -> list[str]:
     """Folders of its jobs."""
     return sorted({Path(name).parent.name for name in cell.files if name.endswith("/job.toml")})
+
+
+def _digests(cell: Backup) -> dict[str, str]:
+    """SHA-256 of the files that each job measures by, by its folder."""
+    found = {}
+    for name in cell.files:
+        if name.endswith("/job.toml"):
+            data = cell.files[name] + cell.files.get(f"{name.removesuffix('job.toml')}shape.npz", b"")
+            found[Path(name).parent.name] = hashlib.sha256(data).hexdigest()
+    return found
 
 
 def _text(time: datetime) -> str:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from edged.adapters.web.routes import Body, Call, Problem, RouteTable, Token
 from edged.adapters.web.visitors import Role
 from edged.commissioning.teachstate import JobName, Number
 from edged.workshop.activating import Activation
 from edged.workshop.calibrationroutes import Nothing, known
-from edged.workshop.jobs import JobList, Jobs
+from edged.workshop.jobs import JobList, Jobs, VersionList
 from edged.workshop.releaseroutes import Reason
 
 JOB = "/jobs/{name:[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}}"
@@ -29,7 +28,7 @@ class Changing(Body):
     number: Number | None = None
     retired: bool | None = None
     note: Reason | None = None
-    signed: Annotated[Reason | None, Field()] = None
+    signed: Reason | None = None
 
     @model_validator(mode="after")
     def _one_thing(self) -> Changing:
@@ -39,6 +38,16 @@ class Changing(Body):
         if self.retired and self.number is not None:
             raise ValueError("expected no number for what is retired")
         return self
+
+
+class Copying(Body):
+    """Name and number of the copy; number : left out: one that is free."""
+
+    token: Token | None = None
+    new_name: JobName
+    number: Number | None = None
+    note: Reason | None = None
+    signed: Reason | None = None
 
 
 class JobRoutes:
@@ -72,6 +81,25 @@ class JobRoutes:
             audit=True,
         )
 
+        table.route(
+            "POST",
+            f"{JOB}/duplicate",
+            self._copy,
+            "The same job once more, under another name: as a release",
+            body=Copying,
+            answer=JobList,
+            status=201,
+            audit=True,
+        )
+        table.route(
+            "GET",
+            f"{JOB}/versions",
+            self._versions,
+            "The releases that changed a job",
+            role=Role.VIEWER,
+            answer=VersionList,
+        )
+
     async def _list(self, _call: Call[None]) -> JobList:
         return await self._jobs.listed()
 
@@ -95,6 +123,20 @@ class JobRoutes:
             asked = self._jobs.bring_back(folder, author, note, body.signed, number=body.number)
         call.trail.after = (await known(asked)).fingerprint
         return await self._jobs.listed()
+
+    async def _copy(self, call: Call[Copying]) -> JobList:
+        self._activation.check(call.body.token)
+        job, body = call.part("name"), call.body
+        call.trail.object, call.trail.before = body.new_name, self._activation.fingerprint
+        note = body.note or f"{body.new_name}, as {job}"
+        asked = self._jobs.copy(
+            job, call.visitor.name, note, body.signed, name=body.new_name, number=body.number
+        )
+        call.trail.after = (await known(asked)).fingerprint
+        return await self._jobs.listed()
+
+    async def _versions(self, call: Call[None]) -> VersionList:
+        return await known(self._jobs.versions(call.part("name")))
 
     async def _take(self, call: Call[Nothing]) -> None:
         try:

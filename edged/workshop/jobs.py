@@ -55,6 +55,22 @@ class JobList(Document):
     jobs: list[JobDocument]
 
 
+class VersionDocument(Document):
+    """A release in which a job was another than in the one before. active : it is now as it was then."""
+
+    release: int
+    created: str
+    author: str
+    note: str
+    active: bool
+
+
+class VersionList(Document):
+    """The youngest first."""
+
+    versions: list[VersionDocument]
+
+
 class Retired(Kept):
     """A job that was taken out of use."""
 
@@ -89,15 +105,16 @@ class Jobs:
         """All of them."""
         return await asyncio.to_thread(self._listed)
 
-    def number_of(self, folder: str) -> int:
+    def number_of(self, job: str) -> int:
         """Raises `KeyError` for a job that is not in use."""
-        return self._jobs().line(folder).number
+        return self._jobs().line(job).number
 
     async def change(
-        self, folder: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
+        self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
     ) -> Release:
         """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
-        line, jobs = self._jobs().line(folder), self._jobs()
+        jobs = self._jobs()
+        line, folder = jobs.line(job), jobs.line(job).folder
         if name is not None and name != line.name:
             _check_unnamed(line, jobs)
         wanted_name, wanted_number = name or line.name, number or line.number
@@ -110,9 +127,37 @@ class Jobs:
 
         return await self._activation.activate_jobs(changed, author, note, signed)
 
-    async def retire(self, folder: str, author: str, note: str, signed: str | None) -> Release:
+    async def copy(
+        self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
+    ) -> Release:
+        """The same job once more, under another name and number. Raises as `change`."""
+        folder = self._jobs().line(job).folder
+        wanted = number or self._jobs().free_number
+        self._jobs().check_free(name, wanted, None)
+
+        def copied(there: Files) -> Files:
+            return with_job(there, name, renamed(of_job(there, folder), name=name, number=wanted), None)
+
+        return await self._activation.activate_jobs(copied, author, note, signed)
+
+    async def versions(self, job: str) -> VersionList:
+        """Of a job in use, as far as releases that were active know."""
+        folder = self._jobs().line(job).folder
+        releases, active = await self._activation.listed()
+        now = next((one.digests.get(folder) for one in releases if one.number == active), None)
+        found, before = list[VersionDocument](), None
+        for one in reversed([release for release in releases if release.activated]):
+            digest = one.digests.get(folder)
+            if digest is not None and digest != before:
+                fields = one.model_dump(include={"created", "author", "note"})
+                found.append(VersionDocument(release=one.number, active=digest == now, **fields))
+            before = digest
+        return VersionList(versions=found[::-1])
+
+    async def retire(self, job: str, author: str, note: str, signed: str | None) -> Release:
         """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
-        line, jobs = self._jobs().line(folder), self._jobs()
+        jobs = self._jobs()
+        line, folder = jobs.line(job), jobs.line(job).folder
         _check_unnamed(line, jobs)
         if len(jobs.lines) == 1:
             raise UserError("it is the only job: a cell without any measures nothing", "last_job")
@@ -130,10 +175,12 @@ class Jobs:
         )
 
     async def bring_back(
-        self, folder: str, author: str, note: str, signed: str | None, *, number: int | None
+        self, job: str, author: str, note: str, signed: str | None, *, number: int | None
     ) -> Release:
         """As it was when it was retired; number : another one than it had. Raises as `change`."""
-        kept = (await asyncio.to_thread(self._kept))[folder]
+        retired = await asyncio.to_thread(self._kept)
+        folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
+        kept = retired[folder]
         wanted = number or kept.number
         self._jobs().check_free(kept.name, wanted, None)
         files = await asyncio.to_thread(self._files, folder)

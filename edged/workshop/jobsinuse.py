@@ -68,9 +68,10 @@ class JobsInUse:
         names = (f"part{number}" for number in range(1, len(taken) + 2))
         return next(name for name in (self.wanted, *names) if name and name not in taken)
 
-    def line(self, folder: str) -> JobLine:
-        """Raises `KeyError` for a folder that holds no job."""
-        return {line.folder: line for line in self.lines}[folder]
+    def line(self, job: str) -> JobLine:
+        """By its folder, or by its name. Raises `KeyError`."""
+        by_name = {line.name: line for line in self.lines}
+        return {**by_name, **{line.folder: line for line in self.lines}}[job]
 
     def candidate(
         self, name: str, number: int, replaced: str | None, files: Mapping[str, bytes]

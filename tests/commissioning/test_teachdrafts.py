@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import random
 from datetime import UTC, datetime
 from pathlib import Path
@@ -79,6 +80,19 @@ def test_power_cuts_leave_a_whole_draft(tmp_path: Path) -> None:
             assert all(np.array_equal(*images) for images in zip(PAIR, draft.pair(), strict=True))
             found.add(draft.state.revision)
     assert {0, 1, 2} == found
+
+
+def test_what_was_cut_off_while_it_began_goes(tmp_path: Path) -> None:
+    """When it is old enough to be nobody's any more; whatever else is there stays."""
+    cut_off, fresh, other = (
+        tmp_path / name for name in ("20260101-000000-abcd", "20260102-000000-abcd", "x")
+    )
+    for folder in (cut_off, fresh, other):
+        folder.mkdir()
+    for folder in (cut_off, other):
+        os.utime(folder, (0, 0))
+    draft = begin(tmp_path)
+    assert {fresh, other, draft.folder} == set(tmp_path.iterdir())
 
 
 def test_a_disc_that_is_full_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

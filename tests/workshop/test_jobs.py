@@ -86,6 +86,17 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> N
         assert (422, "input_last_job") == await refused("cover", {"retired": True})
         assert 200 == (await cell.ask("PUT", "/jobs/flange", {"retired": False, "number": 2}))[0]
         assert [("flange", 2, False, False), ("cover", 7, True, False)] == await told()
+        copy = {"new_name": "lid-2", "note": "for the left side"}
+        assert 201 == (await cell.ask("POST", "/jobs/cover/duplicate", copy))[0]
+        assert (422, "teach_name_taken") == await refused("flange", {"new_name": "lid-2"})
+        _, listed = await cell.ask("GET", "/jobs")
+        assert ("lid-2", 1, True) == tuple(listed["jobs"][0][key] for key in ("name", "number", "editable"))
+        assert 200 == (await cell.ask("PUT", "/jobs/lid-2", {"number": 3, "note": "the PLC wants 3"}))[0]
+        _, versions = await cell.ask("GET", "/jobs/lid-2/versions")
+        assert [("the PLC wants 3", True), ("for the left side", False)] == [
+            (one["note"], one["active"]) for one in versions["versions"]
+        ]
+        assert 404 == (await cell.ask("GET", "/jobs/bracket/versions"))[0]
         status, back = await cell.ask("POST", "/releases/1/activate", {"reason": "as it was"})
         assert (200, before) == (status, back["fingerprint"])
         assert [("flange", 1, False, False), ("lid", 4, True, False)] == await told()

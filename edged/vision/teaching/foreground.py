@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, Polygon
+from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, first_crossing
 
 WIDTH_PX = 480
 """Of the picture that is looked at: edges of a texture are averaged away, outlines are not."""
@@ -34,9 +34,9 @@ RIVAL = 0.5
 """Of the strongest outline: one as strong as this is an outline, too."""
 ONE_SHARE, ONE_PX = 0.08, 6.0
 """By so much two outlines' radii differ at most that are the same edge: blur moves level sets along it."""
-MARGIN_SHARE = 0.008
-"""Of the picture's width, around the outline: the whole of its edge is learnt."""
-CORNER_PX = 2.0
+MARGIN_PX = 5
+"""Of the small picture, around the outline: the whole of its edge is learnt."""
+CORNER_PX = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ def likely_part(left: Image) -> FloatArray | None:
     if not found:
         return None
     best = max(found, key=lambda one: one.strength * np.sqrt(one.area))
-    return _around(best, scale, left.shape)
+    return _around(best, scale, small.shape)
 
 
 def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
@@ -83,7 +83,7 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
     for one in sorted((one for one in around if one.strength >= least), key=lambda one: -one.strength):
         if not any(one.is_beside(other) for other in nested):
             nested.append(one)
-    return tuple(_around(one, scale, left.shape) for one in sorted(nested, key=lambda one: -one.area))
+    return tuple(_around(one, scale, small.shape) for one in sorted(nested, key=lambda one: -one.area))
 
 
 def _shrunk(left: Image) -> tuple[Image, float]:
@@ -144,24 +144,16 @@ def _borders(inside: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int32]]:
 
 
 def _around(outline: _Outline, scale: float, shape: tuple[int, ...]) -> FloatArray:
-    """Corners (N, 2) of a polygon around an outline, px of an image (H, W), with a margin."""
-    height, width = shape
+    """Corners (N, 2) of a polygon around an outline of a small picture (h, w), with a margin; raw px."""
     inside = np.zeros(shape, np.uint8)
-    places = (outline.points + 0.5) / scale - 0.5
-    cv2.fillPoly(inside, [np.rint(places).astype(np.int32)], 255)
-    reach = max(4, round(MARGIN_SHARE * width)) + round(0.5 / scale)
-    wide = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
+    cv2.fillPoly(inside, [outline.points], 255)
+    wide = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN_PX + 1,) * 2))
     border = max(cv2.findContours(wide, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], key=cv2.contourArea)
+    corners = np.asarray(cv2.convexHull(border)[:, 0], np.float64)
     for step in (1, 2, 4, 8):
-        corners = np.asarray(cv2.approxPolyDP(border, step * CORNER_PX, True)[:, 0], np.float64)
-        if len(corners) <= MAX_CORNERS // 4 and _is_simple(corners, width, height):
-            return corners
-    return np.asarray(cv2.convexHull(border)[:, 0], np.float64)
-
-
-def _is_simple(corners: FloatArray, width: int, height: int) -> bool:
-    try:
-        Polygon(corners).painted(width, height)
-    except TeachError:  # simplifying has let two sides cross
-        return False
-    return True
+        found = np.asarray(cv2.approxPolyDP(border, step * CORNER_PX, True)[:, 0], np.float64)
+        # simplifying may let two sides cross
+        if 3 <= len(found) <= MAX_CORNERS // 4 and first_crossing(found) is None:
+            corners = found
+            break
+    return (corners + 0.5) / scale - 0.5

@@ -75,7 +75,7 @@ class Polygon:
         if not np.isfinite(corners).all() or np.abs(corners).max() > FARTHEST_PX:
             raise TeachError("region polygon: expected corners X,Y in pixels of the left image")
         corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # often the last is the first
-        if (crossing := _first_crossing(corners)) is not None:
+        if (crossing := first_crossing(corners)) is not None:
             first, second = crossing
             raise TeachError(
                 f"region polygon: the side after corner {first + 1} crosses the one after corner "
@@ -154,7 +154,7 @@ def _as_mask(inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Image:
     return np.asarray(inside, np.uint8) * np.uint8(255)
 
 
-def _first_crossing(corners: FloatArray) -> tuple[int, int] | None:
+def first_crossing(corners: FloatArray) -> tuple[int, int] | None:
     """Two sides of a closed polygon that meet although they are not neighbours."""
     ahead = np.roll(corners, -1, axis=0)
     count = len(corners)
