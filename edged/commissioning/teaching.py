@@ -158,7 +158,8 @@ def check_name(name: str, option: str = "--name") -> None:
     if not allowed or len(name) > 64:
         raise TeachError(
             f"{option} {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
-            "beginning with a letter or digit"
+            "beginning with a letter or digit",
+            "name",
         )
 
 

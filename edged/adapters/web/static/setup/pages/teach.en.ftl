@@ -165,3 +165,18 @@ teach-sign-some = Recorded parts that were good are not good with this job.
 teach-sign-what = Look at them first. If that is as it should be, say why: it is kept in the audit with your name.
 teach-sign-reason = Why it is right nevertheless
 teach-sign = Sign and use it
+
+## What teaches nothing
+problem-teach-no-feature = There is no circle, no slot and no straight edge that both cameras see. Lay the part before both, light it, and tap it.
+problem-teach-one-sided = What the left picture shows is not found in the right one. Is the part before both cameras, and nothing between? Otherwise the calibration is of other cameras: check it.
+problem-teach-small-region = What is chosen is empty or tiny: tap the part, or draw around it.
+problem-teach-crossing = The lines around the part cross each other: set the corners one after the other around it.
+problem-teach-few-edges = What is chosen shows too few edges. Is the part inside, lit and in focus?
+problem-teach-nothing-there = Nothing with a clear outline is there. Draw around the part, or light it so that it differs from the table.
+problem-teach-no-pair = This job was taught elsewhere and keeps no pair: teach it from a fresh one.
+problem-teach-name = This cannot be a name: letters, digits, “_”, “.” and “-” can, the first a letter or a digit.
+problem-teach-name-taken = There is a job { $name } already: change that one, or choose another name.
+problem-teach-number-taken = { $number } is the number of { $name }; { $free } is free.
+problem-teach-nothing-left = Nothing is left to measure by: take one circle, one slot or two edges at least.
+problem-teach-name-old = What ends so is a job that was replaced: choose another name.
+problem-teach-no-pictures = That cycle has no pictures: the cameras gave none.

@@ -1,6 +1,6 @@
 // Teaching a job: a pair of the part, what of it is measured by, what that promises, and its release.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, attempt, sentence } from "../api.js";
 import { cell, holds, look, mayTake, SIDES, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
 import { Dialog, say, Shape } from "../pieces.js";
@@ -123,7 +123,7 @@ function Trouble() {
     return () => clearInterval(timer);
   }, [proposing]);
   if (proposing || !trouble) return null;
-  return html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("teach-trouble")} <span translate=${false} lang="en">${trouble.text}</span></p>`;
+  return html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("teach-trouble")} ${sentence({ ...trouble, detail: trouble.text })}</p>`;
 }
 
 // --- its release ---
