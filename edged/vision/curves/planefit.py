@@ -40,6 +40,7 @@ from edged.vision.curves.planestate import (
     State,
     Step,
 )
+from edged.vision.curves.systematic import FAMILIES
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
 
@@ -67,6 +68,10 @@ class Scatter:
     shift_px: FloatArray
     clipped: tuple[bool, bool]
     soft: tuple[bool, bool]
+
+
+UNKNOWN = Scatter(np.zeros(len(PARTS)), 0.5, np.zeros(FAMILIES.max() + 1), (False, False), (False, False))
+"""Of curves that were only laid where they are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,6 +298,8 @@ def result_of(state: State, step: Step) -> PlaneFit | None:
 
 def _scatters_of(step: Step, numbers: Sequence[int]) -> list[Scatter]:
     """The scatters of some curves of a step."""
+    if not step.problem.final:
+        return [UNKNOWN] * len(numbers)
     arcs = arcs_px(step.problem.sides, step.starts)
     lengths = np.add.reduceat(arcs, step.starts[:-1])
     return [_scatter_of(step, number, float(lengths[number])) for number in numbers]

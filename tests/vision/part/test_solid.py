@@ -27,7 +27,7 @@ from tilted import lying, stacked
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target
-from edged.pipeline import locate, prepare
+from edged.pipeline import inspect, locate, prepare
 from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Scene, Surface
 from edged.vision.curves.foresight import Light, scatter_in
@@ -36,6 +36,7 @@ from edged.vision.curves.planefit import CurveFit, PlaneFit
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part import measure as part_measure
+from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.frames import with_features
 from edged.vision.part.job import CornerFeature, MeasurementSpec
 from edged.vision.part.measured import Measured
@@ -191,6 +192,20 @@ def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     assert abs(height.value - STEP_MM - taller_mm) < 4 * height.sigma
     assert height.sigma < 0.03
     assert height.ok
+
+
+def test_its_sigma_is_what_was_expected_of_it() -> None:
+    """Of the part as a whole, with the edges as clear as they were: all six sigmas, within 7 %."""
+    here = taught()
+    where = lying(here.rig.rig, 20.0, 80.0, 250.0)
+    job = replace(here.job, tilt_rad=math.radians(45.0))
+    pair = frame_pair(*pictures(here.rig.rig, block(where), 7))
+    (found,) = inspect(pair, job, here.rig).measured
+    scatters = scatters_of(found.fits)
+    expected = expected_target(here.rig.rectification, job, found.target.rig_from_part, scatters)
+    assert expected is not None
+    sigmas = (np.sqrt(np.diag(one.covariance)) for one in (expected, found.target))
+    np.testing.assert_allclose(*sigmas, rtol=0.07)
 
 
 def test_the_report_states_heights() -> None:
