@@ -13,10 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
 
 import numpy as np
-from computedmarks import compared, is_whole, seen_by, views_at
+from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
 from edged.commissioning.calibration import Looked, Views
 from edged.commissioning.guidance import Ghost, first_ghosts, guide, held_share, nearness
@@ -39,15 +38,6 @@ POINTS_MM = np.array(
     [(x, y, z) for x in (-15.0, 8.0, 30.0) for y in (-15.0, 0.0, 15.0) for z in (200.0, 205.0, 210.0)]
 )
 """Where parts may lie."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """Of one calibration: sigma as stated and true error (3,) in µm, and chi² over its freedom."""
-
-    sigma_um: FloatArray
-    error_um: FloatArray
-    chi2: float
 
 
 class Clock:
@@ -125,15 +115,12 @@ def held(stage: Stage) -> tuple[FloatArray, Watched]:
     return shown[1], Watched(left, right, SIZE)
 
 
-def outcome(views: list[StereoView]) -> Outcome:
+def outcome(views: list[StereoView]) -> Compared:
     """Calibrated, beside the truth."""
-    error_um, sigma_um, chi2 = compared(
-        calibrate_stereo(views, SIZE, SIZE, "auto").rig, demo_rig(), POINTS_MM
-    )
-    return Outcome(sigma_um, error_um, chi2)
+    return compared(calibrate_stereo(views, SIZE, SIZE, "auto").rig, demo_rig(), POINTS_MM)
 
 
-def outcomes(guided: int, careful: int, noise_px: float, seed: int) -> tuple[Outcome, Outcome]:
+def outcomes(guided: int, careful: int, noise_px: float, seed: int) -> tuple[Compared, Compared]:
     """Of both, with the same seed."""
     poses = calibration_poses(demo_rig(), stage_board(), careful, seed=seed)
     return (
@@ -173,7 +160,7 @@ def main() -> None:
         print(json.dumps([a.tolist() for a in summary]))
 
 
-def cells(one: Outcome) -> str:
+def cells(one: Compared) -> str:
     """Lengths of sigma and error, and chi²."""
     return f"{np.linalg.norm(one.sigma_um):.1f}, {np.linalg.norm(one.error_um):.1f} | {one.chi2:.2f}"
 

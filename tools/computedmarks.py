@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,14 +48,23 @@ def is_whole(rig: StereoRig, points_mm: FloatArray, border_px: float = 8.0) -> b
     return all(bool((pixels >= border_px).all() and (pixels <= last).all()) for pixels in both)
 
 
-def compared(rig: StereoRig, truth: StereoRig, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Rms error (3,) and sigma (3,) in µm of points that the true rig sees, and chi² over its freedom."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """Sigma as stated and true error (3,) in µm, rms over points, and the mean of chi² over its freedom."""
+
+    sigma_um: FloatArray
+    error_um: FloatArray
+    chi2: float
+
+
+def compared(rig: StereoRig, truth: StereoRig, points_mm: FloatArray) -> Compared:
+    """A calibrated rig beside the true one, which sees these points (N, 3)."""
     pixels = truth.left.project(points_mm), truth.right.project(apply(truth.right_from_left, points_mm))
     error = triangulate_raw(rig, *pixels) - points_mm
     covariance = calibration_covariance(rig, points_mm)
     solved = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return (
-        1e3 * np.sqrt(np.mean(error**2, axis=0)),
+    return Compared(
         1e3 * np.sqrt(np.mean(np.einsum("nii->ni", covariance), axis=0)),
+        1e3 * np.sqrt(np.mean(error**2, axis=0)),
         float(np.mean(np.sum(error * solved, axis=1))) / 3,
     )
