@@ -123,6 +123,8 @@ async def calibrate(newcomer: Newcomer, goal_um: float, lens: LensWish) -> dict[
             told = json.loads(message.data) if message.type is aiohttp.WSMsgType.TEXT else {}
             if told.get("number"):
                 await tab.send_str(json.dumps({"seen": told["number"], "active": True}))
+            if told.get("code") == "unseen":  # this process was busy for too long
+                await tab.send_str(json.dumps({"live": True, **newcomer.token}))
             if told.get("type") == "draft":
                 if len(told["views"]) != len(draft["views"]):
                     text = f"view {len(told['views'])} after {time.monotonic() - begun_s:.0f} s"

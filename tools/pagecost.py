@@ -52,7 +52,7 @@ async def _measure(cell: BenchCell, port: int, seconds: float) -> None:
     phases = {name: Phases() for name in ("nobody looks", "one viewer")}
     async with cell.running():
         for name in ROUNDS * tuple(phases):
-            async with _viewer(port) if name == "one viewer" else contextlib.nullcontext():
+            async with viewer(port) if name == "one viewer" else contextlib.nullcontext():
                 first, busy_s = len(cell.listener.snapshots), time.process_time()
                 await asyncio.sleep(seconds)
                 phases[name].busy_s += time.process_time() - busy_s
@@ -81,11 +81,11 @@ async def _measure(cell: BenchCell, port: int, seconds: float) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _viewer(port: int) -> AsyncIterator[None]:
-    """A viewer in a process of its own."""
+async def viewer(port: int, *who: str) -> AsyncIterator[None]:
+    """A viewer in a process of its own. who : name and password, where the page asks for them."""
     script = Path(__file__).with_name("pageviewer.py")
     process = await asyncio.create_subprocess_exec(
-        sys.executable, str(script), str(port), stdout=asyncio.subprocess.PIPE
+        sys.executable, str(script), str(port), *who, stdout=asyncio.subprocess.PIPE
     )
     try:
         assert process.stdout is not None

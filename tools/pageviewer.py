@@ -1,6 +1,7 @@
 """A viewer of a status page: hears each event, fetches the pictures of each cycle, as the page does.
 
-python tools/pageviewer.py PORT; says "looking" after the first pictures, and looks until it is ended.
+python tools/pageviewer.py PORT [NAME PASSWORD]; says "looking" after the first pictures, and looks until it
+is ended.
 """
 
 from __future__ import annotations
@@ -13,17 +14,22 @@ from typing import Any
 import aiohttp
 
 
-async def look(port: int) -> None:
-    """Look for ever."""
-    url = f"http://127.0.0.1:{port}"
+async def look(port: int, *who: str) -> None:
+    """Look for ever. who : name and password, where the page asks for them."""
     said = False
-    async with aiohttp.ClientSession(url) as session, session.get("/events") as events:
-        async for line in events.content:
-            if line.startswith(b"data: "):
-                await fetch_pictures(session, json.loads(line[6:]))
-                if not said:
-                    print("looking", flush=True)
-                said = True
+    jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
+    async with aiohttp.ClientSession(f"http://127.0.0.1:{port}", cookie_jar=jar) as session:
+        if who:
+            form = dict(zip(("name", "password"), who, strict=True))
+            async with session.post("/login", data=form, allow_redirects=False) as answer:
+                answer.raise_for_status()
+        async with session.get("/events") as events:
+            async for line in events.content:
+                if line.startswith(b"data: "):
+                    await fetch_pictures(session, json.loads(line[6:]))
+                    if not said:
+                        print("looking", flush=True)
+                    said = True
 
 
 async def fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
@@ -38,4 +44,4 @@ async def fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any])
 
 
 if __name__ == "__main__":
-    asyncio.run(look(int(sys.argv[1])))
+    asyncio.run(look(int(sys.argv[1]), *sys.argv[2:]))
