@@ -59,23 +59,28 @@ class Place(Kept):
 
 
 class LookState(Kept):
-    """A pair in which places were looked for. reason : why there are none."""
+    """A pair in which places were looked for. reason : why there are none.
+
+    length_percent : by so much the board is longer than was stated, where that is why.
+    """
 
     name: LookName
     places: Annotated[tuple[Place, ...], Field(max_length=MOST)] = ()
     reason: Text = ""
+    length_percent: float | None = None
 
 
 class SampleState(Kept):
     """A point that was touched, in the pictures of a look; or a pose, with pictures of its own name.
 
-    view : rig_from_board; None where the board was not seen, with the reason.
+    view : rig_from_board; None where the board was not seen, with the reason as in a look.
     """
 
     place: Place | None = None
     look: LookName | None = None
     view: Pose | None = None
     reason: Text = ""
+    length_percent: float | None = None
 
 
 class Operation(Kept):

@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.commissioning.pairs import Pair
 from edged.commissioning.robotdrafts import LookState, Pixel, Place, SampleState
-from edged.commissioning.sampling import see_board
+from edged.commissioning.sampling import SeenBoard, see_board
 from edged.domain.arrays import SIDES, FloatArray, Image, Side
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Reject, Target
@@ -25,6 +25,8 @@ from edged.vision.part.job import Job
 
 ACROSS = 3
 """Marks of a board that are offered along each side: its corners, the middle, and between them."""
+LENGTH_PERCENT = 0.3
+"""A board that is longer or shorter by more is another one, or the calibration's board was."""
 SAME_MM = 0.05
 """A reference point that is nearer to a feature is that feature."""
 WIDEST_PX = 640
@@ -40,6 +42,8 @@ def marks_to_touch(
     seen = see_board(rig, Pair.of_images(name, left, right), board)
     if isinstance(seen, NotDetected):
         return LookState(name=name, reason=seen.reason)
+    if reason := _other_length(seen):
+        return LookState(name=name, reason=reason, length_percent=seen.check.size.error_percent)
     ids, _, _ = marks_in_both(seen.view)
     return LookState(name=name, places=marks_at(rig, board, seen.rig_from_board, ids.tolist()))
 
@@ -66,6 +70,8 @@ def pose_with_board(
     seen = see_board(rig, Pair.of_images(name, left, right), board)
     if isinstance(seen, NotDetected):
         return SampleState(reason=seen.reason)
+    if reason := _other_length(seen):
+        return SampleState(reason=reason, length_percent=seen.check.size.error_percent)
     return SampleState.model_validate({"view": tuple(map(tuple, seen.rig_from_board.tolist()))})
 
 
@@ -89,6 +95,17 @@ def keep(folder: Path, name: str, left: Image, right: Image) -> None:
             write_atomically(folder / "small" / f"{name}_{side}.jpg", _encoded(".jpg", _small(image), ()))
     except OSError as error:
         raise CalibrationError(f"{folder}: the pair cannot be kept: {error.strerror or error}") from error
+
+
+def _other_length(seen: SeenBoard) -> str:
+    """Why nothing may stand on it: by the rig it has another size than was stated; "" where it has that."""
+    size = seen.check.size
+    if size.verdict(LENGTH_PERCENT) != "NOT_OK":
+        return ""
+    return (
+        f"by the calibration the board measures {size.measured_mm:.2f} mm from corner to corner, its mm say "
+        f"{size.true_mm:.2f}: one of them is wrong"
+    )
 
 
 def _features(rig: StereoRig, target: Target) -> list[Place]:

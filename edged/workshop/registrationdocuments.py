@@ -79,8 +79,8 @@ class PicturesDocument(Document):
 
 
 class SampleDocument(Document):
-    """A point or a pose. why : it does not count: "left_out", "not_seen", "no_numbers", "misfit" (numbers of
-    another brand) or "outlier"; null: it does.
+    """A point or a pose. why : it does not count: "left_out", "not_seen", "length" (of the board is another),
+    "no_numbers", "misfit" (numbers of another brand) or "outlier"; null: it does.
     """
 
     name: str
@@ -153,6 +153,7 @@ class RegistrationDocument(Document):
     places: list[PlaceDocument]
     looked: PicturesDocument | None
     look_reason: str | None
+    look_length_percent: float | None
     judging: bool
     trouble: TroubleDocument | None
     culprit: str | None
@@ -247,6 +248,7 @@ def document_of(
         places=places,
         looked=looked,
         look_reason=None if state.looked is None else state.looked.reason or None,
+        look_length_percent=None if state.looked is None else state.looked.length_percent,
         judging=judging,
         trouble=None if trouble is None else TroubleDocument(**asdict(trouble)),
         culprit=judged.culprit,
@@ -293,7 +295,7 @@ def _sample(state: RegistrationState, name: str, judged: Judged, rig: StereoRig 
     if name not in state.used:
         why = "left_out"
     elif sample.reason:
-        why, text = "not_seen", sample.reason
+        why, text = "not_seen" if sample.length_percent is None else "length", sample.reason
     elif numbers is None:
         why = "no_numbers"
     elif state.kind == "poses" and not _is_whole(state, numbers):

@@ -98,10 +98,17 @@ def on_stage(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
 
 def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
     """Six touches with 10 µm of noise: within 25 µm of the truth all over the volume; one that was mistyped
-    is named, and no longer once it is put right; the same digits as the command line."""
+    is named, and no longer once it is put right; the same digits as the command line. A board of another
+    length than its mm say is not touched at all."""
 
     async def test(newcomer: Newcomer) -> None:
-        person = Registrar(newcomer, {"mount": "fixed", "kind": "touch", "brand": "kuka", "board": BOARD})
+        about = {"mount": "fixed", "kind": "touch", "brand": "kuka"}
+        longer = Registrar(newcomer, {**about, "board": "chessboard:11x8:4.1"})
+        await longer.begin()
+        await longer.look()
+        assert [] == longer.document["places"]
+        assert -2.44 == pytest.approx(longer.document["look_length_percent"], abs=0.1)
+        person = Registrar(newcomer, {**about, "board": BOARD})
         await person.begin()
         for step in range(6):
             if step % 3 == 0:

@@ -90,7 +90,7 @@ function Pose() {
     shown.clear?.();
     setShown({});
     const { name, why } = done.samples.at(-1);
-    say(t(why === "not_seen" ? "robot-pose-unseen" : "robot-pose-taken", { name: sampleName(name) }));
+    say(t(why === "not_seen" || why === "length" ? "robot-pose-unseen" : "robot-pose-taken", { name: sampleName(name) }));
   };
   // several lines that were pasted: one for each picture that still waits for its numbers
   const spread = async (lines) => {

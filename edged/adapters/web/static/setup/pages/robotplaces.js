@@ -2,7 +2,7 @@
 import { html, useState } from "../../vendor/ui.js";
 import { holds, mayTake, sign, token } from "../live.js";
 import { say, Shape } from "../pieces.js";
-import { t } from "../texts.js";
+import { number, t } from "../texts.js";
 import { Pair } from "./picture.js";
 import { change, current, placeName } from "./robotdraft.js";
 import { Shown } from "./robotnumbers.js";
@@ -39,7 +39,7 @@ export const title = (kind, number, wanted) => (number <= wanted ? t(`robot-${ki
 
 // isProof : choose only, to go there. isStill : no new picture. chosen, onChoose : of whoever holds the choice.
 export function Places({ isProof, isStill, chosen: given, onChoose: choose }) {
-  const { places, looked, look_reason, samples, wanted, board } = current.draft.value;
+  const { places, looked, look_reason, look_length_percent: longer, samples, wanted, board } = current.draft.value;
   const [own, setOwn] = useState(null);
   const [shown, setShown] = useState({});
   const [isTaking, setTaking] = useState(false);
@@ -57,7 +57,7 @@ export function Places({ isProof, isStill, chosen: given, onChoose: choose }) {
     if (!done) return;
     setOwn(null);
     setLive(false);
-    say(done.look_reason ? t("robot-look-none") : t("robot-look-found", { count: done.places.length }));
+    say(done.look_reason ? t(done.look_length_percent ? "robot-look-wrong" : "robot-look-none") : t("robot-look-found", { count: done.places.length }));
   };
   const add = async () => {
     const done = await change("POST", "/samples", { place: place.key, ...shown.body });
@@ -73,7 +73,7 @@ export function Places({ isProof, isStill, chosen: given, onChoose: choose }) {
         ${looked && html`<button type="button" aria-pressed=${isLive} onClick=${() => setLive(!isLive)}>${t("robot-live")}</button>`}
       </div>
       ${!holds.value && html`<p class="hint">${t("robot-take-cell")}</p>`}
-      ${look_reason && html`<p><${Shape} is="gap" /> ${t("robot-look-none")}</p><p class="hint" translate=${false} lang="en">${look_reason}</p>`}`;
+      ${look_reason && html`<p><${Shape} is="gap" /> ${longer ? t("robot-look-length", { percent: number(longer, 2) }) : t("robot-look-none")}</p><p class="hint" translate=${false} lang="en">${look_reason}</p>`}`;
   const choice = place &&
     html`<${Picture} chosen=${place.key} onChoose=${onChoose} />
       <label class="field robot-place"><span>${t("robot-place")}</span><select name="place" disabled=${!mayTake.value} onChange=${(event) => onChoose(event.currentTarget.value)}>

@@ -12,7 +12,7 @@ function Bar({ value, limit }) {
   return html`<span class="robot-held">${t("robot-mm", { mm: number(value, 3) })} <span class="bar" aria-hidden="true"><span class="now ${value > limit ? "soft" : ""}" style=${{ width: `${100 * share}%` }}></span><span class="held" style=${{ left: "50%" }}></span></span></span>`;
 }
 
-const STATE = { left_out: "gap", not_seen: "gap", no_numbers: "doubt", misfit: "doubt", outlier: "gap" };
+const STATE = { left_out: "gap", not_seen: "gap", length: "gap", no_numbers: "doubt", misfit: "doubt", outlier: "gap" };
 
 export function Samples() {
   const { samples, culprit, limit_mm, can_undo, can_redo, kind } = current.draft.value;
@@ -36,7 +36,7 @@ export function Samples() {
           ${pictures && html`<span class="thumbs"><img src=${pictures.left} alt="" loading="lazy" /><img src=${pictures.right} alt="" loading="lazy" /></span>`}
           <span class="numbers" translate=${false}>${text ?? "–"}</span>
           <${Bar} value=${held_out_mm} limit=${limit_mm} />
-          <span class="muted">${isWrong && !["left_out", "not_seen"].includes(why) ? t("robot-why-culprit") : why ? t(`robot-why-${why.replaceAll("_", "-")}`) : Number.isFinite(held_out_deg) ? html`${number(held_out_deg, 3)}°` : ""} ${why_text && html`<span translate=${false} lang="en">${why_text}</span>`}</span>
+          <span class="muted">${isWrong && !["left_out", "not_seen", "length"].includes(why) ? t("robot-why-culprit") : why ? t(`robot-why-${why.replaceAll("_", "-")}`) : Number.isFinite(held_out_deg) ? html`${number(held_out_deg, 3)}°` : ""} ${why_text && html`<span translate=${false} lang="en">${why_text}</span>`}</span>
           <span class="actions">
             <button type="button" disabled=${!mayTake.value} aria-label=${t("robot-edit-name", values)} onClick=${() => setEdited(one)}>${t("robot-edit")}</button>
             ${why === "left_out"
