@@ -92,11 +92,12 @@ class Daemon:
         self._loaded = loaded
         self._world = world
         self._head = head_for(loaded, world)
+        self._registrar = CellRegistrar(lambda: self._loaded, self._take_registration)
         self._cycle = Cycle(
             self._head,
             loaded.setup,
             notebook=_setup_note(path),
-            registrar=CellRegistrar(lambda: self._loaded, self._take_registration),
+            registrar=self._registrar,
         )
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
@@ -235,6 +236,7 @@ class Daemon:
                 self._read_again,
                 self._job_use,
             )
+            self._registrar.witness = self._workshop.program
         return (CameraRoutes(self._cameras_room).add_to, *self._workshop.rooms(), *self._more_rooms)
 
     @property

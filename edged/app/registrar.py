@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from edged.app.cell import LoadedCell
+from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind, Registered
 from edged.domain.frames import FramePair
 from edged.domain.registration import Method, Obstacle
@@ -16,11 +17,32 @@ from edged.loop.loaded import Setup
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
     from edged.commissioning.registration import Registered as Solved
+    from edged.commissioning.robotdrafts import Kind, Mount
     from edged.commissioning.sampling import Sampling, Step
 
 
+class Witness(Protocol):
+    """Hears of what a robot's program adds, on any thread; must neither block nor raise."""
+
+    def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
+        """It has begun anew."""
+        ...
+
+    def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
+        """A pose was taken."""
+        ...
+
+    def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
+        """A point (3,) was taken, on the part of a job."""
+        ...
+
+    def activated(self) -> None:
+        """The cell runs by the result."""
+        ...
+
+
 class CellRegistrar:
-    """The `Registrar` of a daemon.
+    """The `Registrar` of a daemon. witness : who hears of it, if anybody.
 
     running : what it measures by. activate : saves the rig of a cell and takes it into use.
     """
@@ -33,6 +55,7 @@ class CellRegistrar:
         self._base: LoadedCell | None = None
         self._sampling: Sampling | None = None
         self._solved: Solved | None = None
+        self.witness: Witness | None = None
 
     def problem(self, kind: CommandKind) -> str:
         """Why a registration cannot begin so; "" when it can."""
@@ -61,6 +84,9 @@ class CellRegistrar:
             allowed.pattern,
             allowed.limit_mm,
         )
+        if self.witness is not None:
+            kind: Kind = "touch" if is_touch else "poses"
+            self.witness.begun(allowed.mount, kind, "" if is_touch else allowed.board or "", allowed.limit_mm)
         by = "touched points" if is_touch else f"poses of the flange with {allowed.board}"
         return Registered(command, self._sampling.state, None, f"begun, by {by}; the cell is in SETUP")
 
@@ -84,9 +110,15 @@ class CellRegistrar:
             setup = base.setup
             job = setup.jobs[command.job or setup.active_job]
             found = job.locate(pair, lambda _stage: None)
-            return sampling.add_part(found, command.robot_from_flange, command.shown)
+            step = sampling.add_part(found, command.robot_from_flange, command.shown)
+            if self.witness is not None and step.obstacle is None:
+                self.witness.touched(pair, job.name, sampling.views[-1], command.robot_from_flange)
+            return step
         pictures = Pair.of_images("pose", pair.left.image, pair.right.image)
-        return sampling.add_board(pictures, command.robot_from_flange, command.shown)
+        step = sampling.add_board(pictures, command.robot_from_flange, command.shown)
+        if self.witness is not None and step.obstacle is None:
+            self.witness.posed(pair, command.robot_from_flange)
+        return step
 
     def solve(self, command: Command) -> Registered:
         """Judge; nothing is saved."""
@@ -98,7 +130,10 @@ class CellRegistrar:
         """Save what was solved, and take it into use. Raises `EdgedError`, `OSError`."""
         _, base = self._under_way
         assert self._solved is not None
-        return await self._activate(base, self._solved)
+        setup = await self._activate(base, self._solved)
+        if self.witness is not None:
+            self.witness.activated()
+        return setup
 
     @property
     def _under_way(self) -> tuple[Sampling, LoadedCell]:

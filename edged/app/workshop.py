@@ -18,7 +18,7 @@ from edged.domain.events import Command, CommandKind
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
 from edged.files.statefolder import state_folder
-from edged.robot.orientations import Convention
+from edged.robot.orientations import Brand, Convention
 from edged.session.jobuse import JobUse
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
@@ -33,6 +33,7 @@ from edged.workshop.jobs import Jobs
 from edged.workshop.jobsinuse import JobsInUse, lines_in
 from edged.workshop.registrations import Registrations
 from edged.workshop.regressions import Active, Regressions
+from edged.workshop.robotprogram import WHOSE, RobotProgram
 from edged.workshop.tasks import Tasks
 from edged.workshop.teachings import Teachings
 from edged.workshop.trials import CellSettings, Trials
@@ -60,6 +61,14 @@ def _rig_in_use(running: Running) -> RigInUse | None:
 def _jobs(running: Running) -> dict[str, Job]:
     cell = running.loaded.cell
     return {job.name: job for job in cell.jobs} if isinstance(cell, CellFiles) else {}
+
+
+def _brand(running: Running) -> Brand:
+    """In whose words the robot speaks with the cell."""
+    modbus = running.loaded.cell.config.modbus
+    if modbus.socket is not None:
+        return Brand(modbus.socket.brand)
+    return WHOSE[Convention[modbus.convention.upper()]]
 
 
 def _settings(running: Running) -> CellSettings:
@@ -148,6 +157,7 @@ class Workshop:
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
+        self.program = RobotProgram(self._registrations, lambda: _brand(running()))
         self.teachings = Teachings(
             folder / "teachings",
             self._worker,
@@ -249,6 +259,7 @@ class Workshop:
         await cancel_and_await(self._finishing)
         await self._calibrations.close()
         await self._trials.close()
+        await self.program.close()
         await self._registrations.close()
         await self._tasks.close()
         await self._cycles.close()

@@ -26,6 +26,8 @@ from edged.workshop.documents import Document
 PLACE = "/api/v1/registrations"
 WANTED = {"touch": 6, "poses": 10}
 """Samples that a good registration has; fewer than it leave little to see a mistake by."""
+ROBOT = "a robot's program"
+"""Author of the drafts that it fills."""
 FLAT_SHARE = 0.05
 """Less height than this share of the longest side: points in one plane."""
 MM = ("X", "Y", "Z")
@@ -129,16 +131,17 @@ class ConfirmedDocument(Document):
 
 
 class RegistrationDocument(Document):
-    """A draft. stale : the cell has another calibration by now. advice : what to do next, a code.
+    """A draft. by_program : the robot's own fills it. stale : the cell has another calibration by now.
 
-    conventions : ranked, best first. missing : turns that the poses lack: "all", "tilt", "wrist".
-    good : it may be solved; the figures are of all samples that count.
+    advice : what to do next, a code. conventions : ranked, best first. missing : turns that the poses lack:
+    "all", "tilt", "wrist". good : it may be solved; the figures are of all samples that count.
     """
 
     id: str
     revision: int
     created: str
     author: str
+    by_program: bool
     mount: str
     kind: str
     brand: Brand | None
@@ -234,6 +237,7 @@ def document_of(
         revision=state.revision,
         created=state.created,
         author=state.author,
+        by_program=state.author == ROBOT,
         mount=state.mount,
         kind=state.kind,
         brand=state.brand,

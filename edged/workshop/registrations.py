@@ -27,6 +27,7 @@ from edged.commissioning.robotdrafts import (
     SampleState,
 )
 from edged.commissioning.robotverdict import Judged, Trouble
+from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.errors import CalibrationError, EdgedError, FileFormatError, UserError
 from edged.files.rig import rig_of, rig_text
@@ -38,6 +39,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.checks import RigInUse
 from edged.workshop.registrationdocuments import (
+    ROBOT,
     Conventions,
     RegistrationDocument,
     RegistrationLine,
@@ -160,22 +162,12 @@ class Registrations:
         Raises `SetupRefused`, `CaptureError`, `UserError` for no such job.
         """
         one = await self._opened(identity)
-        state, rig = one.draft.state, self._needed_rig()
-        jobs = self._jobs()
-        if job is not None and job not in jobs:
+        self._needed_rig()
+        if job is not None and job not in self._jobs():
             raise UserError(f"there is no job {job}")
-        if job is None and not state.board:
+        if job is None and not one.draft.state.board:
             raise CalibrationError("which board, or which part? State one of them")
-        left, right = await self._images(token)
-        async with self._taking:
-            name = one.draft.next_look
-            about = (one.draft.folder, name, left, right, rig.content, rig.path)
-            if job is None:
-                what = parse_boards(state.board)[0]
-                looked: LookState = await self._worker.run("marks_to_touch", *about, what)
-            else:
-                looked = await self._worker.run("features_to_touch", *about, jobs[job])
-            await asyncio.to_thread(one.draft.look, looked)
+        await self._keep_look(one, await self._images(token), job)
         return self._tell(one)
 
     async def touch(self, identity: str, key: str, given: Given) -> RegistrationDocument:
@@ -195,15 +187,8 @@ class Registrations:
         if one.draft.state.kind != "poses":
             raise CalibrationError("this registration is by touched points")
         numbers = None if given is None else _read(one.draft, given)
-        rig = self._needed_rig()
-        left, right = await self._images(token)
-        async with self._taking:
-            name = one.draft.next_sample
-            board = parse_boards(one.draft.state.board)[0]
-            about = (one.draft.folder, name, left, right, rig.content, rig.path, board)
-            sample: SampleState = await self._worker.run("pose_with_board", *about)
-            await asyncio.to_thread(one.draft.add, name, sample, numbers)
-        self._judge(one)
+        self._needed_rig()
+        await self._keep_pose(one, await self._images(token), numbers)
         return self._tell(one)
 
     async def write(self, identity: str, name: str, given: Given) -> RegistrationDocument:
@@ -266,6 +251,33 @@ class Registrations:
         """Tell every page how a draft is now: whether it is active is not its own doing."""
         self._tell(await self._opened(identity))
 
+    # --- by the robot's own program ------------------------------------------------------------------
+
+    async def adopt(self, mount: Mount, kind: Kind, brand: Brand, board: str, limit_mm: float) -> str:
+        """Begin a draft that a robot's program fills; returns its id. Raises as `begin`."""
+        return (await self.begin(ROBOT, mount, kind, brand, board, limit_mm)).id
+
+    async def adopt_pose(self, identity: str, images: tuple[Image, Image], given: Given) -> None:
+        """A pose of the flange, with its pictures. Raises as `pose`."""
+        one = await self._opened(identity)
+        await self._keep_pose(one, images, _read(one.draft, given))
+
+    async def adopt_point(
+        self, identity: str, images: tuple[Image, Image], job: str, rig_mm: FloatArray, given: Given
+    ) -> None:
+        """A point (3,) that the tip touched, on the part of a job. Raises as `look` and `touch`."""
+        one = await self._opened(identity)
+        await self._keep_look(one, images, job)
+        looked = one.draft.state.looked
+        if looked is not None and looked.places:
+            off = [np.linalg.norm(np.array(place.rig_mm) - rig_mm) for place in looked.places]
+            await self.touch(identity, looked.places[int(np.argmin(off))].key, given)
+
+    async def adopt_solved(self, identity: str) -> None:
+        """The cell runs by what the program has solved."""
+        rig = self._needed_rig()
+        await self.change(identity, lambda draft: draft.solve(rig.content))
+
     # --- judging -----------------------------------------------------------------------------------
 
     def _judge(self, one: _Open) -> None:
@@ -312,7 +324,30 @@ class Registrations:
 
     # --- telling -------------------------------------------------------------------------------------
 
-    async def _images(self, token: str) -> tuple[object, object]:
+    async def _keep_look(self, one: _Open, images: tuple[Image, Image], job: str | None) -> None:
+        rig, draft = self._needed_rig(), one.draft
+        async with self._taking:
+            about = (draft.folder, draft.next_look, *images, rig.content, rig.path)
+            if job is None:
+                what = parse_boards(draft.state.board)[0]
+                looked: LookState = await self._worker.run("marks_to_touch", *about, what)
+            else:
+                looked = await self._worker.run("features_to_touch", *about, self._jobs()[job])
+            await asyncio.to_thread(draft.look, looked)
+
+    async def _keep_pose(
+        self, one: _Open, images: tuple[Image, Image], numbers: tuple[float, ...] | None
+    ) -> None:
+        rig, draft = self._needed_rig(), one.draft
+        async with self._taking:
+            name, board = draft.next_sample, parse_boards(draft.state.board)[0]
+            about = (draft.folder, name, *images, rig.content, rig.path, board)
+            sample: SampleState = await self._worker.run("pose_with_board", *about)
+            await asyncio.to_thread(draft.add, name, sample, numbers)
+        self._judge(one)
+        self._tell(one)
+
+    async def _images(self, token: str) -> tuple[Image, Image]:
         pair = await self._capture(token)
         return pair.left.image, pair.right.image
 

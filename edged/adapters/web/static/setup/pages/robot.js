@@ -218,11 +218,13 @@ export default function Robot() {
   const [shape, is] = registered();
   const now = html`<p><${Shape} is=${shape} /> ${t(is)}</p>`;
   if (!draft.value) return html`${head}${now}${current.brands.value.length > 0 && html`<${Begin} />`}`;
-  const { kind, brand, stale } = draft.value;
+  const { kind, brand, stale, by_program, solved } = draft.value;
+  const isWalking = by_program && !solved && cell.value.setup?.source === "robot"; // it takes the pictures itself
   return html`${head}${now}
     ${stale && html`<p class="verdict"><${Shape} is="gap" /> ${t("robot-stale")}</p>`}
     <div class="row"><${BrandField} value=${brand ?? ""} onValue=${(one) => change("PUT", "", { brand: one || null })} mayBeUnknown=${kind === "poses"} /></div>
-    ${kind === "touch" ? html`<${Places} />` : html`<${Pose} />`}
+    ${by_program && html`<p><${Shape} is=${isWalking ? "busy" : "none"} /> ${t(isWalking ? "robot-walks" : "robot-walked")}</p>`}
+    ${!isWalking && (kind === "touch" ? html`<${Places} />` : html`<${Pose} />`)}
     ${kind === "poses" && draft.value.sky.length > 1 && html`<${Sky} sky=${draft.value.sky} missing=${draft.value.missing} />`}
     <${Verdict} />
     <${Samples} />

@@ -22,7 +22,7 @@ export async function find(id) {
 const heard = told("registration");
 export function hear() {
   const [now, newer] = [current.draft.peek(), heard.value];
-  if (now && newer?.id === now.id && newer.revision >= now.revision) current.draft.value = newer;
+  if (now ? newer?.id === now.id && newer.revision >= now.revision : newer?.by_program) current.draft.value = newer;
 }
 
 // Of the draft as it is seen here: what somebody else has changed meanwhile is looked at first.
