@@ -13,7 +13,7 @@ const find = () =>
   attempt(async () => {
     ({ jobs: jobs.value } = await ask("GET", "jobs"));
   });
-const at = (name) => `jobs/${encodeURIComponent(name)}`;
+const at = ({ folder }) => `jobs/${encodeURIComponent(folder)}`;
 const leased = () => (holds.value ? { token: token.value } : {});
 const mayUse = () => me.value?.role === "engineer" || me.value?.role === "operator";
 const KEPT = "edged.teaching";
@@ -31,23 +31,23 @@ async function doing(work, said) {
   return true;
 }
 
-const edit = (job) =>
+const edit = ({ folder }) =>
   attempt(async () => {
-    const { id } = await ask("POST", "teachings", { job });
+    const { id } = await ask("POST", "teachings", { job: folder });
     localStorage.setItem(KEPT, id); // the page that teaches goes on with it
     location.hash = "#/teach";
   });
 
 const GOOD = 0.95;
-function Share({ share }) {
+function Share({ share, cycles }) {
   if (share === null || share === undefined) return html`<span class="muted">${t("jobs-share-none")}</span>`;
   const percent = number(100 * share, share > 0.9995 || share === 0 ? 0 : 1);
-  return html`<span class="share"><${Shape} is=${share >= GOOD ? "tick" : "doubt"} /> ${t("jobs-share", { percent })}</span>
+  return html`<span class="share"><${Shape} is=${share >= GOOD ? "tick" : "doubt"} /> ${t("jobs-share", { percent, count: cycles })}</span>
     <span class="bar" aria-hidden="true"><span class="now ${share >= GOOD ? "" : "soft"}" style=${{ width: `${100 * share}%` }}></span></span>`;
 }
 
 function Job({ job, onAsk }) {
-  const { name, number: count, features, last_used, ok_share, active, retired } = job;
+  const { name, number: count, features, last_used, cycles, ok_share, active, retired, retired_by, retired_at } = job;
   const owner = cell.value.plc.owner;
   const button = (what, onClick, isOff) => html`<button type="button" disabled=${isOff} aria-label=${t(`jobs-${what}-name`, { name })} onClick=${onClick}>${t(`jobs-${what}`)}</button>`;
   return html`<li class="tile job ${retired ? "retired" : ""}">
@@ -55,25 +55,25 @@ function Job({ job, onAsk }) {
     <dl class="facts">
       <dt>${t("jobs-features")}</dt><dd>${number(features)}</dd>
       <dt>${t("jobs-last")}</dt><dd>${last_used ? html`<span translate=${false}>${moment(last_used)}</span>` : t("jobs-never")}</dd>
-      <dt>${t("jobs-good")}</dt><dd><${Share} share=${ok_share} /></dd>
+      <dt>${t("jobs-good")}</dt><dd><${Share} share=${ok_share} cycles=${cycles} /></dd>
+      ${retired_at && html`<dt>${t("jobs-retired")}</dt><dd translate=${false}>${moment(retired_at)} · ${retired_by}</dd>`}
     </dl>
     <div class="actions">
-      ${!retired && offers("jobs/{name}/use") && button("use", () => doing(() => ask("POST", `${at(name)}/use`, {}), t("jobs-used", { name })), active || Boolean(owner) || !mayUse())}
-      ${!retired && offers("teachings") && button("edit", () => edit(name), !mayTake.value)}
-      ${offers("jobs/{name}/duplicate") && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
+      ${!retired && offers("jobs/{name}/use") && button("use", () => doing(() => ask("POST", `${at(job)}/use`, {}), t("jobs-used", { name })), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())}
+      ${!retired && button("edit", () => edit(job), !mayTake.value || !job.editable)}
       ${button("rename", () => onAsk("rename", job), !mayTake.value)}
       ${button(retired ? "restore" : "retire", () => onAsk(retired ? "restore" : "retire", job), !mayTake.value || active)}
     </div>
-    ${offers("jobs/{name}/versions") && html`<${Versions} name=${name} />`}
+    ${offers("jobs/{name}/versions") && html`<${Versions} job=${job} />`}
   </li>`;
 }
 
-function Versions({ name }) {
+function Versions({ job }) {
   const [versions, setVersions] = useState(null);
   const look_ = ({ currentTarget }) =>
     currentTarget.open &&
     attempt(async () => {
-      setVersions((await ask("GET", `${at(name)}/versions`)).versions);
+      setVersions((await ask("GET", `${at(job)}/versions`)).versions);
     });
   return html`<details class="versions" onToggle=${look_}><summary>${t("jobs-versions")}</summary>
     ${versions && !versions.length && html`<p class="muted">${t("jobs-versions-none")}</p>`}
@@ -81,29 +81,17 @@ function Versions({ name }) {
   </details>`;
 }
 
-// A name that is free, proposed: somebody may only press the button.
-const proposed = ({ name }) => {
-  const taken = new Set(jobs.value.map((job) => job.name));
-  for (let i = 2; ; i++) if (!taken.has(`${name}-${i}`)) return `${name}-${i}`;
-};
-const freeNumber = () => {
-  const taken = new Set(jobs.value.map((job) => job.number));
-  for (let i = 1; ; i++) if (!taken.has(i)) return i;
-};
-
 function Question({ what, job, onClose }) {
-  const isNew = what === "duplicate";
-  const isNamed = isNew || what === "rename";
-  const [name, setName] = useState(isNew ? proposed(job) : job.name);
-  const [count, setCount] = useState(isNew ? freeNumber() : job.number);
+  const isNamed = what === "rename";
+  const [name, setName] = useState(job.name);
+  const [count, setCount] = useState(job.number);
   const [note, setNote] = useState("");
   const isWrong = !/^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/.test(name);
   const isSame = name === job.name && count === job.number;
   const WORK = {
-    duplicate: () => ask("POST", `${at(job.name)}/duplicate`, { ...leased(), new_name: name, number: count, note }),
-    rename: () => ask("PUT", at(job.name), { ...leased(), ...(name !== job.name ? { new_name: name } : {}), ...(count !== job.number ? { number: count } : {}), note }),
-    retire: () => ask("PUT", at(job.name), { ...leased(), retired: true, note }),
-    restore: () => ask("PUT", at(job.name), { ...leased(), retired: false, note }),
+    rename: () => ask("PUT", at(job), { ...leased(), ...(name !== job.name ? { new_name: name } : {}), ...(count !== job.number ? { number: count } : {}), note }),
+    retire: () => ask("PUT", at(job), { ...leased(), retired: true, note }),
+    restore: () => ask("PUT", at(job), { ...leased(), retired: false, note }),
   };
   const act = async () => {
     onClose();
@@ -125,12 +113,12 @@ export default function Jobs() {
     find();
   }, [cell.value.jobs]);
   const ask_ = (what, job) => setAsked({ what, job });
-  const shown = [...(jobs.value ?? [])].sort((one, other) => Number(one.retired) - Number(other.retired) || one.number - other.number);
   return html`<h1>${t("jobs-title")}</h1>
     <p class="lead">${t("jobs-what")}</p>
+    ${cell.value.state === "SETUP" && html`<p><${Shape} is="hand" /> ${t("jobs-in-setup")}</p>`}
     ${cell.value.plc.owner && html`<p><${Shape} is="plant" /> ${t("jobs-owned")} <span translate=${false}>${cell.value.plc.owner}</span></p>`}
     ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
-    <ul class="tiles jobs">${shown.map((job) => html`<${Job} key=${job.name} job=${job} onAsk=${ask_} />`)}</ul>
+    <ul class="tiles jobs">${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}</ul>
     ${offers("teachings") && html`<div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>`}
-    ${asked && html`<${Question} key=${`${asked.what}.${asked.job.name}`} ...${asked} onClose=${() => setAsked(null)} />`}`;
+    ${asked && html`<${Question} key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)} />`}`;
 }

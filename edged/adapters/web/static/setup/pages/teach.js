@@ -58,10 +58,10 @@ function Begin() {
       <h2 id="teach-known">${t("teach-known")}</h2>
       <p class="hint">${t("teach-known-what")}</p>
       <ul class="tiles">${known.map(
-        ({ name, number: count }) =>
+        ({ folder, name, number: count, editable }) =>
           html`<li class="tile" key=${name}><h3 translate=${false}>${count} ${name}</h3>
-            <div class="actions"><button type="button" disabled=${!mayTake.value || isTaking} aria-label=${t("teach-edit-job", { name })} onClick=${() => begin({ job: name })}>${t("teach-edit")}</button>
-              <button type="button" disabled=${!holds.value || isTaking} aria-label=${t("teach-again-job", { name })} onClick=${() => begin({ ...fresh, job: name })}>${t("teach-again")}</button></div></li>`,
+            <div class="actions"><button type="button" disabled=${!mayTake.value || isTaking || !editable} aria-label=${t("teach-edit-job", { name })} onClick=${() => begin({ job: folder })}>${t("teach-edit")}</button>
+              <button type="button" disabled=${!holds.value || isTaking} aria-label=${t("teach-again-job", { name })} onClick=${() => begin({ ...fresh, job: folder })}>${t("teach-again")}</button></div></li>`,
       )}</ul>
     </section>`}`;
 }

@@ -1,7 +1,7 @@
 // The draft of a job that is taught: what the cell keeps of it, and every change by way of the cell.
 import { effect, signal } from "../../vendor/ui.js";
 import { ask, attempt, Problem } from "../api.js";
-import { cell, offers, told } from "../live.js";
+import { told } from "../live.js";
 
 const KEPT = "edged.teaching";
 export const teaching = signal(null);
@@ -30,7 +30,7 @@ export function open(document) {
 
 // What there is to go on with; and the draft that was open here, unless it is in use by now.
 export async function find() {
-  [{ teachings: drafts.value }, { jobs: jobs.value }] = await Promise.all([ask("GET", "teachings"), offers("jobs") ? ask("GET", "jobs") : cell.value]);
+  [{ teachings: drafts.value }, { jobs: jobs.value }] = await Promise.all([ask("GET", "teachings"), ask("GET", "jobs")]);
   const last = drafts.value.find(({ id, active }) => id === localStorage.getItem(KEPT) && !active);
   if (last) open(await ask("GET", `teachings/${last.id}`));
 }

@@ -8,9 +8,8 @@ export const map = signal(null);
 export const mapTrouble = signal(null);
 const pushed = told("trial");
 const loaded = signal(null);
-const newest = computed(() => pushed.value ?? loaded.value);
-export const trial = computed(() => newest.value);
-export const isOn = computed(() => Boolean(newest.value?.on));
+export const trial = computed(() => pushed.value ?? loaded.value);
+export const isOn = computed(() => Boolean(trial.value?.on));
 
 const wish = () => {
   const [kind, ...rest] = chosen.value.split(":");
@@ -20,15 +19,15 @@ const wish = () => {
 export const look = () =>
   attempt(async () => {
     loaded.value = await ask("GET", "trials");
-    const { teaching, job } = loaded.value ?? {};
-    if (loaded.value?.on) chosen.value = teaching ? `teaching:${teaching}` : `job:${job}`;
+    const { on, teaching, job } = loaded.value;
+    if (on) chosen.value = teaching ? `teaching:${teaching}` : `job:${job}`;
   });
 
 export const run = (on) =>
   attempt(async () => {
     const state = await ask("PUT", "trials", { token: token.value, ...(on ? wish() : {}), on });
-    if (state) loaded.value = state;
-    if (!on) pushed.value = null;
+    pushed.value = null; // of before
+    loaded.value = state;
   });
 
 // What is not looked at is not tried: the page is left, the cell has better to do.

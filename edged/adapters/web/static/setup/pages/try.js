@@ -1,9 +1,9 @@
 // Trying a job: live, while the part is pushed around; where it will be how precise; and whether sigma is honest.
-import { html, useEffect, useState } from "../../vendor/ui.js";
+import { effect, html, signal, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { cell, holds, rawSize, sign, task, token } from "../live.js";
+import { cell, holds, rawSize, SIDES, sign, task, told, token } from "../live.js";
 import { say, Shape } from "../pieces.js";
-import { has, number, t } from "../texts.js";
+import { has, moment, number, t } from "../texts.js";
 import { Pair } from "./picture.js";
 import { styled } from "./styles.js";
 import { chosen, findMap, isOn, look, rest, run, trial } from "./trial.js";
@@ -20,7 +20,7 @@ const line = (outline) => `M${outline.map(([x, y]) => `${x} ${y}`).join("L")}`;
 
 // The factor of 1, 2, 5, 10 ... by which 19 of 20 residuals stay short enough to be drawn.
 function magnified(targets, width) {
-  const all = targets.flatMap(({ residuals }) => ["left", "right"].flatMap((side) => (residuals?.[side] ?? []).map(([, , dx, dy]) => Math.hypot(dx, dy)))).sort((one, other) => one - other);
+  const all = targets.flatMap(({ residuals }) => SIDES.flatMap((side) => residuals[side].map(([, , dx, dy]) => Math.hypot(dx, dy)))).sort((one, other) => one - other);
   if (!all.length) return null;
   const most = Math.max((LONGEST_SHARE * width) / Math.max(all[Math.floor(0.95 * (all.length - 1))], 1e-3), 1);
   const decade = 10 ** Math.floor(Math.log10(most));
@@ -36,9 +36,9 @@ function over(side) {
   return html`<g class="tried" style=${{ "--px": px }}>
     ${targets.map(
       (target, i) => html`<g key=${i} class=${target.status === "OK" ? "good" : "bad"}>
-        ${(target.missing?.[side] ?? []).map((one, n) => html`<path key=${n} class="missing" d=${line(one)} />`)}
-        ${(target.outlines?.[side] ?? []).map((one, n) => html`<g key=${n}><path class="rim" d=${line(one)} /><path class="line" d=${line(one)} /></g>`)}
-        ${factor && html`<path class="whiskers" d=${(target.residuals?.[side] ?? []).map(([x, y, dx, dy]) => `M${x} ${y}l${dx * factor} ${dy * factor}`).join("")} />`}
+        ${target.missing[side].map((one, n) => html`<path key=${n} class="missing" d=${line(one)} />`)}
+        ${target.outlines[side].map((one, n) => html`<g key=${n}><path class="rim" d=${line(one)} /><path class="line" d=${line(one)} /></g>`)}
+        ${factor && html`<path class="whiskers" d=${target.residuals[side].map(([x, y, dx, dy]) => `M${x} ${y}l${dx * factor} ${dy * factor}`).join("")} />`}
         ${target[side] && html`<path class="centre" d="M${target[side][0] - 8 * px} ${target[side][1]}h${16 * px}M${target[side][0]} ${target[side][1] - 8 * px}v${16 * px}" />`}
       </g>`,
     )}
@@ -51,21 +51,20 @@ const dashed = (code) => String(code).toLowerCase().replaceAll("_", "-");
 
 function Verdict() {
   if (!isOn.value) return html`<p class="big figure"><${Shape} is="none" /> ${t("try-off")}</p>`;
-  if (!trial.value?.status) return html`<p class="big figure" role="status"><${Shape} is="busy" /> ${t("try-coming")}</p>`;
-  const { status, words_code: code, targets = [] } = trial.value;
+  if (!trial.value.status && !trial.value.trouble) return html`<p class="big figure" role="status"><${Shape} is="busy" /> ${t("try-coming")}</p>`;
+  const { status, reasons, trouble } = trial.value;
   const isGood = status === "OK";
-  const reasons = [...new Set([...(code && !isGood ? [code] : []), ...targets.flatMap(({ reasons: list = [] }) => list)])];
   return html`<div class="big figure" role="status">
-    <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${inWords(`try-status-${dashed(status)}`, status)}</strong></p>
-    ${reasons.map((one) => html`<p key=${one} class="small">${inWords(`try-why-${dashed(one)}`, one)}</p>`)}
+    <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${t(`try-status-${dashed(status ?? "no_target")}`)}</strong></p>
+    ${trouble && html`<p class="small" translate=${false} lang="en">${trouble}</p>`}
+    ${!isGood && reasons.map((one) => html`<p key=${one} class="small">${inWords(`try-why-${dashed(one)}`, one)}</p>`)}
   </div>`;
 }
 
-function Pose({ target: { pose, sigma_um, sigma_deg } }) {
-  if (!pose) return null;
+function Pose({ target: { pose, sigma_um, sigma_deg, frame } }) {
   const row = (name, value, digits, unit, sigma, sigmaDigits, sigmaUnit) =>
     html`<tr key=${name}><th scope="row" translate=${false}>${name.toUpperCase()}</th><td translate=${false}>${number(value, digits)} ${unit}</td><td translate=${false}>${Number.isFinite(sigma) ? `± ${number(sigma, sigmaDigits)} ${sigmaUnit}` : "–"}</td></tr>`;
-  return html`<table class="pose"><caption class="unseen">${t("try-pose")}</caption>
+  return html`<table class="pose"><caption>${t(`try-frame-${frame}`)}</caption>
     <tbody>${AXES.map((axis) => row(axis, pose[`${axis}_mm`], 3, "mm", sigma_um?.[axis], sigma_um?.[axis] < 9.95 ? 1 : 0, "µm"))}
     ${TURNS.map((turn) => row(turn, pose[`${turn}_deg`], 3, "°", sigma_deg?.[turn], 3, "°"))}</tbody></table>`;
 }
@@ -73,15 +72,26 @@ function Pose({ target: { pose, sigma_um, sigma_deg } }) {
 // --- hold still ---
 
 const STILL = 30;
+const still = told("still");
+const last = signal(null);
+effect(() => {
+  if (still.value) last.value = still.value;
+});
+
 function Still() {
   const [id, setId] = useState(null);
-  const [result, setResult] = useState(null);
   const [failed, setFailed] = useState(null);
   const state = id && task.value?.id === id ? task.value : null;
+  const findLast = () =>
+    attempt(async () => {
+      ({ last: last.value } = await ask("GET", "trials/still"));
+    });
+  useEffect(() => {
+    findLast();
+  }, []);
   const begin = () =>
     attempt(async () => {
       sign();
-      setResult(null);
       setFailed(null);
       setId((await ask("POST", "trials/still", { token: token.value, pictures: STILL })).task);
     });
@@ -89,17 +99,16 @@ function Still() {
     if (!id) return undefined;
     // pushed as well; asked for where a message was missed
     const timer = setInterval(async () => {
-      const told = await attempt(() => ask("GET", `tasks/${id}`));
-      if (told) task.value = told;
+      const now = await attempt(() => ask("GET", `tasks/${id}`));
+      if (now) task.value = now;
     }, 1000);
     return () => clearInterval(timer);
   }, [id]);
   useEffect(() => {
     if (!state || state.state === "running") return;
     setId(null);
-    if (state.state !== "done") return setFailed(state);
-    setResult(state.result);
-    say(sentenceOf(state.result));
+    if (state.state === "done") findLast().then(() => last.value && say(sentenceOf(last.value)));
+    else setFailed(state);
   }, [state?.state]);
   return html`<section aria-labelledby="try-still">
     <h2 id="try-still">${t("try-still")}</h2>
@@ -107,17 +116,21 @@ function Still() {
     <div class="actions"><button type="button" disabled=${!holds.value || !isOn.value || Boolean(id)} onClick=${begin}>${t("try-still-start", { count: STILL })}</button></div>
     ${id && html`<div role="status"><label class="meter"><span>${t("try-still-running")}</span><progress max="1" value=${state?.done ?? undefined}></progress></label></div>`}
     ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("try-still-failed")} <span translate=${false} lang="en">${failed.problem?.detail ?? failed.problem ?? ""}</span></p>`}
-    ${result && html`<${StillResult} ...${result} />`}
+    ${last.value && !id && html`<${StillResult} ...${last.value} />`}
   </section>`;
 }
 
-const sentenceOf = ({ verdict, chi2, expected = [0.7, 1.3], n }) => t(`try-verdict-${dashed(verdict)}`, { chi2: number(chi2, 2), low: number(expected[0], 1), high: number(expected[1], 1), count: n });
+const sentenceOf = ({ verdict, chi2, expected: [low, high], n }) => t(`try-verdict-${verdict}`, { chi2: number(chi2, 2), low: number(low, 2), high: number(high, 2), count: n });
+const FINE = ["honest", "smaller"]; // on the safe side is no fault
 
 function StillResult(result) {
-  const { scatter_um, edges_um, verdict } = result;
-  return html`<p class="verdict" role="status"><${Shape} is=${verdict === "honest" ? "tick" : "doubt"} /> ${sentenceOf(result)}</p>
-    <table class="pose"><thead><tr><th scope="col"><span class="unseen">${t("try-axis")}</span></th><th scope="col">${t("try-scatter")}</th><th scope="col">${t("try-edges")}</th></tr></thead>
-      <tbody>${AXES.map((axis) => html`<tr key=${axis}><th scope="row" translate=${false}>${axis.toUpperCase()}</th>${[scatter_um, edges_um].map((one) => html`<td translate=${false}>${number(one[axis], 2)} µm</td>`)}</tr>`)}</tbody></table>`;
+  const { at, by, name, scatter_um, edges_um, verdict } = result;
+  return html`<p class="verdict" role="status"><${Shape} is=${FINE.includes(verdict) ? "tick" : "doubt"} /> ${sentenceOf(result)}</p>
+    <p class="muted" translate=${false}>${name} · ${moment(at)} · ${by}</p>
+    ${scatter_um &&
+    edges_um &&
+    html`<table class="pose"><thead><tr><th scope="col"><span class="unseen">${t("try-axis")}</span></th><th scope="col">${t("try-scatter")}</th><th scope="col">${t("try-edges")}</th></tr></thead>
+      <tbody>${AXES.map((axis) => html`<tr key=${axis}><th scope="row" translate=${false}>${axis.toUpperCase()}</th>${[scatter_um, edges_um].map((one) => html`<td translate=${false}>${number(one[axis], 2)} µm</td>`)}</tr>`)}</tbody></table>`}`;
 }
 
 // --- what is tried ---

@@ -13,7 +13,7 @@ const LAYERS = { 1: ["middle"], 2: ["near", "far"], 3: ["near", "middle", "far"]
 function Cells({ points, xs, ys, limit, covered, depth }) {
   const [width, height] = [step(xs), step(ys)];
   const at = (point) => [point.x - width / 2, point.y - height / 2];
-  const most = Math.max(limit ?? 0, ...points.map(({ sigma_um }) => worst(sigma_um) ?? 0));
+  const most = Math.max(limit, ...points.map(({ sigma_um }) => worst(sigma_um) ?? 0));
   const pad = width * 0.1;
   const box = [xs[0] - width / 2 - pad, ys[0] - height / 2 - pad, xs.at(-1) - xs[0] + width + 2 * pad, ys.at(-1) - ys[0] + height + 2 * pad];
   return html`<svg class="sigma-map" viewBox=${box.join(" ")} role="img" aria-label=${t("try-map-title")}>
@@ -21,7 +21,7 @@ function Cells({ points, xs, ys, limit, covered, depth }) {
     ${points.map((point) => {
       const sigma = worst(point.sigma_um);
       const [x, y] = at(point);
-      const isBeyond = sigma !== null && limit !== null && sigma > limit;
+      const isBeyond = sigma !== null && sigma > limit;
       return html`<g key=${`${point.x} ${point.y}`}>
         <rect class=${sigma === null ? "unseen-cell" : isBeyond ? "beyond" : "within"} x=${x} y=${y} width=${width} height=${height} fill=${isBeyond ? "url(#beyond)" : undefined} style=${sigma === null || isBeyond ? undefined : { fillOpacity: 0.08 + 0.5 * (sigma / (most || 1)) }} />
       </g>`;
@@ -41,16 +41,17 @@ export function SigmaMap() {
   if (!map.value) return html`<p class="muted" role="status">${t("try-map-coming")}</p>`;
   const { points, limit_um: limit } = map.value;
   const zs = levels(points, "z");
-  if (!zs.length) return html`<p><${Shape} is="gap" /> ${t("try-map-none")}</p>`;
+  if (!points.some(({ sigma_um }) => sigma_um)) return html`<p><${Shape} is="gap" /> ${t("try-map-none")}</p>`;
   const z = zs.includes(layer) ? layer : zs[Math.floor(zs.length / 2)];
   const shown = points.filter((point) => point.z === z);
-  const beyond = points.filter(({ sigma_um }) => sigma_um && limit !== null && worst(sigma_um) > limit).length;
+  const seen = points.filter(({ sigma_um }) => sigma_um);
+  const beyond = seen.filter(({ sigma_um }) => worst(sigma_um) > limit).length;
   const covered = trial.value?.covered ?? [];
   const names = LAYERS[zs.length] ?? zs.map(() => null);
   return html`<section aria-labelledby="try-map">
     <h2 id="try-map">${t("try-map-title")}</h2>
     <p class="hint">${t("try-map-what")}</p>
-    <p><${Shape} is=${beyond ? "doubt" : "tick"} /> ${limit === null ? t("try-map-no-limit") : t("try-map-beyond", { beyond, count: points.length, limit: number(limit) })}</p>
+    <p><${Shape} is=${beyond ? "doubt" : "tick"} /> ${t("try-map-beyond", { beyond, count: seen.length, limit: number(limit) })}</p>
     ${zs.length > 1 &&
     html`<div class="choices" role="radiogroup" aria-label=${t("try-map-layer")}>
       ${zs.map((one, i) => html`<label class="choice" key=${one}><input type="radio" name="layer" checked=${one === z} onChange=${() => setLayer(one)} /> ${names[i] ? t(`try-layer-${names[i]}`) : ""} <span translate=${false}>Z ${number(one)} mm</span></label>`)}
