@@ -1,4 +1,4 @@
-"""A job is taught on the page, by taps and by keys, on a stage whose part is known exactly."""
+"""A job is taught on the page, by taps and by keys, tried and used, on a stage whose truth is known."""
 
 from __future__ import annotations
 
@@ -56,16 +56,29 @@ class Stand:
 
         self.runner.run(bounded())
 
-    async def open(self, width: int = 1280, height: int = 900, query: str = "") -> None:
-        """The page with the draft, as it comes back after a reload."""
+    async def open(
+        self,
+        width: int = 1280,
+        height: int = 900,
+        query: str = "",
+        step: str = "teach",
+        there: str = PROPOSED,
+    ) -> None:
+        """A page, of teaching that with the draft, as it comes back after a reload."""
         await self.page.value(f'localStorage.setItem("edged.teaching", "{self.draft}")')
         await self.page.open("about:blank", width, height)
-        await self.page.open(f"{self.newcomer.origin}/setup{query}#/teach", width, height)
-        await self.page.until(PROPOSED)
+        await self.page.open(f"{self.newcomer.origin}/setup{query}#/{step}", width, height)
+        await self.page.until(there)
+
+    async def take(self) -> None:
+        """The cell, if another test has not taken it yet."""
+        await self.page.until('document.querySelector(".lease")')
+        if not await self.page.value('Boolean(document.querySelector(".lease.mine"))'):
+            await take_over(self.page)
 
     async def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The draft, as soon as the cell keeps it so."""
-        return await kept(self.newcomer, self.draft, is_so)
+        return await kept(self.newcomer, f"teachings/{self.draft}", is_so)
 
     async def key(self, name: str, modifiers: int = 0, code: int = 0) -> None:
         """A key with others held."""
@@ -75,9 +88,8 @@ class Stand:
             )
 
 
-async def kept(newcomer: Newcomer, draft: str, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The draft, as soon as the cell keeps it so."""
-    place = f"teachings/{draft}"
+async def kept(newcomer: Newcomer, place: str, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """What the cell answers there, as soon as it is so."""
     while not is_so(document := await newcomer.ask("GET", place)):  # noqa: ASYNC110  (nothing else tells)
         await asyncio.sleep(0.05)
     return dict(document)
@@ -95,7 +107,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
         newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
         await newcomer.ask("PUT", "stage", {"showing": "part"})
         draft = (await newcomer.ask("POST", "teachings", newcomer.token, 201))["id"]
-        await kept(newcomer, draft, lambda document: document["proposing"] is None)
+        await kept(newcomer, f"teachings/{draft}", lambda document: document["proposing"] is None)
         await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
         return newcomer, page, draft
 
@@ -111,7 +123,7 @@ def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_costs(
 
     async def test() -> None:
         page = stand.page
-        await take_over(page)
+        await stand.take()
         await go(page, "teach")
         await page.until('document.querySelector("main h2")')
         assert [] == await page.violations()
@@ -236,7 +248,16 @@ def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
         await page.until(said("within"))
         await page.type("[name=nominal]", "14.1")
         await page.until(said("outside"))
+        await page.type("[name=nominal]", "14")
+        await page.until(said("within"))
 
+        await press(page, "No other place")
+        await page.until('!document.querySelector("[name=grip-z]")')
+        await page.value(
+            """(() => { const list = document.querySelector(".columns select"); list.value = "c0";
+            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
+        )
+        await stand.until(lambda now: now["reference"]["key"] == "c0")
         await page.type("[name=job]", "no spaces")
         await page.until(said("beginning with a letter or digit"))
         await page.type("[name=job]", "flange-2")
@@ -250,6 +271,7 @@ def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> Non
 
     async def test() -> None:
         page = stand.page
+        await stand.until(lambda now: now["proposing"] is None)
         await stand.open()
         await page.value(
             "import('/static/setup/pages/teaching.js').then(({teaching}) => "
@@ -280,5 +302,81 @@ def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
         await page.value('document.documentElement.style.fontSize = "200%"')
         assert 0 == await page.value(TOO_WIDE)
         assert not await page.value(DIALOG)
+
+    stand.run(test)
+
+
+def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(stand: Stand) -> None:
+    """Every outline is drawn, each place is kept; who leaves the page tries nothing any more."""
+    placed = 'document.querySelectorAll(".covered").length'
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(
+            step="try", there=f"""document.querySelector("[name=which]")?.value.includes("{stand.draft}")"""
+        )
+        await stand.take()
+        await page.until('document.querySelectorAll(".sigma-map text").length > 20')
+        await press(page, "Try it live")
+        await page.until(said("Good"))
+        await page.until('document.querySelectorAll(".view .tried .line").length >= 10')
+        await page.until(f"{placed} === 1")
+        await stand.newcomer.ask("POST", "stage/lay", {})
+        await page.until(f"{placed} === 2")
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        await go(page, "jobs")
+        await kept(stand.newcomer, "trials", lambda now: not now["on"])
+        await stand.open(360, 740, "?pseudo", "try", 'document.querySelector(".sigma-map text")')
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+        await page.value('document.documentElement.style.fontSize = "200%"')
+        assert 0 == await page.value(TOO_WIDE)
+
+    stand.run(test)
+
+
+def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> None:
+    """From a draft to a release by two buttons; the cell measures by it; the list says how well."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await stand.take()
+        name = (await stand.until(lambda now: now["proposing"] is None))["name"]
+        await press(page, "Use this job")
+        await page.until(DIALOG)
+        await page.type("dialog[open] input", "the first")
+        await page.click("dialog[open] .primary")
+        await page.until(said(f"{name} is in use, as release"))
+        await go(page, "jobs")
+        await page.until(said("no cycles yet"))
+        await page.click(".lease button")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        truth = await kept(stand.newcomer, "stage/truth", lambda now: now["error_mm"] is not None)
+        assert "OK" == truth["status"]
+        assert [0, 0, 0] == pytest.approx(truth["error_mm"], abs=0.02)
+
+        await stand.open(step="jobs", there=said("100 % of"))
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        await press(page, "Name and number")
+        await page.until(DIALOG)
+        await page.type("dialog[open] [name=job]", "cover")
+        await page.type("dialog[open] [name=number]", "7")
+        await page.type("dialog[open] [name=note]", "as the drawing calls it")
+        await page.click("dialog[open] .primary")
+        await page.until(said("cover"))
+        await press(page, "Duplicate")
+        await page.until(DIALOG)
+        await page.type("dialog[open] [name=note]", "with another tolerance")
+        await page.click("dialog[open] .primary")
+        await page.until(said("cover-2"))
+        await page.click(".versions summary")
+        await page.until(said("me · with another tolerance"))
+        await stand.open(360, 740, "?pseudo", "jobs", 'document.querySelector(".job")')
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
 
     stand.run(test)

@@ -1,7 +1,7 @@
 // The jobs of the cell: what each is called, how it did, and what can be done with it.
 import { html, signal, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { cell, holds, look, mayTake, me, offers, token } from "../live.js";
+import { cell, holds, look, mayTake, me, token } from "../live.js";
 import { Dialog, NumberField, say, Shape } from "../pieces.js";
 import { moment, number, t } from "../texts.js";
 import { styled } from "./styles.js";
@@ -59,12 +59,13 @@ function Job({ job, onAsk }) {
       ${retired_at && html`<dt>${t("jobs-retired")}</dt><dd translate=${false}>${moment(retired_at)} · ${retired_by}</dd>`}
     </dl>
     <div class="actions">
-      ${!retired && offers("jobs/{name}/use") && button("use", () => doing(() => ask("POST", `${at(job)}/use`, {}), t("jobs-used", { name })), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())}
+      ${!retired && button("use", () => doing(() => ask("POST", `${at(job)}/use`, {}), t("jobs-used", { name })), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())}
       ${!retired && button("edit", () => edit(job), !mayTake.value || !job.editable)}
+      ${!retired && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
       ${button("rename", () => onAsk("rename", job), !mayTake.value)}
       ${button(retired ? "restore" : "retire", () => onAsk(retired ? "restore" : "retire", job), !mayTake.value || active)}
     </div>
-    ${offers("jobs/{name}/versions") && html`<${Versions} job=${job} />`}
+    <${Versions} job=${job} />
   </li>`;
 }
 
@@ -81,14 +82,23 @@ function Versions({ job }) {
   </details>`;
 }
 
+// A name and a number that are free, proposed: somebody may only press the button.
+const from = (first, isFree) => {
+  for (let i = first; ; i++) if (isFree(i)) return i;
+};
+const freeName = ({ name }) => `${name}-${from(2, (i) => jobs.value.every((job) => job.name !== `${name}-${i}`))}`;
+const freeNumber = () => from(1, (i) => jobs.value.every((job) => job.number !== i));
+
 function Question({ what, job, onClose }) {
-  const isNamed = what === "rename";
-  const [name, setName] = useState(job.name);
-  const [count, setCount] = useState(job.number);
+  const isNew = what === "duplicate";
+  const isNamed = isNew || what === "rename";
+  const [name, setName] = useState(isNew ? freeName(job) : job.name);
+  const [count, setCount] = useState(isNew ? freeNumber() : job.number);
   const [note, setNote] = useState("");
   const isWrong = !/^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/.test(name);
   const isSame = name === job.name && count === job.number;
   const WORK = {
+    duplicate: () => ask("POST", `${at(job)}/duplicate`, { ...leased(), new_name: name, number: count, note }),
     rename: () => ask("PUT", at(job), { ...leased(), ...(name !== job.name ? { new_name: name } : {}), ...(count !== job.number ? { number: count } : {}), note }),
     retire: () => ask("PUT", at(job), { ...leased(), retired: true, note }),
     restore: () => ask("PUT", at(job), { ...leased(), retired: false, note }),
@@ -119,6 +129,6 @@ export default function Jobs() {
     ${cell.value.plc.owner && html`<p><${Shape} is="plant" /> ${t("jobs-owned")} <span translate=${false}>${cell.value.plc.owner}</span></p>`}
     ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
     <ul class="tiles jobs">${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}</ul>
-    ${offers("teachings") && html`<div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>`}
+    <div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>
     ${asked && html`<${Question} key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)} />`}`;
 }

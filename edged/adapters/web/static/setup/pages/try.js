@@ -136,21 +136,22 @@ function StillResult(result) {
 // --- what is tried ---
 
 function Choice() {
-  const [drafts, setDrafts] = useState([]);
+  const [drafts, setDrafts] = useState(null);
   useEffect(() => {
     attempt(async () => setDrafts((await ask("GET", "teachings")).teachings.filter(({ active }) => !active)));
   }, []);
-  const options = [...drafts.map(({ id, name }) => [`teaching:${id}`, name, true]), ...cell.value.jobs.map(({ name, number: count }) => [`job:${name}`, `${count} ${name}`, false])];
-  const first = drafts.find(({ id }) => id === localStorage.getItem("edged.teaching"))?.id;
+  const options = [...(drafts ?? []).map(({ id, name }) => [`teaching:${id}`, name, true]), ...cell.value.jobs.map(({ name, number: count }) => [`job:${name}`, `${count} ${name}`, false])];
   useEffect(() => {
-    if (!options.some(([key]) => key === chosen.value)) chosen.value = first ? `teaching:${first}` : (options[0]?.[0] ?? "");
-  }, [options.length]);
+    if (!drafts || options.some(([key]) => key === chosen.value)) return;
+    const begun = `teaching:${localStorage.getItem("edged.teaching")}`; // what was taught here last comes first
+    chosen.value = (options.find(([key]) => key === begun) ?? options[0] ?? [""])[0];
+  }, [drafts, options.length]);
   const choose = async ({ currentTarget }) => {
     const wasOn = isOn.value;
     chosen.value = currentTarget.value;
     if (wasOn) await run(true);
   };
-  if (!options.length) return html`<p><${Shape} is="gap" /> ${t("try-nothing")}</p><div class="actions"><a class="button primary" href="#/teach">${t("step-teach")}</a></div>`;
+  if (drafts && !options.length) return html`<p><${Shape} is="gap" /> ${t("try-nothing")}</p><div class="actions"><a class="button primary" href="#/teach">${t("step-teach")}</a></div>`;
   return html`<div class="row choice-row">
     <label class="field"><span>${t("try-which")}</span><select name="which" onChange=${choose}>
       ${[true, false].map((isDraft) => {
