@@ -23,25 +23,19 @@ from pathlib import Path
 from typing import Any, get_args
 
 import aiohttp
-import cv2
 import numpy as np
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.app.stage import StageRoutes
-from edged.commands.demo import region_of_part
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, FloatArray
-from edged.files.jobs import save_job
 from edged.files.rig import load_rig
-from edged.pipeline import prepare
 from edged.sim.showing import Thing
 from edged.sim.world import VirtualWorld
 from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.triangulation import triangulate_raw
-from edged.vision.teaching.pair import teach
 
-JOB = "flange"
 PASSWORD = "correct horse"
 ASK_AGAIN_S = 4.0
 """Who sees that the board is not where it should be moves it."""
@@ -165,23 +159,21 @@ def true_error_um(rig_file: Path, world: VirtualWorld) -> FloatArray:
     return (triangulate_raw(load_rig(rig_file), left, right) - points) * 1e3
 
 
-async def teach_job(newcomer: Newcomer, world: VirtualWorld, folder: Path) -> None:
-    """From a pair of the part, square to the left camera, with the rig that is active."""
+async def teach_job(newcomer: Newcomer, world: VirtualWorld) -> dict[str, Any]:
+    """From a pair of the part, square to the left camera: what is proposed without a word becomes active."""
     pose = np.eye(4)
     pose[:3, 3] = world.cell.middle_mm
     world.cell.show(Thing.PART, pose)
-    taken = await newcomer.ask("POST", "captures", newcomer.token)
-    images = []
-    for side in SIDES:
-        async with newcomer.session.get(taken[side]) as answer:
-            data = np.frombuffer(await answer.read(), np.uint8)
-        images.append(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
-    truth = world.cell.truth(taken["exposed_ns"])
-    if truth is None:
-        raise RuntimeError("a picture of nothing")
-    rig = load_rig(folder / "rig.json")
-    job = teach(images[0], images[1], prepare(rig).rectification, region_of_part(rig, truth), JOB)
-    save_job(folder / "jobs" / JOB, job)
+    begun_s = time.monotonic()
+    draft = await newcomer.ask("POST", "teachings", newcomer.token)
+    while draft["proposing"] is not None:
+        await asyncio.sleep(0.05)
+        draft = await newcomer.ask("GET", f"teachings/{draft['id']}")
+    proposal_s = time.monotonic() - begun_s
+    if draft["trouble"] is not None:
+        raise RuntimeError(f"teach: {draft['trouble']}")
+    await newcomer.ask("POST", f"teachings/{draft['id']}/activate", {"note": "part", **newcomer.token})
+    return {"features": len(draft["features"]), "proposal_s": round(proposal_s, 1)}
 
 
 async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArray, int]:
@@ -206,15 +198,13 @@ async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArra
 async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """The whole way; figures by their names."""
     with VirtualWorld(gige=True, seed=options.seed, staged=True) as world:
-        async with stage(folder, world) as (newcomer, daemon):
+        async with stage(folder, world) as (newcomer, _daemon):
             found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)
             found["rig_offset_um"] = error_um.mean(axis=0).round(1).tolist()
             found["rig_most_um"] = np.abs(error_um).max(axis=0).round(1).tolist()
-            await teach_job(newcomer, world, folder)
+            found |= await teach_job(newcomer, world)
             await newcomer.ask("DELETE", "setup", newcomer.token)
-            if not await daemon.reload():
-                raise RuntimeError("the taught job was refused")
             errors, sigmas, missed = await measure(newcomer, options.parts)
     found["parts"], found["missed"] = len(errors), missed
     if len(errors):

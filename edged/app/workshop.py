@@ -131,7 +131,7 @@ class Workshop:
             lambda: running().loaded.cell.contents,
             shelf,
             self._rig_of,
-            lambda draft: self.teachings.job(draft),
+            lambda draft: self.teachings.candidate(draft),
         )
         self._activation = Activation(
             shelf, config.resolve(), self._cell_now, cycle.renew_setup, reload, self._regressions.check
@@ -248,10 +248,6 @@ class Workshop:
     async def _rig_of(self, draft: str) -> bytes:
         """Of a calibration that was solved."""
         return (await self._calibrations.solution(draft))[1]
-
-    async def _job_of(self, draft: str) -> Job:
-        """Of a teaching, as far as it has come."""
-        return await self.teachings.job(draft)
 
     async def close(self) -> None:
         """End the worker process; drafts are on disc."""

@@ -49,6 +49,20 @@ def contents_with(contents: Mapping[str, bytes], jobs: Jobs) -> dict[str, bytes]
     return {**others, **{f"jobs/{place}": data for place, data in measured_by.items()}}
 
 
+def pictures_in(jobs: Jobs) -> dict[str, bytes]:
+    """The pairs that jobs were taught from: as much as all else together, many times, and never changed."""
+    return {place: data for place, data in jobs.items() if _is_picture(place)}
+
+
+def without_pictures(jobs: Jobs) -> dict[str, bytes]:
+    """All else."""
+    return {place: data for place, data in jobs.items() if not _is_picture(place)}
+
+
+def _is_picture(place: str) -> bool:
+    return PurePosixPath(place).suffix == ".png" and PurePosixPath(place).parent.name == "taught"
+
+
 def of_job(jobs: Jobs, folder: str) -> dict[str, bytes]:
     """The files of one of them, by place in its folder."""
     return {place.removeprefix(f"{folder}/"): data for place, data in jobs.items() if _is_of(place, folder)}

@@ -34,7 +34,7 @@ from typing import Any
 
 from edged import __version__
 from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
-from edged.commissioning.jobsfolder import Jobs, jobs_in
+from edged.commissioning.jobsfolder import Jobs, jobs_in, without_pictures
 from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
 from edged.errors import FileFormatError, UserError
@@ -96,6 +96,8 @@ def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) ->
     """
     cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
     files, left_out = _collect(config, cell.config, rig, jobs)
+    if sum(map(len, files.values())) > MAX_BYTES // 2:
+        files, left_out = _without_pairs(files, left_out)
     taken = Backup(
         datetime.now(UTC).replace(microsecond=0),
         __version__,
@@ -111,6 +113,17 @@ def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) ->
     if _restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     return Made(taken, data, bool(cell.config.password_hashes()))
+
+
+def _without_pairs(
+    files: Mapping[str, bytes], left_out: Mapping[str, str]
+) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Members without the pairs that jobs were taught from: better than none of the cell."""
+    smaller = without_pictures(files)
+    if len(smaller) == len(files):
+        return dict(files), dict(left_out)
+    told = f"{len(files) - len(smaller)} pictures that jobs were taught from, too large for an archive"
+    return smaller, {**left_out, "cell.jobs": told}
 
 
 def _restored(taken: Backup) -> CellFiles | UnfinishedCell:

@@ -2,6 +2,7 @@
 
     0007.tar.gz     the cell, proven to load; its owner's alone, as every backup
     0007.json       written after it: an archive without is no release
+pictures/       pairs that jobs were taught from, by their SHA-256: many releases have the same
 
 What was ever active stays; of the others the last ones.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,16 +19,20 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from edged.commissioning.history import Kept, Text
-from edged.commissioning.releases import Backup, Made, read
+from edged.commissioning.releases import Backup, Made, jobs_of, read
 from edged.config.reading import problem_of
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 
 KEPT = 50
-"""The last ones, beside those that were ever active: one has some ten kB, and a few hundred for each job."""
+"""The last ones, beside those that were ever active: one has some ten kB, and a few hundred for each job; the
+pairs of jobs, a few MB each, are kept once.
+"""
+PICTURES = "pictures"
 UNDERWAY = "activating"
 """Holds the number of a release while several files are exchanged for it."""
 _FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Number = Annotated[int, Field(ge=1, le=999_999)]
 
 
@@ -46,7 +52,8 @@ class Release(Kept):
     """What is known of one. parent : the release that was active before.  rig : its calibration id.
 
     activated : each time.  tested : before the last time; None: no recorded cycle was concerned.
-    digests : of what each job measures by, by its folder.
+    digests : of what each job measures by, by its folder.  pictures : SHA-256 of those that its archive
+    leaves out, by their places among the jobs.
     """
 
     format: Literal["edged-release"] = "edged-release"
@@ -62,6 +69,7 @@ class Release(Kept):
     activated: tuple[Text, ...] = ()
     tested: Tested | None = None
     digests: dict[Text, Text] = Field(default_factory=dict)
+    pictures: dict[Text, Digest] = Field(default_factory=dict)
 
 
 class Shelf:
@@ -79,8 +87,10 @@ class Shelf:
         note: str,
         parent: int | None,
         now: datetime,
+        pictures: Mapping[str, bytes] | None = None,
     ) -> Release:
-        """Keep a cell. rig : its calibration id."""
+        """Keep a cell. rig : its calibration id.  pictures : of its jobs, which are not in its archive."""
+        digests = {place: hashlib.sha256(data).hexdigest() for place, data in (pictures or {}).items()}
         taken = [int(found[1]) for found in map(_FILE.fullmatch, self._names()) if found is not None]
         release = Release(
             number=max(taken, default=0) + 1,
@@ -92,8 +102,12 @@ class Shelf:
             rig=rig,
             jobs=tuple(_jobs(made.backup)),
             digests=_digests(made.backup),
+            pictures=digests,
         )
-        make_folders(self._folder)
+        make_folders(self._folder / PICTURES)
+        for place, data in (pictures or {}).items():
+            if not self._picture(digests[place]).exists():
+                write_atomically(self._picture(digests[place]), data)
         write_atomically(self._archive(release.number), made.archive, mode=0o600)
         self._write(release)
         return release
@@ -140,6 +154,19 @@ class Shelf:
         never = [release for release in self.all() if not release.activated]
         for release in never[KEPT:]:
             self.forget(release.number)
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Take away pictures that no release has; none, while there is a release that cannot be read."""
+        if not (self._folder / PICTURES).is_dir():
+            return
+        known = self.all()
+        if len(known) < sum(name.endswith(".json") for name in self._names()):
+            return
+        used = {digest for release in known for digest in release.pictures.values()}
+        for file in (self._folder / PICTURES).iterdir():
+            if file.stem not in used:
+                file.unlink(missing_ok=True)
 
     def all(self) -> list[Release]:
         """The youngest first; without those whose files are damaged."""
@@ -171,6 +198,19 @@ class Shelf:
         """The cell in it, every checksum checked. Raises `KeyError`, `FileFormatError`."""
         self.get(number)
         return read(self._archive(number))
+
+    def jobs(self, number: int) -> dict[str, bytes]:
+        """The jobs in it, by place; those without their pair whose pictures are gone. Raises as `open`."""
+        found = jobs_of(self.open(number))
+        for place, digest in self.get(number).pictures.items():
+            file = self._picture(digest)
+            data = read_bytes(file, "a picture") if file.is_file() else b""
+            if hashlib.sha256(data).hexdigest() == digest:
+                found[place] = data
+        return found
+
+    def _picture(self, digest: str) -> Path:
+        return self._folder / PICTURES / f"{digest}.png"
 
     def _names(self) -> list[str]:
         return [file.name for file in self._folder.iterdir()] if self._folder.is_dir() else []

@@ -170,7 +170,8 @@ class TeachingDrafts:
 
 def keeps_pair(folder: Path) -> bool:
     """Whether a job keeps what it was taught by."""
-    return (folder / TAUGHT / _CONTENT).is_file()
+    names = _CONTENT, *(f"{side}.png" for side in SIDES)
+    return all((folder / TAUGHT / name).is_file() for name in names)
 
 
 def kept_pair(folder: Path) -> KeptPair:

@@ -10,8 +10,15 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edged.commissioning.jobsfolder import Jobs, contents_with, jobs_in, write_jobs
-from edged.commissioning.releases import Made, RigFiles, jobs_of, make, rig_in
+from edged.commissioning.jobsfolder import (
+    Jobs,
+    contents_with,
+    jobs_in,
+    pictures_in,
+    without_pictures,
+    write_jobs,
+)
+from edged.commissioning.releases import Made, RigFiles, make, rig_in
 from edged.commissioning.setups import RIG, Contents
 from edged.commissioning.shelf import Release, Shelf, Tested
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
@@ -147,8 +154,8 @@ class Activation:
         A release of before the first job says nothing of jobs. The way back is never barred: its reason is
         the signature.
         """
-        taken = await asyncio.to_thread(self._shelf.open, number)
-        files, jobs = rig_in(taken), jobs_of(taken)
+        files = rig_in(await asyncio.to_thread(self._shelf.open, number))
+        jobs = await asyncio.to_thread(self._shelf.jobs, number)
 
         def wanted(there: _Parts) -> _Parts:
             return _Parts(files.rig, files.cameras, jobs or there.jobs)
@@ -181,7 +188,7 @@ class Activation:
             self._check_unlocked()
             release = again
             if release is None:
-                release = await asyncio.to_thread(self._keep, made, author, note)
+                release = await asyncio.to_thread(self._keep, made, wanted, former, author, note)
             await asyncio.to_thread(self._exchange, release, wanted, former, again is None, tested)
             refused = await self._reload()
             if refused:
@@ -206,28 +213,29 @@ class Activation:
         """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
         if wanted.rig is None:
             raise UserError("there is no calibration: calibrate first")
-        made = make(self._config, RigFiles(wanted.rig, wanted.cameras), wanted.jobs)
+        made = make(self._config, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
         if made.backup.fingerprint == self._running().fingerprint:
             raise UserError("the cell runs by this already")
         all_of_it = self._shelf.all()
         return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
 
-    def _keep(self, made: Made, author: str, note: str) -> Release:
+    def _keep(self, made: Made, wanted: _Parts, former: _Parts, author: str, note: str) -> Release:
         """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
-        running, now = self._running(), datetime.now(UTC)
-        if running.is_complete and self.active is None:
-            found = make(self._config)
-            kept = self._shelf.add(
-                found, rig=_rig_id(found), author="edged", note="as it was found", parent=None, now=now
-            )
-            self._shelf.note_active(kept.number, now)
+        if self._running().is_complete and self.active is None:
+            found = make(self._config, jobs=without_pictures(former.jobs))
+            kept = self._add(found, former, "edged", "as it was found", None)
+            self._shelf.note_active(kept.number, datetime.now(UTC))
+        return self._add(made, wanted, author, note, self.active)
+
+    def _add(self, made: Made, parts: _Parts, author: str, note: str, parent: int | None) -> Release:
         return self._shelf.add(
             made,
             rig=_rig_id(made),
             author=author,
             note=note,
-            parent=self.active,
-            now=now,
+            parent=parent,
+            now=datetime.now(UTC),
+            pictures=pictures_in(parts.jobs),
         )
 
     def _exchange(
@@ -292,9 +300,9 @@ class Activation:
         if number is None:
             return False
         try:
-            taken = self._shelf.open(number)
-            files, there = rig_in(taken), self._there()
-            self._write(_Parts(files.rig, files.cameras, jobs_of(taken) or there.jobs), there)
+            files, there = rig_in(self._shelf.open(number)), self._there()
+            jobs = self._shelf.jobs(number) or there.jobs
+            self._write(_Parts(files.rig, files.cameras, jobs), there)
         except (KeyError, EdgedError, OSError) as error:
             # the message names the file: a traceback says no more
             log.error("release %d was being activated, and cannot be: %s", number, error)  # noqa: TRY400

@@ -8,16 +8,16 @@ from pathlib import Path, PurePosixPath
 
 from edged.commissioning.jobsfolder import contents_with
 from edged.commissioning.releases import jobs_of, rig_in
-from edged.commissioning.setups import RIG, Contents, number_of
+from edged.commissioning.setups import RIG, Contents
 from edged.commissioning.shelf import Shelf
 from edged.commissioning.whatif import JobChange, changed_job
 from edged.errors import UserError
 from edged.files.jobs import SHAPE, TEXT, check_text, job_files, job_of
-from edged.vision.part.job import Job
+from edged.workshop.jobsinuse import Candidate
 
 Solution = Callable[[str], Awaitable[bytes]]
 """The rig's file that a draft of a calibration was solved to; raises `KeyError`, `EdgedError`."""
-Taught = Callable[[str], Awaitable[Job]]
+Taught = Callable[[str], Awaitable[Candidate]]
 """The job of a draft of a teaching, likewise."""
 
 
@@ -37,19 +37,10 @@ class Candidates:
         return {**self._active(), RIG: await self._solution(identity)}
 
     async def of_teaching(self, identity: str) -> Contents:
-        """By the job of a draft, in place of that of its name or number. Raises `KeyError`, `EdgedError`."""
+        """By the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
         job, active = await self._taught(identity), self._active()
-
-        def taught() -> Contents:
-            others = dict(active)
-            for name in [one for one in active if PurePosixPath(one).name == TEXT]:
-                path = PurePosixPath(name)
-                if path.parent.name == job.name or number_of(active[name], name) == job.number:
-                    for file in (TEXT, SHAPE):
-                        others.pop(str(path.with_name(file)), None)
-            return with_job(others, f"jobs/{job.name}", job_files(job))
-
-        return await asyncio.to_thread(taught)
+        jobs = {name.removeprefix("jobs/"): data for name, data in active.items() if name.startswith("jobs/")}
+        return contents_with(active, job.put(jobs))
 
     async def of_release(self, number: int) -> Contents:
         """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""

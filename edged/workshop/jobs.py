@@ -15,7 +15,6 @@ from pydantic import Field, TypeAdapter, ValidationError
 from edged.commissioning.history import Kept, Text
 from edged.commissioning.jobsfolder import Jobs as Files
 from edged.commissioning.jobsfolder import of_job, renamed, with_job, without_job
-from edged.commissioning.releases import jobs_of
 from edged.commissioning.shelf import Release, Shelf
 from edged.commissioning.teachdrafts import keeps_pair
 from edged.commissioning.teachstate import JobName, Number
@@ -237,7 +236,7 @@ class Jobs:
         for release in self._shelf.all():
             if folder in release.jobs:
                 try:
-                    return of_job(jobs_of(self._shelf.open(release.number)), folder)
+                    return of_job(self._shelf.jobs(release.number), folder)
                 except FileFormatError as error:
                     log.warning("release %d: %s", release.number, error)
         raise UserError(f"no release has the job {folder} any more")

@@ -67,6 +67,24 @@ def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path
     assert ["cell"] == [entry.name for entry in (tmp_path / "new").iterdir()]
 
 
+def test_a_pair_that_a_job_was_taught_from_is_in_it_where_there_is_room(
+    cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where there is none, the cell is worth more than the pairs; what is left out is said."""
+    folder = Path(shutil.copytree(cell.parent, tmp_path / "cell"))
+    (folder / "jobs" / "flange" / "taught").mkdir()
+    picture = folder / "jobs" / "flange" / "taught" / "left.png"
+    picture.write_bytes(bytes(300_000))
+    whole = module.make(folder / "cell.toml").backup
+    assert picture.read_bytes() == whole.files["jobs/flange/taught/left.png"]
+    size = sum(map(len, whole.files.values()))
+    monkeypatch.setattr(module, "MAX_BYTES", 2 * (size - 100_000))
+    part = module.make(folder / "cell.toml").backup
+    assert {"jobs/flange/taught/left.png"} == whole.files.keys() - part.files.keys()
+    assert "1 pictures that jobs were taught from" in part.left_out["cell.jobs"]
+    assert whole.fingerprint == part.fingerprint
+
+
 def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path: Path) -> None:
     """Absolute paths lead to the copies afterwards; comments stay; keys of the machine are not taken."""
     here = tmp_path / "etc"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import hashlib
 import json
 import random
 import shutil
@@ -24,6 +25,8 @@ from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
 from edged.workshop import activating
 from edged.workshop.activating import Activation, CellNow
+from edged.workshop.candidates import Candidates
+from edged.workshop.jobsinuse import Candidate
 
 
 @pytest.fixture(scope="module")
@@ -238,6 +241,29 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
     assert (read_cell(cell.config).contents, "that was better") == asked[2]
 
 
+def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCell) -> None:
+    """Also of a draft that renames and renumbers the job that it replaces: else its test would not count."""
+    cell.config.write_text(cell.config.read_text().replace('job = "flange"', ""))
+    candidate = Candidate("cover", "flange", job_files(cell, "cover", 9))
+    told: list[Mapping[str, bytes]] = []
+
+    async def gate(contents: Mapping[str, bytes], _signed: str | None) -> None:
+        told.append(contents)
+
+    async def draft(_identity: str) -> Candidate:
+        return candidate
+
+    async def rig(_identity: str) -> bytes:
+        raise KeyError
+
+    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
+    candidates = Candidates(lambda: cell.now.contents, cell.shelf, rig, draft)
+    tried = asyncio.run(candidates.of_teaching("20260101-000000-abcd"))
+    asyncio.run(cell.activation.activate_jobs(candidate.put, "Anna", "cover"))
+    assert [tried] == told
+    assert {"jobs/cover/job.toml", "jobs/cover/shape.npz"} == {name for name in tried if "jobs/" in name}
+
+
 def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
     """Files byte for byte, no release that never was, and the reason is said."""
     files = cell.files()
@@ -398,3 +424,22 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
         found.add(fingerprint)
         shutil.rmtree(disk)
     assert {now, after} == found
+
+
+def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
+    """Beside their archives; it comes back with its job, and goes with the last release that had it."""
+    activate_job(cell, "ring", 2)
+    activate(cell, cell.wider(1.001))
+    pictures = cell.config.parent / "state" / "releases" / "pictures"
+    assert [hashlib.sha256(b"pixels").hexdigest()] == [file.stem for file in pictures.iterdir()]
+    assert not any(name.endswith("left.png") for name in cell.shelf.open(3).files)
+    activate_again(cell, 1)
+    after = activate_again(cell, 3)
+    assert b"pixels" == (cell.now.jobs / "ring" / "taught" / "left.png").read_bytes()
+    assert after.fingerprint == cell.now.fingerprint
+    next(pictures.iterdir()).write_bytes(b"damaged")
+    assert "ring/taught/left.png" not in cell.shelf.jobs(3)
+    for number in (2, 3):
+        cell.shelf.forget(number)
+    cell.shelf.prune()
+    assert [] == list(pictures.iterdir())

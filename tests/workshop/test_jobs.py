@@ -35,7 +35,8 @@ def cell_with_jobs(folder: Path) -> PartCell:
     text = (folder / "jobs" / "lid" / "job.toml").read_text()
     (folder / "jobs" / "lid" / "job.toml").write_text(f"# Anna's own words\n{text}")
     (folder / "jobs" / "lid" / "taught").mkdir()
-    (folder / "jobs" / "lid" / "taught" / "content.json").write_text("{}")
+    for name in ("content.json", "left.png", "right.png"):
+        (folder / "jobs" / "lid" / "taught" / name).write_text(name)
     return cell
 
 
