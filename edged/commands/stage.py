@@ -24,10 +24,10 @@ USER = "me"
 """Who sets the stage up: an engineer."""
 
 STEPS = """\
-A virtual cell without a calibration and without a job: set it up on its page, as far as its calibration.
+A virtual cell without a calibration and without a job: set it up on its page, up to a part to be picked.
   1  open    http://127.0.0.1:{port}/setup
   2  log in  name {name}, password {password}   (made for this run)
-  3  take the cell; the stage on the page moves a hand that shows the board and follows the drawn outline
+  3  take the cell; the stage at the foot of each page does what hands do: wave, hold the board, lay the part
 Rig, jobs and drafts go to {folder}; ctrl-C ends it."""
 
 
@@ -79,6 +79,11 @@ port = {modbus}
 
 [zenoh]
 listen = ["tcp/127.0.0.1:{zenoh}"]
+
+[recorder]
+folder = "recordings"
+keep_good = 50
+keep_bad = 50
 
 [web]
 port = {web}

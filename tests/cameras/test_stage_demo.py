@@ -183,5 +183,5 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
         rest = process.communicate(timeout=20)[0]
     assert (0, "") == (process.returncode, rest)
     assert f"http://127.0.0.1:{ports[0]}/setup" in said
-    assert {".cell.state", "cell.toml"} == {path.name for path in (tmp_path / "cell").iterdir()}
+    assert {".cell.state", "cell.toml", "recordings"} == {path.name for path in (tmp_path / "cell").iterdir()}
     assert 0 == (tmp_path / "cell" / "cell.toml").stat().st_mode & 0o007

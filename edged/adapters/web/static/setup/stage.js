@@ -3,22 +3,35 @@ import { html, signal, useEffect } from "../vendor/ui.js";
 import { ask, attempt } from "./api.js";
 import { draft, SIDES } from "./live.js";
 import { Slider } from "./pieces.js";
-import { number, t } from "./texts.js";
+import { number, sign, t } from "./texts.js";
 
 const stage = signal(null);
 const tell = (method, path, body) =>
   attempt(async () => {
     stage.value = await ask(method, path, body);
   });
+const truth = signal(null);
+const TRUTH_MS = 1000;
+const compare = () => ask("GET", "stage/truth").then((told) => (truth.value = told), () => {});
 const WAVE_MS = 4000;
 async function wave(side) {
   await tell("PUT", "stage", { waving: side });
   setTimeout(() => tell("PUT", "stage", { waving: "none" }), WAVE_MS);
 }
 
+// What no real cell can say: how far the last result is from the part.
+function Truth() {
+  const error = truth.value?.error_mm;
+  if (!error) return html`<p class="muted">${t("stage-truth-none")}</p>`;
+  const [x, y, z] = error.map((mm) => sign(1e3 * mm, 1));
+  return html`<p>${t("stage-truth", { x, y, z })}</p>`;
+}
+
 export function Stage() {
   useEffect(() => {
     tell("GET", "stage");
+    const timer = setInterval(compare, TRUTH_MS);
+    return () => clearInterval(timer);
   }, []);
   if (!stage.value) return null;
   const { showing, waving, rings } = stage.value;
@@ -28,9 +41,11 @@ export function Stage() {
     <p>${t("stage-what")}</p>
     <div class="actions">
       ${["board", "part", "nothing"].map((what) => html`<button type="button" aria-pressed=${showing === what} onClick=${() => tell("PUT", "stage", { showing: what })}>${t(`stage-show-${what}`)}</button>`)}
+      <button type="button" onClick=${() => tell("POST", "stage/lay", {})}>${t("stage-lay")}</button>
       <button type="button" disabled=${!ghost} onClick=${() => tell("PUT", "stage/hand", { left: ghost.left, right: ghost.right })}>${t("stage-hand")}</button>
       ${SIDES.map((side) => html`<button type="button" aria-pressed=${waving === side} onClick=${() => wave(side)}>${t(`stage-wave-${side}`)}</button>`)}
     </div>
+    <${Truth} />
     ${SIDES.map(
       (side) => html`<p>${t(`stage-ring-${side}`)}</p>
         <${Slider} label=${t(`stage-ring-${side}`)} value=${rings[side]} low=${-1} high=${1} describe=${(turn) => t("stage-ring", { turn: number(turn, 2) })} onValue=${(turn) => tell("PUT", "stage", { rings: { [side]: turn } })} />`,
