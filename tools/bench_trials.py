@@ -111,7 +111,10 @@ async def tried(folder: Path, seconds: float) -> dict[str, Any]:
             found["still test: s, verdict, χ²"] = (
                 f"{time.monotonic() - begun_s:.1f}, {last['verdict']}, {last['chi2']} of {last['expected']}"
             )
-            found["scatter, edges µm"] = f"{last['scatter_um']}, {last['edges_um']}"
+            for name in ("scatter", "noise", "edges"):
+                found[f"still test, {name}, µm"] = " ".join(
+                    f"{one:.2f}" for one in last[f"{name}_um"].values()
+                )
     return found
 
 

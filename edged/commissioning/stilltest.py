@@ -1,73 +1,104 @@
 """Is the sigma honest? A part that lies still, measured again and again: its scatter against what is stated.
 
-Calibration and registration do not scatter from picture to picture, so it is the edges' share alone that is
-held against the scatter. What displaces an edge alike in every picture, texture beside it and the light, is
-in that share, too, and lies as still as the part: of parts with much of it the scatter is the smaller one.
+Calibration and registration do not scatter from picture to picture, so it is the edges' share alone that
+must cover the scatter. Of that share, what displaces an edge alike in every picture, texture beside it, a
+wall, the light, lies as still as the part. So the scatter should be what the noise of the single edges leaves
+in the pose. A part or a camera that shakes, or light that flickers, moves all edges at once: it is more then.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.vision.curves.edgenoise import Sighting, edge_noise
+from edged.vision.part.expected import Scatters
 
 StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
 """larger, smaller : the scatter than the stated sigma. moving, vanished : the part did: nothing is judged."""
 
-MOVED_PX = 1.0
-"""A part that lies still is seen there, to much less than this."""
+FAR = 12.0
+"""Of the stated sigma: a part that lies so far from where it mostly was has been moved."""
 DRIFT = 3.0
 """By what factor the variance exceeds that from one picture to the next, of a part that moves on."""
 COVERAGE_SIGMA = 1.96
+REWEIGHED = 1.3
+"""What noise leaves in the pose is more, by so much in the mean of several parts, than passes through weights
+that stay: it decides a little, too, which edges count."""
+LEAST_MM2 = 1e-14
+"""Of pictures without noise nothing is to be expected."""
 LEAST, MOST = 5, 200
 """Pictures: with fewer the verdict is open to a factor, and more take minutes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stand:
-    """A picture of the part. place_mm (3,); by_edges (3, 3) : of its covariance.  at_px (2,) : its match."""
+    """A picture of the part. place_mm (3,); by_edges (3, 3) : of its covariance.
+
+    sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None: not told.
+    """
 
     place_mm: FloatArray
     by_edges: FloatArray
-    at_px: FloatArray
+    sightings: Mapping[str, Sighting] = field(default_factory=dict)
+    scatters: Scatters = field(default_factory=dict)
+    pose: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stillness:
-    """What came of it. scatter_mm, edges_mm (3,) : X, Y, Z; None where the part vanished.
+    """What came of it. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None where the part vanished.
 
-    chi2 : scatter over stated variance, mean of all axes; expected : where 19 of 20 honest ones lie.
+    edges_mm : what is stated; noise_mm : what the noise of the single edges leaves of it, None: not known.
+    chi2 : scatter over the variance that the noise explains, else over the stated one, mean of all axes;
+    expected : where 19 of 20 honest ones lie.
     """
 
     verdict: StillVerdict
     pictures: int
     scatter_mm: FloatArray | None
     edges_mm: FloatArray | None
+    noise_mm: FloatArray | None
     chi2: float | None
     expected: tuple[float, float]
 
 
-def judged(stands: Sequence[Stand | None]) -> Stillness:
-    """The verdict over pictures, in the order they were taken; None: the part was not measured in it."""
+def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
+    """The noise of the edges of each feature; of those that enough of the pictures show."""
+    names = set.intersection(*(set(one.sightings) for one in stands)) if stands else set()
+    found = {name: edge_noise([one.sightings[name] for one in stands]) for name in sorted(names)}
+    return {name: noise for name, noise in found.items() if noise is not None}
+
+
+def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> Stillness:
+    """The verdict over pictures, in the order they were taken; None: the part was not measured in it.
+
+    by_noise (3, 3) : what the noise of the edges leaves of the place's covariance; None: not known.
+    """
     count = len(stands)
-    expected = interval(3 * (count - 1))
+    honest = low, high = interval(3 * (count - 1))
     seen = [one for one in stands if one is not None]
     if len(seen) < count or count < LEAST:
-        return Stillness("vanished", count, None, None, None, expected)
+        return Stillness("vanished", count, None, None, None, None, honest)
     places = np.array([one.place_mm for one in seen])
     stated = np.mean([one.by_edges for one in seen], axis=0)
     scatter_mm, edges_mm = places.std(axis=0, ddof=1), np.sqrt(np.diag(stated))
-    if _has_moved(seen, places, stated):
-        return Stillness("moving", count, scatter_mm, edges_mm, None, expected)
-    chi2 = _mean_square(places - places.mean(axis=0), stated) * count / (count - 1)
-    low, high = expected
-    verdict: StillVerdict = "larger" if chi2 > high else "smaller" if chi2 < low else "honest"
-    return Stillness(verdict, count, scatter_mm, edges_mm, chi2, expected)
+    gaps = places - places.mean(axis=0)
+    noise_mm, explained = None, stated
+    if by_noise is not None and np.linalg.eigvalsh(by_noise).min() > LEAST_MM2:
+        noise_mm, explained = np.sqrt(np.diag(by_noise)), by_noise
+        honest = low, REWEIGHED * high
+    if _has_moved(places, stated, explained):
+        return Stillness("moving", count, scatter_mm, edges_mm, noise_mm, None, honest)
+    covered, chi2 = (_mean_square(gaps, one) * count / (count - 1) for one in (stated, explained))
+    larger = covered > high or chi2 > honest[1]
+    verdict: StillVerdict = "larger" if larger else "smaller" if chi2 < low else "honest"
+    return Stillness(verdict, count, scatter_mm, edges_mm, noise_mm, chi2, honest)
 
 
 def interval(freedom: int) -> tuple[float, float]:
@@ -84,18 +115,18 @@ def interval(freedom: int) -> tuple[float, float]:
     return max(low, 0.0), high
 
 
-def _has_moved(stands: Sequence[Stand], places: FloatArray, stated: FloatArray) -> bool:
+def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) -> bool:
     """Whether the part lay elsewhere in some picture, or went on little by little.
 
     From picture to picture a part that drifts, or was pushed once, differs by less than over all of them
     (J. von Neumann, "Distribution of the Ratio of the Mean Square Successive Difference", 1941).
     """
-    at = np.array([one.at_px for one in stands])
-    if float(np.linalg.norm(at - np.median(at, axis=0), axis=1).max()) > MOVED_PX:
+    away = np.abs(places - np.median(places, axis=0))
+    if (away / np.sqrt(np.diag(stated))).max() > FAR:
         return True
-    whole = _mean_square(places - places.mean(axis=0), stated)
-    steps = 0.5 * _mean_square(np.diff(places, axis=0), stated)
-    return whole > DRIFT * steps and whole > interval(3 * (len(stands) - 1))[1]
+    whole = _mean_square(places - places.mean(axis=0), explained)
+    steps = 0.5 * _mean_square(np.diff(places, axis=0), explained)
+    return whole > DRIFT * steps and whole > interval(places.size - 3)[1]
 
 
 def _mean_square(gaps: FloatArray, covariance: FloatArray) -> float:

@@ -6,7 +6,7 @@ As the cell itself would judge the pair, with the job's picking and the cell's b
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 from edged.commissioning.recorded import NOT_FOUND
 from edged.commissioning.sight import Points, outline_in
-from edged.commissioning.stilltest import Stand
+from edged.commissioning.stilltest import Stand, Stillness, judged, noises_of
 from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Status, Target
@@ -28,7 +28,7 @@ from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import Reading, frame_name, reading_of
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.part.expected import Scatters, scatters_of
+from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 
@@ -233,9 +233,21 @@ def terms_of(rig: StereoRig, target: Target) -> Terms | None:
     return Terms(edges=edges, calibration=calibration, registration=registration, doubt=doubt)
 
 
-def stand_of(target: Target) -> Stand | None:
+def stand_of(measured: Measured) -> Stand | None:
     """A part in one of many pictures of it; None where it is not known what its edges are worth."""
+    target = measured.target
     if target.by_edges is None or not _is_finite(target):
         return None
-    at = np.array([target.match.x_px, target.match.y_px])
-    return Stand(target.position_mm, target.by_edges[:3, :3], at)
+    seen = {one.name: (one.points, one.weights) for one in measured.fits}
+    place, edges = target.position_mm, target.by_edges[:3, :3]
+    return Stand(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
+
+
+def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> Stillness:
+    """The verdict over pictures of a part that lay still."""
+    seen = [one for one in stands if one is not None]
+    noises, expected = noises_of(seen), None
+    if noises and (first := seen[0]).pose is not None:
+        known = replace(job, sigma_mm=0.0)  # what nobody knows of its features does not scatter
+        expected = expected_target(rig.rectification, known, first.pose, first.scatters, noises)
+    return judged(stands, None if expected is None else expected.covariance[:3, :3])

@@ -36,9 +36,11 @@ class TrialDocument(BaseModel):
 
 
 class StillDocument(BaseModel):
-    """A still test. chi2 : scatter over the variance that the edges state; expected : where it should lie.
+    """A still test. edges_um : what the edges' share of the sigma states; noise_um : what of it is noise.
 
-    larger, smaller : the scatter than what is stated. moving, vanished : the part did, and nothing is judged.
+    chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
+    known; expected : where it should lie. larger, smaller : the scatter than that, or than what is stated.
+    moving, vanished : the part did, and nothing is judged.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -49,6 +51,7 @@ class StillDocument(BaseModel):
     n: int
     scatter_um: Sigma | None
     edges_um: Sigma | None
+    noise_um: Sigma | None = None
     chi2: float | None
     expected: tuple[float, float]
     verdict: StillVerdict
@@ -122,6 +125,7 @@ def still_document(found: Stillness, name: str, calibration: str, at: str, by: s
         n=found.pictures,
         scatter_um=None if found.scatter_mm is None else sigma_of(found.scatter_mm),
         edges_um=None if found.edges_mm is None else sigma_of(found.edges_mm),
+        noise_um=None if found.noise_mm is None else sigma_of(found.noise_mm),
         chi2=None if found.chi2 is None or not math.isfinite(found.chi2) else round(found.chi2, 3),
         expected=(round(low, 3), round(high, 3)),
         verdict=found.verdict,

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from edged.capture.tasks import cancel_and_await
 from edged.commissioning.pairs import Progress
 from edged.commissioning.sigmamap import SigmaMap
-from edged.commissioning.stilltest import Stand, judged
+from edged.commissioning.stilltest import Stand, Stillness
 from edged.commissioning.trying import Tried
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
@@ -46,7 +46,7 @@ from edged.workshop.worker import Worker
 
 log = logging.getLogger(__name__)
 
-FUNCTIONS = {name: f"edged.workshop.trialwork:{name}" for name in ("try_pair", "stand", "sigmas")}
+FUNCTIONS = {name: f"edged.workshop.trialwork:{name}" for name in ("try_pair", "stand", "still", "sigmas")}
 MOST_COVERED = 2000
 """Places that are told: a trail of many minutes."""
 MOST_KNOWN = 4
@@ -328,8 +328,9 @@ class Trials:
             stands.append(await self._worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:
                 break
+        judged: Stillness = await self._worker.run("still", self._setup(trial), stands)
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        found = still_document(judged(stands), trial.job.name, trial.calibration, now, author)
+        found = still_document(judged, trial.job.name, trial.calibration, now, author)
         await asyncio.to_thread(self._write, found)
         self._notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
 

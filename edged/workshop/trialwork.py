@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -10,16 +11,17 @@ from pathlib import Path
 from edged.commissioning import trying
 from edged.commissioning.pairs import Progress
 from edged.commissioning.sigmamap import SigmaMap, sigma_map
-from edged.commissioning.stilltest import Stand
+from edged.commissioning.stilltest import Stand, Stillness
 from edged.commissioning.trying import Tried
 from edged.domain.arrays import Image
 from edged.domain.frames import Frame, FramePair
 from edged.domain.picking import Bounds
 from edged.files.rig import rig_of
-from edged.pipeline import PreparedRig, inspect, judge, prepare
+from edged.pipeline import PreparedRig, inspect, prepare
 from edged.robot.orientations import Convention
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,18 @@ def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]
 
 def stand(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
     """Where the best part lies in a pair, and how well the edges say so; None without one."""
-    outcome = judge(inspect(_pair(images), _job(setup.job), _prepared(setup.rig, setup.path)))
-    best = next((one for one in outcome.targets if one.by_edges is not None), None)
+    inspection = inspect(_pair(images), _job(setup.job), _prepared(setup.rig, setup.path))
+    best = max(inspection.measured, key=_rank, default=None)
     return None if best is None else trying.stand_of(best)
+
+
+def _rank(measured: Measured) -> tuple[bool, float]:
+    return not measured.target.reject, measured.target.match.score
+
+
+def still(_progress: Progress, setup: TrialSetup, stands: Sequence[Stand | None]) -> Stillness:
+    """What came of many pictures of a part."""
+    return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
 
 
 def sigmas(progress: Progress, setup: TrialSetup, scatters: Scatters) -> SigmaMap:

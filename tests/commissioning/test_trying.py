@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from edged.commissioning.sigmamap import ACROSS, DEEP, DOWN, sigma_map
-from edged.commissioning.stilltest import LEAST, Stand, interval, judged
-from edged.commissioning.trying import MOST_WHISKERS, Tried, try_pair
+from edged.commissioning.stilltest import LEAST, Stand, Stillness, interval, judged
+from edged.commissioning.trying import MOST_WHISKERS, Tried, stand_of, still_part, try_pair
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.picking import Bounds, Box
-from edged.pipeline import PreparedRig, prepare
+from edged.pipeline import PreparedRig, inspect, prepare
 from edged.robot.orientations import Convention
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
 SIGMA_MM = np.array([0.004, 0.003, 0.009])
-AT = np.array([320.0, 240.0])
 
 
 @functools.cache
@@ -38,7 +37,7 @@ def tried(left: Image, right: Image, bounds: Bounds | None = None) -> Tried:
 
 def stands(places: FloatArray, stated_mm: FloatArray = SIGMA_MM) -> list[Stand | None]:
     """Of a part whose edges are said to be so good."""
-    return [Stand(one, np.diag(stated_mm**2), AT) for one in places]
+    return [Stand(one, np.diag(stated_mm**2)) for one in places]
 
 
 def drawn(seed: int, count: int = 30) -> FloatArray:
@@ -67,16 +66,53 @@ def test_a_sigma_that_is_wrong_by_a_factor_of_two_is_not(factor: float, verdict:
 
 
 def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
-    """Pushed by ten sigmas or by two pixels, sinking slowly, or gone in one picture."""
+    """Pushed by ten sigmas, sinking slowly, elsewhere in one picture, or gone in one."""
     pushed = drawn(4)
     pushed[13:] += 10 * SIGMA_MM
     sinking = drawn(5) + np.linspace(0, 1, 30)[:, None] * 12 * SIGMA_MM
     seen = stands(drawn(6))
-    seen[20] = Stand(drawn(6)[20], np.diag(SIGMA_MM**2), AT + np.array([2.0, 0.0]))
+    seen[20] = Stand(drawn(6)[20] + 15 * SIGMA_MM, np.diag(SIGMA_MM**2))
     for one in (stands(pushed), stands(sinking), seen):
         assert ("moving", None) == (judged(one).verdict, judged(one).chi2)
     gone = [*stands(drawn(7))[:29], None]
     assert ("vanished", None) == (judged(gone).verdict, judged(gone).scatter_mm)
+
+
+def of_pictures(poses: list[FloatArray], each: int) -> Stillness:
+    """The verdict over pictures of the flange, so many at each pose, each with its own noise."""
+    rig, job = taught()
+    rng, seen = np.random.default_rng(2), []
+    for where in poses:
+        greys = cells.clean_greys(rig.rig, cells.scene((cells.flange().part, where)))
+        for _ in range(each):
+            pair = cells.frame_pair(*(cells.noisy(grey, 1.5, rng) for grey in greys))
+            (measured,) = inspect(pair, job, rig).measured
+            seen.append(stand_of(measured))
+    return still_part(rig, job, seen)
+
+
+def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
+    """In each axis within a third; the sigma of the edges, in which texture and light are, is larger."""
+    found = of_pictures([cells.pose((3.0, -4.0, 207.0), 70.0, 6.0)], 24)
+    assert "honest" == found.verdict
+    assert found.scatter_mm is not None
+    assert found.edges_mm is not None
+    assert found.noise_mm is not None
+    np.testing.assert_allclose(found.scatter_mm, found.noise_mm, rtol=0.33)
+    assert (found.edges_mm > 2 * found.noise_mm).all()
+
+
+def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
+    """By a micrometre in every direction, which its sigma would cover: no edge by itself is so unsteady."""
+    rng, poses = np.random.default_rng(4), []
+    for shake in 1e-3 * rng.normal(size=(10, 3)):
+        poses.append(cells.pose((3.0, -4.0, 207.0), 70.0, 6.0))
+        poses[-1][:3, 3] += shake
+    found = of_pictures(poses, 1)
+    assert found.scatter_mm is not None
+    assert found.edges_mm is not None
+    assert "larger" == found.verdict
+    assert (found.scatter_mm < found.edges_mm).all()
 
 
 def test_a_good_pair_is_shown_as_it_was_measured() -> None:

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Side
-from edged.vision.curves.adjustment import precise
+from edged.vision.curves.adjustment import precise, propagate
 from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
 from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
 from edged.vision.curves.outlines import Curve, Face, Outline
-from edged.vision.curves.planefit import PlaneFit, Scatter, arcs_px, result_of
+from edged.vision.curves.planefit import Known, PlaneFit, Scatter, arcs_px, result_of
 from edged.vision.curves.planestate import Edges, FitParams, Problem, State, Step
 from edged.vision.geometry.camera import StereoRig
 
@@ -29,6 +29,7 @@ SPACING_PX = 6.0
 BORDER_PX = 4.0
 """Nearer to the border of a picture there is no room for the profile of an edge."""
 MIN_SAMPLES = 8
+LEAST_ARC_PX = 0.1
 NOTHING = np.zeros((0, 0), np.uint8)
 
 
@@ -61,11 +62,14 @@ def foresee_plane(
     *,
     rigid_mm: float | None = None,
     min_support: float = 0.4,
+    noises: Sequence[tuple[float, float]] | None = None,
 ) -> PlaneFit | None:
     """The fit that pictures of these curves would give where they lie; its edges are just there.
 
     scatters : of each curve.  rigid_mm : as `fit_plane` has it.  min_support : share of a curve that both
-    pictures must hold. None where they hold none, or the plane would not be known.
+    pictures must hold.  noises : of each curve, as `edge_noise` has it: then the covariance is what this
+    noise alone leaves in the same fit, whose weights follow from the scatters. None where the pictures hold
+    no curve, or the plane would not be known.
     """
     params = FitParams(min_support=min_support)
     state = State(rig, (NOTHING, NOTHING), face, tuple(curves), params, False, False, rigid_mm)
@@ -89,9 +93,26 @@ def foresee_plane(
             [scatters[k] for k in fewer],
             rigid_mm=rigid_mm,
             min_support=min_support,
+            noises=None if noises is None else [noises[k] for k in fewer],
         )
     step = _step(state, scatters, sampled, (left, right), inside)
-    return None if step is None else result_of(state, step)
+    if step is None:
+        return None
+    return result_of(state, step, None if noises is None else _by_noise(step, noises, state.unknowns))
+
+
+def _by_noise(step: Step, noises: Sequence[tuple[float, float]], unknowns: int) -> Known:
+    """What noise leaves: each sample of each picture is a cause by itself."""
+    problem = step.problem
+    counts, total = np.diff(problem.starts), int(problem.starts[-1])
+    arcs = np.maximum(arcs_px(problem.sides, problem.starts), LEAST_ARC_PX)
+    sigma = np.sqrt(np.repeat(np.array(noises).T, counts, axis=1) / arcs)
+    none = np.zeros((total, total))
+    causes = problem.pairs.rows_of(np.hstack([np.diag(sigma[0]), none]), np.hstack([none, np.diag(sigma[1])]))
+    moved = propagate(problem.samples, problem.solution, causes)[: len(problem.used)]
+    covariance = np.zeros((unknowns, unknowns))
+    covariance[np.ix_(problem.used, problem.used)] = moved @ moved.T
+    return Known(covariance, covariance, math.nan)
 
 
 def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[np.bool_]:

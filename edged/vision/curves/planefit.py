@@ -246,13 +246,13 @@ def _fitted(start: State) -> PlaneFit | None:
     return None if step is None else result_of(state, step)
 
 
-def result_of(state: State, step: Step) -> PlaneFit | None:
-    """What was measured; None for nothing."""
+def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit | None:
+    """What was measured; None for nothing.  known : in place of what the step itself says it is worth."""
     kept = step.supported(state.params.min_support)
     if not kept:
         return None
     fits, support = [], step.support()
-    whole = _known(step.problem, state.rig, state.unknowns)
+    whole = known or _known(step.problem, state.rig, state.unknowns)
     first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
     for k, scatter in zip(kept, _scatters_of(step, kept), strict=True):
         rows = slice(*step.starts[k : k + 2])
@@ -333,7 +333,7 @@ def arcs_px(sides: tuple[ProjectedOutline, ProjectedOutline], starts: npt.NDArra
     return np.nan_to_num(arcs)
 
 
-class _Known(NamedTuple):
+class Known(NamedTuple):
     """covariance, edge_covariance (U, U) : of all unknowns, 0 for what is held or not seen.  row_sigma_px :
     of the shift of the rows, raw px; NaN where the curves were only laid.
     """
@@ -343,7 +343,7 @@ class _Known(NamedTuple):
     row_sigma_px: float
 
 
-def _known(problem: Problem, rig: StereoRig, unknowns: int) -> _Known:
+def _known(problem: Problem, rig: StereoRig, unknowns: int) -> Known:
     """How well a step is known; unknowns : of the whole fit."""
     samples, solution, pairs, sides = problem.samples, problem.solution, problem.pairs, problem.sides
     used, edges = problem.used, problem.edges
@@ -367,7 +367,7 @@ def _known(problem: Problem, rig: StereoRig, unknowns: int) -> _Known:
     covariances = np.zeros((2, unknowns, unknowns))
     for all_of_it, part in zip(covariances, (whole, by_edges), strict=True):
         all_of_it[np.ix_(used, used)] = part
-    return _Known(covariances[0], covariances[1], ROW_SIGMA_PX * math.sqrt(row_variance))
+    return Known(covariances[0], covariances[1], ROW_SIGMA_PX * math.sqrt(row_variance))
 
 
 def _poor_light(problem: Problem) -> tuple[FloatArray, FloatArray]:

@@ -32,6 +32,8 @@ USUAL = scatter_in(GOOD_LIGHT, USUAL_SHIFT_PX)
 
 Scatters = Mapping[str, Scatter]
 """By the name of the feature."""
+Noises = Mapping[str, tuple[float, float]]
+"""The same, as `edge_noise` has them."""
 
 
 def scatters_of(fits: Sequence[CurveFit]) -> Scatters:
@@ -40,17 +42,22 @@ def scatters_of(fits: Sequence[CurveFit]) -> Scatters:
 
 
 def expected_target(
-    rectification: Rectification, job: Job, rig_from_part: FloatArray, scatters: Scatters
+    rectification: Rectification,
+    job: Job,
+    rig_from_part: FloatArray,
+    scatters: Scatters,
+    noises: Noises | None = None,
 ) -> Target | None:
     """The target that a job would give of a part at a pose, with its covariance and its terms.
 
     rig_from_part (4, 4) : as `Target` has it, of the reference point.  scatters : of features that were
     measured; the others are as clear as the middle one of these, or as usual.  Its sizes are the taught ones.
+    noises : then its covariance is what they alone leave: the scatter of a part that lies still.
     None where both pictures do not hold enough of it.
     """
     own = rig_from_part @ transform(np.eye(3), -job.place_of(job.reference))
     x, y = rectification.rig.left.project(rig_from_part[None, :3, 3])[0]
-    sight = _Sight(rectification, job, own, Match(float(x), float(y), 0.0, 1.0, 1.0, 1.0), scatters)
+    sight = _Sight(rectification, job, own, Match(float(x), float(y), 0.0, 1.0, 1.0, 1.0), scatters, noises)
     if job.solid:
         target = sight.whole()
     elif job.circles:
@@ -74,6 +81,7 @@ class _Sight:
     rig_from_own: FloatArray
     match: Match
     scatters: Scatters
+    noises: Noises | None
 
     def whole(self) -> Target | None:
         """A part of several heights, as one rigid whole."""
@@ -119,4 +127,8 @@ class _Sight:
         known = sorted(self.scatters.values(), key=lambda one: float(one.information[0]))
         usual = known[len(known) // 2] if known else USUAL
         scatters = [self.scatters.get(curve.name, usual) for curve in curves]
-        return foresee_plane(self.rectification.rig, face, curves, scatters, rigid_mm=rigid_mm)
+        noises = None
+        if self.noises is not None:
+            middle = tuple(np.median(list(self.noises.values()), axis=0).tolist())
+            noises = [self.noises.get(curve.name, middle) for curve in curves]
+        return foresee_plane(self.rectification.rig, face, curves, scatters, rigid_mm=rigid_mm, noises=noises)

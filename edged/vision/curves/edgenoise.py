@@ -1,0 +1,71 @@
+"""By how much the edges of a curve scatter from picture to picture of a part that lies still.
+
+What displaces an edge alike in every picture, texture beside it, a wall, the light, is no part of it: only
+noise is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+
+Sighting = tuple[FloatArray, FloatArray]
+"""Of a curve in one pair: points (2, N, 2) of its edges in both pictures, raw px, and weights (2, N)."""
+
+USED_WEIGHT = 0.1
+NEIGHBOURS, LITTLE = 8, 0.05
+"""Samples apart up to which noise may be alike, and the correlation from which on it is not."""
+MIN_SAMPLES, MIN_PICTURES = 12, 3
+
+
+def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
+    """Variance across the edge, px², of a px of arc, in the left and in the right picture; None: too few.
+
+    Neighbouring samples see the same pixels: what they have in common counts as fewer samples.
+    """
+    counts = np.bincount([points.shape[1] for points, _ in sightings])
+    many = int(counts.argmax())
+    same = [one for one in sightings if one[0].shape[1] == many]
+    if len(same) < MIN_PICTURES:
+        return None
+    left, right = (
+        _of_side(np.array([points[side] for points, _ in same]), np.array([w[side] for _, w in same]))
+        for side in range(2)
+    )
+    return None if left is None or right is None else (left, right)
+
+
+def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
+    """Of points (T, N, 2) and weights (T, N) of one picture's side."""
+    good = np.asarray(np.isfinite(points).all(axis=(0, 2)) & (weights > USED_WEIGHT).all(axis=0))
+    if good.sum() < MIN_SAMPLES:
+        return None
+    points = points.astype(np.float64)
+    middle = points.mean(axis=0)
+    steps = np.diff(middle, axis=0)
+    arc_px = float(np.median(np.linalg.norm(steps[np.isfinite(steps).all(axis=1)], axis=1)))
+    across = np.where(good, np.einsum("tni,ni->tn", points - middle, _normals(middle)), 0.0)
+    freedom = len(points) - 1
+    variance = float(np.sum(across[:, good] ** 2)) / (freedom * int(good.sum()))
+    if variance <= 0.0:
+        return 0.0
+    alike = 0.0
+    for apart in range(1, NEIGHBOURS + 1):
+        both = good[:-apart] & good[apart:]
+        products = (across[:, :-apart] * across[:, apart:])[:, both]
+        correlation = float(products.sum()) / (freedom * max(int(both.sum()), 1)) / variance
+        if correlation < LITTLE:
+            break
+        alike += correlation
+    return variance * (1 + 2 * alike) * arc_px
+
+
+def _normals(line: FloatArray) -> npt.NDArray[np.float64]:
+    """(N, 2) unit, across a line of points (N, 2); NaN where its neighbours are."""
+    along = np.gradient(line, axis=0)
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.column_stack([along[:, 1], -along[:, 0]]) / length)
