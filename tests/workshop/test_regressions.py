@@ -198,6 +198,26 @@ def test_a_regression_is_cancelled_and_others_have_their_turn(
     beside(recorded, tmp_path, test)
 
 
+def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
+    """From a recorded pair, in place of the job that runs: refused untried; tried, the very same files pass."""
+
+    async def test(cell: RecordingCell) -> None:
+        status, draft = await cell.ask("POST", "/teachings", {"cycle": 1, "job": "flange"})
+        assert 201 == status, draft
+        place = f"/teachings/{draft['id']}"
+        await cell.until(place, lambda draft: draft["features"] and not draft["proposing"])
+        status, problem = await cell.ask("POST", f"{place}/activate", {"note": "again"})
+        assert (409, "regression") == (status, problem["code"])
+        result = await tried(cell, {"teaching": draft["id"]})
+        assert ("teaching", CYCLES, None) == (result["what"]["kind"], result["cycles"], result["motion"])
+        signed = {} if result["passes"] else {"signed": "as a test wants it"}
+        status, release = await cell.ask("POST", f"{place}/activate", {"note": "again", **signed})
+        assert (200, result["id"]) == (status, release["tested"]["regression"])
+        assert result["counts"]["good_to_bad"] == release["tested"]["good_to_bad"]
+
+    beside(recorded, tmp_path, test)
+
+
 def test_a_robot_that_stands_elsewhere_changes_no_measurement(recorded: Recorded) -> None:
     """Only a job, or a cell, that bounds where the robot may go is concerned by a registration."""
     contents = dict(recorded.files.contents)
