@@ -201,7 +201,7 @@ class Workshop:
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,
-            ReleaseRoutes(self._calibrations, self._activation).add_to,
+            ReleaseRoutes(self._calibrations, self._activation, self._worker).add_to,
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,

@@ -108,9 +108,9 @@ def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) ->
         left_out,
     )
     if rig is not None:
-        taken = replace(taken, fingerprint=_restored(taken).fingerprint)
+        taken = replace(taken, fingerprint=restored(taken).fingerprint)
     data = pack(taken)
-    if _restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
+    if restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     return Made(taken, data, bool(cell.config.password_hashes()))
 
@@ -126,7 +126,7 @@ def _without_pairs(
     return smaller, {**left_out, "cell.jobs": told}
 
 
-def _restored(taken: Backup) -> CellFiles | UnfinishedCell:
+def restored(taken: Backup) -> CellFiles | UnfinishedCell:
     """The cell in a backup, as it is read where it is restored. Raises `UserError`."""
     with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
         replace_folder(Path(place) / "cell", taken.files)

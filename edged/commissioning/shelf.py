@@ -212,6 +212,11 @@ class Shelf:
     def _picture(self, digest: str) -> Path:
         return self._folder / PICTURES / f"{digest}.png"
 
+    def file(self, number: int) -> Path:
+        """The archive of one. Raises `KeyError`, `FileFormatError`."""
+        self.get(number)
+        return self._archive(number)
+
     def _names(self) -> list[str]:
         return [file.name for file in self._folder.iterdir()] if self._folder.is_dir() else []
 

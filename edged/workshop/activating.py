@@ -112,6 +112,10 @@ class Activation:
         """All releases, the youngest first, and which of them is active."""
         return await asyncio.to_thread(lambda: (self._shelf.all(), self.active))
 
+    async def archives(self, *numbers: int) -> list[Path]:
+        """Of releases. Raises `KeyError`, `FileFormatError`."""
+        return await asyncio.to_thread(lambda: [self._shelf.file(number) for number in numbers])
+
     def check(self, token: str | None) -> None:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
         if token is not None:

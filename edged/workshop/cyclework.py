@@ -12,6 +12,8 @@ from pathlib import Path
 from edged.commissioning import whatif
 from edged.commissioning.comparing import Tried, try_on
 from edged.commissioning.pairs import Progress
+from edged.commissioning.releasediff import ReleaseDifference, difference
+from edged.commissioning.releases import read
 from edged.commissioning.setups import Contents, MeasuredBy, Setups, measured_by
 from edged.commissioning.whatif import Change, WhatIf
 from edged.files import recording
@@ -46,6 +48,11 @@ def try_recordings(
         if time.monotonic() >= end_s:
             break
     return tried
+
+
+def compare_releases(_progress: Progress, before: Path, after: Path) -> ReleaseDifference:
+    """What is other in one archive than in another."""
+    return difference(read(before), read(after))
 
 
 class _InMemory:

@@ -35,7 +35,7 @@ from edged.workshop.worker import Worker
 
 log = logging.getLogger(__name__)
 
-FUNCTIONS = {"try_recordings": "edged.workshop.cyclework:try_recordings"}
+FUNCTIONS = {name: f"edged.workshop.cyclework:{name}" for name in ("try_recordings", "compare_releases")}
 KEPT = 30
 """The last ones: one has a few hundred kB at most."""
 CHUNK_S = 2.0

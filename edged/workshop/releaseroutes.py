@@ -8,10 +8,12 @@ from pydantic import AfterValidator, StringConstraints
 
 from edged.adapters.web.routes import Answer, Body, Call, RouteTable, Token
 from edged.adapters.web.visitors import Role
+from edged.commissioning.releasediff import ReleaseDifference
 from edged.commissioning.shelf import Release, Tested
 from edged.workshop.activating import Activation
 from edged.workshop.calibrationroutes import DRAFT, known
 from edged.workshop.calibrations import Calibrations
+from edged.workshop.worker import Worker
 
 
 def _of_one_line(text: str) -> str:
@@ -66,9 +68,10 @@ class ReleaseList(Answer):
 class ReleaseRoutes:
     """The routes."""
 
-    def __init__(self, calibrations: Calibrations, activation: Activation) -> None:
+    def __init__(self, calibrations: Calibrations, activation: Activation, worker: Worker) -> None:
         self._calibrations = calibrations
         self._activation = activation
+        self._worker = worker
 
     def add_to(self, table: RouteTable) -> None:
         """Add them."""
@@ -82,6 +85,14 @@ class ReleaseRoutes:
             audit=True,
         )
         table.route("GET", "/releases", self._list, "All releases", role=Role.VIEWER, answer=ReleaseList)
+        table.route(
+            "GET",
+            "/releases/{before:[0-9]{1,6}}..{after:[0-9]{1,6}}",
+            self._compare,
+            "What is other in one release than in another: jobs, rig, cameras, settings",
+            role=Role.VIEWER,
+            answer=ReleaseDifference,
+        )
         table.route(
             "POST",
             "/releases/{number:[0-9]{1,6}}/activate",
@@ -109,6 +120,12 @@ class ReleaseRoutes:
         release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
         call.trail.after = release.fingerprint
         return document_of_release(release, is_active=True)
+
+    async def _compare(self, call: Call[None]) -> ReleaseDifference:
+        numbers = (int(call.part(one)) for one in ("before", "after"))
+        archives = await known(self._activation.archives(*numbers))
+        told: ReleaseDifference = await self._worker.run("compare_releases", *archives)
+        return told
 
     async def _list(self, _call: Call[None]) -> ReleaseList:
         releases, active = await self._activation.listed()

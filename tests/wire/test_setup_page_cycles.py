@@ -165,6 +165,8 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         assert before != cell.rig.read_bytes()
         await go(page, "system")
         await page.until(said("another board"))
+        await press(page, "What differs")
+        await page.until(said("Calibration demo → wide"))
 
     on_the_page(cell, test)
 

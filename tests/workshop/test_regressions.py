@@ -130,6 +130,12 @@ def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
         reasons = [one["reason"] for one in audit["records"] if "activate" in one["object"]]
         assert "new board; signed: the old parts are gone" == reasons[-1]
 
+        _, differs = await cell.ask("GET", "/releases/1..2")
+        assert ("demo", "cal-1.02") == (differs["rig"]["before"], differs["rig"]["after"])
+        assert differs["rig"]["moved"]["rms_um"] > 1000
+        assert ([], [], []) == (differs["jobs"]["changed"], differs["cameras"], differs["settings"])
+        assert 404 == (await cell.ask("GET", "/releases/1..7"))[0]
+
         status, back = await cell.ask("POST", "/releases/1/activate", {"reason": "it was better"})
         assert (200, 1, "it was better") == (status, back["number"], back["tested"]["signed"])
         assert before == cell.rig.read_bytes()
@@ -199,7 +205,7 @@ def test_a_regression_is_cancelled_and_others_have_their_turn(
 
 
 def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
-    """From a recorded pair, in place of the job that runs: refused untried; tried, the very same files pass."""
+    """From a recorded pair, for the one that runs: refused untried; tried, the very same files pass."""
 
     async def test(cell: RecordingCell) -> None:
         status, draft = await cell.ask("POST", "/teachings", {"cycle": 1, "job": "flange"})

@@ -5,6 +5,7 @@ import { holds, look, mayTake, offers, token } from "../live.js";
 import { People } from "./people.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { moment, t } from "../texts.js";
+import { Difference } from "./releasediff.js";
 import { styled } from "./styles.js";
 
 await styled("system");
@@ -15,7 +16,10 @@ const find = () =>
     releases.value = (await ask("GET", "releases")).releases;
   });
 
-function Release({ number, created, author, note, rig, jobs, active, was_active, onAsk }) {
+// One that is in use against the one before it, another against the one in use.
+function Release({ number, created, author, note, parent, rig, jobs, active, was_active, tested, inUse, onAsk }) {
+  const [isOpen, setOpen] = useState(false);
+  const other = active ? parent : inUse;
   return html`<li class="tile">
     <h3>${t("release", { number })} ${active && html`<span class="now"><${Shape} is="tick" /> ${t("release-active")}</span>`}</h3>
     <p translate=${false}>${note}</p>
@@ -24,7 +28,12 @@ function Release({ number, created, author, note, rig, jobs, active, was_active,
       <dt>${t("fact-rig")}</dt><dd translate=${false}>${rig ?? "–"}</dd>
       <dt>${t("fact-jobs")}</dt><dd translate=${false}>${jobs.join(", ") || "–"}</dd>
     </dl>
-    ${!active && html`<div class="actions"><button type="button" disabled=${!mayTake.value} onClick=${onAsk} aria-label=${t("release-back-to", { number })}>${t("release-back")}</button></div>`}
+    ${tested && html`<p><${Shape} is=${tested.signed ? "doubt" : "tick"} /> ${t(tested.signed ? "release-signed" : "release-tested", { count: tested.cycles })} ${tested.signed && html`<span translate=${false}>${tested.signed}</span>`}</p>`}
+    <div class="actions">
+      ${!active && html`<button type="button" disabled=${!mayTake.value} onClick=${onAsk} aria-label=${t("release-back-to", { number })}>${t("release-back")}</button>`}
+      ${other && html`<button type="button" aria-expanded=${isOpen} aria-label=${t("diff-open-name", { number })} onClick=${() => setOpen(!isOpen)}>${t("diff-open")}</button>`}
+    </div>
+    ${isOpen && html`<${Difference} from=${other} to=${number} />`}
   </li>`;
 }
 
@@ -49,7 +58,7 @@ function Releases() {
     <p class="hint">${t("releases-what")}</p>
     ${releases.value && !releases.value.length && html`<p>${t("releases-none")}</p>`}
     <ul class="tiles wide">
-      ${releases.value?.map((release) => html`<${Release} key=${release.number} ...${release} onAsk=${() => setWanted(release.number)} />`)}
+      ${releases.value?.map((release) => html`<${Release} key=${release.number} ...${release} inUse=${releases.value.find(({ active }) => active)?.number} onAsk=${() => setWanted(release.number)} />`)}
     </ul>
     <${Dialog} title=${t("release-ask-title", { number: wanted ?? "" })} isOpen=${wanted !== null} onClose=${() => setWanted(null)}>
       <p>${t("release-ask")}</p>
