@@ -11,6 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from edged.commissioning.editing import edited
+from edged.commissioning.outlines import (
+    EDGE_POINTS,
+    OUTLINE_POINTS,
+    Line,
+    contours_of,
+    line,
+    seen_at,
+    seen_by,
+    thinned,
+)
 from edged.commissioning.pairs import Progress, silent
 from edged.commissioning.teaching import Proposal, Wanted, propose_from_pair
 from edged.commissioning.teachstate import Content, FeatureKind, Mark, Shapes, region_of
@@ -25,21 +35,10 @@ from edged.pictures.captions import reasons
 from edged.pictures.evidence import features_of, missing_outlines, taught_outlines
 from edged.pipeline import PreparedRig, inspect, prepare
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.part.job import Job
+from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec
 from edged.vision.part.measured import Measured
 from edged.vision.teaching.foreground import likely_part
-
-OUTLINE_POINTS = 96
-"""Of an outline on a page: a circle of 200 px is then round to 0.1 px."""
-EDGE_POINTS = 9
-CONTOUR_GAP = 4.0
-"""Times the usual distance between neighbours: beyond it another contour begins."""
-
-Line = tuple[tuple[float, float], ...]
-"""Raw px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +245,9 @@ def _learnt(
     pair = FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
     job = proposal.job
     found = _measured(pair, job, prepared)
-    features = _features(job, found, prepared.rig)
+    asked = _asked_for_all(job)
+    shown = found if asked is job else _measured(pair, asked, prepared)
+    features = _features(job, shown, prepared.rig)
     return _Learnt(
         pair=pair,
         proposal=proposal,
@@ -254,7 +255,7 @@ def _learnt(
         found=found,
         features=features,
         marks={one.name: _mark(one) for one in features},
-        contours=_contours(job, rectification),
+        contours=contours_of(job, rectification),
         warnings=_warnings(proposal),
     )
 
@@ -267,6 +268,23 @@ def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> Measured | No
         key=lambda one: float(np.linalg.norm(one.target.position_mm - there)),
         default=None,
     )
+
+
+def _asked_for_all(job: Job) -> Job:
+    """The job, asking for a size that takes all its features: where circles say everything, only they are
+    measured.
+    """
+    edges, slots = [one.name for one in job.edges], [one.name for one in job.slots]
+    of: tuple[MeasurementKind, tuple[str, ...]]
+    if not job.circles or not (edges or slots):
+        return job
+    if slots:
+        of = "width", (slots[0],)
+    elif len(edges) > 1:
+        of = "angle", (edges[0], edges[1])
+    else:
+        of = "distance", (job.circles[0].name, edges[0])
+    return replace(job, measurements=(*job.measurements, MeasurementSpec("all", *of)))
 
 
 def _warnings(proposal: Proposal) -> tuple[Said, ...]:
@@ -308,9 +326,9 @@ def _features(job: Job, found: Measured | None, rig: StereoRig) -> tuple[Feature
     seen = []
     for name, size_mm in _taught_sizes(job).items():
         kind = kinds.get(name, "corner")
-        points = _thinned(outlines[name], OUTLINE_POINTS if kind in {"circle", "slot"} else EDGE_POINTS)
+        points = thinned(outlines[name], OUTLINE_POINTS if kind in {"circle", "slot"} else EDGE_POINTS)
         measured, sigma_um = sizes.get(name, (size_mm, math.nan))
-        left, right = _seen_by(points, rig)
+        left, right = seen_by(points, rig)
         seen.append(
             FeatureSeen(
                 name,
@@ -383,72 +401,3 @@ def _sigma(target: Target) -> tuple[float, ...]:
     if target.free_axis is not None:
         sigma[3 + int(np.argmax(np.abs(target.free_axis)))] = math.nan
     return tuple(sigma.tolist())
-
-
-# --- into the pictures -------------------------------------------------------------------------
-
-
-def line(points: FloatArray) -> Line:
-    """Points (N, 2), raw px, for a page; those that no lens shows are left out."""
-    return tuple((round(float(x), 1), round(float(y), 1)) for x, y in points if math.isfinite(x + y))
-
-
-def on_face(job: Job, rig: StereoRig, left_px: FloatArray) -> FloatArray:
-    """Points (N, 3) of the job's face, rig frame, that the left camera sees at raw px (N, 2)."""
-    normal = job.rig_from_part[:3, 2]
-    face = Plane(normal, float(normal @ job.rig_from_part[:3, 3]))
-    ideal = rig.left.normalise(left_px)
-    return face.meet(np.column_stack([ideal, np.ones(len(ideal))]))
-
-
-def seen_at(point_mm: FloatArray, rig: StereoRig) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Where a point (3,) of the rig's frame is in both raw pictures."""
-    left, right = (line(one)[0] for one in _seen_by(point_mm[None], rig))
-    return left, right
-
-
-def _seen_by(points_mm: FloatArray, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
-    return rig.left.project(points_mm), rig.right.project(apply(rig.right_from_left, points_mm))
-
-
-def _thinned(outline: FloatArray, count: int) -> FloatArray:
-    """About so many points of an outline (N, 3), its ends among them."""
-    if len(outline) <= count:
-        return outline
-    return np.asarray(outline[np.unique(np.linspace(0, len(outline) - 1, count).astype(np.int64))])
-
-
-def _contours(job: Job, rectification: Rectification) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
-    """The model's points as lines, in both raw pictures; in the right one as far as they lie in the face."""
-    rig = rectification.rig
-    left_px = rectification.raw_points("left", job.shape.origin_px + job.shape.levels[0].points)
-    right_px = _seen_by(on_face(job, rig, left_px), rig)[1]
-    chains = _chains(job.shape.levels[0].points)
-    left, right = (tuple(line(points[chain]) for chain in chains) for points in (left_px, right_px))
-    return left, right
-
-
-def _chains(points: FloatArray) -> list[list[int]]:
-    """Indices of points (N, 2) in lines, each from neighbour to neighbour."""
-    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    gap = CONTOUR_GAP * float(np.median(apart.min(axis=1)))
-    free = np.ones(len(points), dtype=bool)
-    chains: list[list[int]] = []
-    for start in range(len(points)):
-        if not free[start]:
-            continue
-        free[start] = False
-        chain = [start]
-        for _ in range(2):  # forth, and back from where it began
-            while True:
-                reach = np.where(free, apart[chain[-1]], np.inf)
-                ahead = int(np.argmin(reach))
-                if not reach[ahead] <= gap:
-                    break
-                free[ahead] = False
-                chain.append(ahead)
-            chain.reverse()
-        if len(chain) > 1:
-            chains.append(chain)
-    return chains

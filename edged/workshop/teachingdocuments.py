@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from edged.commissioning.editing import grasp_of
-from edged.commissioning.proposing import Line, Seen, seen_at
+from edged.commissioning.outlines import Line, seen_at
+from edged.commissioning.proposing import Seen
 from edged.commissioning.teachdrafts import TeachingDraft
 from edged.commissioning.teachstate import Gripping, Shape, nearest
 from edged.errors import EdgedError

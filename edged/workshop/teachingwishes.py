@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import JsonValue
 
 from edged.commissioning.editing import gripping_at
-from edged.commissioning.proposing import Line, Seen, on_face
+from edged.commissioning.outlines import Line, on_face
+from edged.commissioning.proposing import Seen
 from edged.commissioning.teachstate import Gripping, Mark, Shape, Size, region_of
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import matrix_fixed_xyz

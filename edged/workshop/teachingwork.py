@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from edged.commissioning import proposing
+from edged.commissioning.outlines import Line, line
 from edged.commissioning.pairs import Progress
-from edged.commissioning.proposing import Line, Order
+from edged.commissioning.proposing import Order
 from edged.files.images import load_image
 from edged.vision.teaching.foreground import parts_at
 
@@ -18,7 +19,7 @@ def propose_region(_progress: Progress, pictures: Path) -> Line | None:
 
 def regions_at(_progress: Progress, pictures: Path, x: float, y: float) -> tuple[Line, ...]:
     """Around each thing that a point of the left picture is inside of, the largest first."""
-    return tuple(proposing.line(one) for one in parts_at(load_image(pictures / "left.png"), x, y))
+    return tuple(line(one) for one in parts_at(load_image(pictures / "left.png"), x, y))
 
 
 def see_part(progress: Progress, order: Order) -> proposing.Seen:

@@ -1,0 +1,90 @@
+"""Outlines of a part as lines in both raw pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.plane import Plane
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import apply
+from edged.vision.part.job import Job
+
+OUTLINE_POINTS = 96
+"""Of an outline on a page: a circle of 200 px is then round to 0.1 px."""
+EDGE_POINTS = 9
+CONTOUR_GAP = 4.0
+"""Times the usual distance between neighbours: beyond it another contour begins."""
+
+Line = tuple[tuple[float, float], ...]
+"""Raw px."""
+
+
+def line(points: FloatArray) -> Line:
+    """Points (N, 2), raw px, for a page; those that no lens shows are left out."""
+    return tuple((round(float(x), 1), round(float(y), 1)) for x, y in points if math.isfinite(x + y))
+
+
+def on_face(job: Job, rig: StereoRig, left_px: FloatArray) -> FloatArray:
+    """Points (N, 3) of the job's face, rig frame, that the left camera sees at raw px (N, 2)."""
+    normal = job.rig_from_part[:3, 2]
+    face = Plane(normal, float(normal @ job.rig_from_part[:3, 3]))
+    ideal = rig.left.normalise(left_px)
+    return face.meet(np.column_stack([ideal, np.ones(len(ideal))]))
+
+
+def seen_at(point_mm: FloatArray, rig: StereoRig) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where a point (3,) of the rig's frame is in both raw pictures."""
+    left, right = (line(one)[0] for one in seen_by(point_mm[None], rig))
+    return left, right
+
+
+def seen_by(points_mm: FloatArray, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
+    """Raw px (N, 2) of points (N, 3) of the rig's frame in both pictures."""
+    return rig.left.project(points_mm), rig.right.project(apply(rig.right_from_left, points_mm))
+
+
+def thinned(outline: FloatArray, count: int) -> FloatArray:
+    """About so many points of an outline (N, 3), its ends among them."""
+    if len(outline) <= count:
+        return outline
+    return np.asarray(outline[np.unique(np.linspace(0, len(outline) - 1, count).astype(np.int64))])
+
+
+def contours_of(job: Job, rectification: Rectification) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+    """The model's points as lines, in both raw pictures; in the right one as far as they lie in the face."""
+    rig = rectification.rig
+    left_px = rectification.raw_points("left", job.shape.origin_px + job.shape.levels[0].points)
+    right_px = seen_by(on_face(job, rig, left_px), rig)[1]
+    chains = _chains(job.shape.levels[0].points)
+    left, right = (tuple(line(points[chain]) for chain in chains) for points in (left_px, right_px))
+    return left, right
+
+
+def _chains(points: FloatArray) -> list[list[int]]:
+    """Indices of points (N, 2) in lines, each from neighbour to neighbour."""
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    gap = CONTOUR_GAP * float(np.median(apart.min(axis=1)))
+    free = np.ones(len(points), dtype=bool)
+    chains: list[list[int]] = []
+    for start in range(len(points)):
+        if not free[start]:
+            continue
+        free[start] = False
+        chain = [start]
+        for _ in range(2):  # forth, and back from where it began
+            while True:
+                reach = np.where(free, apart[chain[-1]], np.inf)
+                ahead = int(np.argmin(reach))
+                if not reach[ahead] <= gap:
+                    break
+                free[ahead] = False
+                chain.append(ahead)
+            chain.reverse()
+        if len(chain) > 1:
+            chains.append(chain)
+    return chains
