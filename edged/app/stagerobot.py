@@ -84,7 +84,7 @@ class StageRobot:
     async def _show(self, call: Call[Asking]) -> PendantNow:
         body = call.body
         if body.x is not None and body.y is not None:
-            point = self._robot.tip((body.x, body.y), body.noise_um)
+            point = self._robot.tip(body.carries, (body.x, body.y), body.noise_um)
             if point is None:
                 raise Problem(409, "nothing_shown", "show board or part first")
             x, y, z = (point / mm_per_unit(body.brand)).tolist()

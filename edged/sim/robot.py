@@ -85,18 +85,23 @@ class VirtualRobot:
         turn = rotation_matrix(self._rng.normal(0.0, 1e-3 * noise_um / LEVER_MM, 3))
         return transform(turn @ pose[:3, :3], pose[:3, 3] + shift)
 
-    def tip(self, left_px: tuple[float, float], noise_um: float = 0.0) -> FloatArray | None:
+    def tip(self, carries: Carried, left_px: tuple[float, float], noise_um: float = 0.0) -> FloatArray | None:
         """(3,) mm in the robot's frame, with its tip on what is nearest to there in the left picture.
 
-        Of the part the middle of a circle, of the board a mark; None while nothing is shown.
+        Of the part the middle of a circle, of the board a mark; None while nothing is shown. Whatever carried
+        cameras see lies where the board lies.
         """
         shown = self._stage.shown()
         if shown is None:
             return None
-        points = self._points(*shown)
+        thing, rig_from_thing = shown
+        points = self._points(thing, rig_from_thing)
         seen = self._stage.cell.view("left").project(points)
         nearest = points[int(np.argmin(np.linalg.norm(seen - np.array(left_px), axis=1)))]
-        at = self._robot_from_rig[:3, :3] @ nearest + self._robot_from_rig[:3, 3]
+        robot_from_rig = self._robot_from_rig
+        if carries == "cameras":
+            robot_from_rig = ROBOT_FROM_BOARD @ invert(rig_from_thing)
+        at = robot_from_rig[:3, :3] @ nearest + robot_from_rig[:3, 3]
         return np.asarray(at + self._rng.normal(0.0, 1e-3 * noise_um, 3))
 
     def _points(self, thing: Thing, rig_from_thing: FloatArray) -> FloatArray:

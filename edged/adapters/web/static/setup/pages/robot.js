@@ -109,7 +109,7 @@ function Pose() {
 // --- what they say ---
 
 function Verdict() {
-  const { trouble, good, sigma_mm, figures, samples, advice, judging, limit_mm, brand } = current.draft.value;
+  const { trouble, good, sigma_mm, figures, samples, advice, judging, limit_mm, kind } = current.draft.value;
   const counted = samples.filter(({ used }) => used).length;
   if (!counted && !trouble) return null;
   const shape = trouble ? (["too_few", "no_brand"].includes(trouble.code) ? "none" : "gap") : good ? "tick" : "none";
@@ -120,11 +120,11 @@ function Verdict() {
     ${trouble?.code === "other_reading" && fitting && html`<div class="actions"><button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => change("PUT", "", { brand: fitting, mount })}>${t("robot-read-so", { brand: BRANDS[fitting] ?? fitting })}</button></div>`}
     ${sigma_mm && html`<dl class="facts">
       <dt>${t("robot-sigma")}</dt><dd>${t("robot-um", { um: number(1000 * Math.max(...sigma_mm), 0) })}</dd>
-      <dt>${t("robot-held-out")}</dt><dd>${t("robot-limit", { mm: number(figures.worst_mm, 3), limit: number(limit_mm, 2) })}</dd>
+      <dt>${t(kind === "touch" ? "robot-held-out" : "robot-held-rms")}</dt><dd>${t("robot-limit", { mm: number(figures.worst_mm, 3), limit: number(limit_mm, 2) })}</dd>
       ${figures.scale && html`<dt>${t("robot-scale")}</dt><dd>${number(figures.scale, 5)}${figures.sigma_scale ? html` ± ${number(figures.sigma_scale, 5)}` : ""}</dd>`}
     </dl>`}
     ${advice && html`<p class="hint"><${Shape} is="doubt" /> ${t(`robot-advice-${advice}`)}</p>`}
-    ${brand !== undefined && html`<${Conventions} />`}
+    <${Conventions} />
   </section>`;
 }
 
@@ -156,9 +156,16 @@ function Keep() {
   const [isAsked, setAsked] = useState(false);
   const [note, setNote] = useState("");
   const [release, setRelease] = useState(null);
+  const [signed, setSigned] = useState(null); // a text once it is asked for
   const activate = () =>
     attempt(async () => {
-      setRelease(await ask("POST", `registrations/${current.draft.value.id}/activate`, { ...(holds.value ? { token: token.value } : {}), note }));
+      try {
+        setRelease(await ask("POST", `registrations/${current.draft.value.id}/activate`, { ...(holds.value ? { token: token.value } : {}), note, ...(signed?.trim() ? { signed } : {}) }));
+      } catch (problem) {
+        if (problem.code === "regression") setSigned(signed ?? ""); // parts may lie beyond the bounds now: somebody signs for it
+        throw problem;
+      }
+      setSigned(null);
       setAsked(false);
       await find(current.draft.value.id);
       await look();
@@ -175,7 +182,8 @@ function Keep() {
     <${Dialog} title=${t("robot-activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
       <p>${t("robot-activate-what")}</p>
       <label class="field"><span>${t("robot-activate-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
-      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${activate}>${t("robot-activate")}</button></div>
+      ${signed !== null && html`<p><${Shape} is="doubt" /> ${t("problem-regression")}</p><label class="field"><span>${t("robot-sign")}</span><input name="signed" value=${signed} maxlength="200" onInput=${(event) => setSigned(event.currentTarget.value)} /></label>`}
+      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim() || signed?.trim() === ""} onClick=${activate}>${t("robot-activate")}</button></div>
     <//>
   </section>`;
 }
