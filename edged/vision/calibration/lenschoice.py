@@ -4,7 +4,8 @@ The division model (one parameter), and Brown-Conrady's with and without its tan
 the same marks with the same weights. Akaike's criterion compares them: a parameter has to lower chi² by more
 than noise would. Its weights say how sure the choice is, and the covariance is that of the models' average
 about the one that was chosen: a model that may be simpler than the lens does not make sigma too small.
-The Bayesian criterion takes small tangential parts for none: errors of several sigma.
+The Bayesian criterion takes small tangential parts for none: errors of several sigma, as `tools/bench lens`
+shows.
 
 Sources: H. Akaike, IEEE TAC 1974, doi:10.1109/TAC.1974.1100705; K. P. Burnham and D. R. Anderson, "Model
 Selection and Multimodel Inference", 2002, eq. 4.9.

@@ -1,0 +1,23 @@
+"""Ways to come by a lens model, beside the truth."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import bench_lens
+
+
+def test_a_stated_model_that_is_wrong_is_the_worst_way() -> None:
+    """Of an ordinary tangential part: division errs beyond its sigma; what chooses takes Brown-Conrady's."""
+    ways = bench_lens.compared_rigs("brown, 4e-4", 6, seed=1)
+    assert set(bench_lens.ROWS) == set(ways)
+    assert ways["division stated"].chi2 > 10
+    brown = ways["brown stated"]
+    for row in ("auto", "Akaike alone", "Bayes", "held out"):
+        np.testing.assert_allclose(ways[row].error_um, brown.error_um, rtol=0.02, err_msg=row)
+    assert ways["auto"].chi2 < 4
