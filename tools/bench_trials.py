@@ -73,10 +73,11 @@ async def tried(folder: Path, seconds: float) -> dict[str, Any]:
         async with stage(folder, world, gige=False) as (newcomer, daemon):
             modbus = tomllib.loads((folder / "cell.toml").read_text())["modbus"]["port"]
             save_rig(folder / "rig.json", calibrated())
-            await newcomer.ask("PUT", "stage", {"showing": "part", "still": True})
-            await teach_job(newcomer, world, folder)
             if not await daemon.reload():
-                raise RuntimeError("the taught job was refused")
+                raise RuntimeError("the rig was refused")
+            await newcomer.ask("PUT", "stage", {"showing": "part", "still": True})
+            await teach_job(newcomer, world)
+            job = (await newcomer.ask("GET", "jobs"))["jobs"][0]["name"]
 
             async def read() -> str:
                 readings_ms = await in_process(read_all, modbus, READERS, seconds)
@@ -87,7 +88,7 @@ async def tried(folder: Path, seconds: float) -> dict[str, Any]:
             pictures, _ = await live
             found["live pairs a second, alone"] = rate(pictures)
 
-            await newcomer.ask("PUT", "trials", {**newcomer.token, "job": "flange", "on": True})
+            await newcomer.ask("PUT", "trials", {**newcomer.token, "job": job, "on": True})
             await watched(newcomer, REST_S)
             busy_s = worker_busy_s()
             live = asyncio.create_task(watched(newcomer, seconds + 1.0))

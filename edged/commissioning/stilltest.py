@@ -90,7 +90,11 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
     scatter_mm, edges_mm = places.std(axis=0, ddof=1), np.sqrt(np.diag(stated))
     gaps = places - places.mean(axis=0)
     noise_mm, explained = None, stated
-    if by_noise is not None and np.linalg.eigvalsh(by_noise).min() > LEAST_MM2:
+    if (
+        by_noise is not None
+        and np.isfinite(by_noise).all()
+        and np.linalg.eigvalsh(by_noise).min() > LEAST_MM2
+    ):
         noise_mm, explained = np.sqrt(np.diag(by_noise)), by_noise
         honest = low, REWEIGHED * high
     if _has_moved(places, stated, explained):

@@ -41,14 +41,17 @@ def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
 
 def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
     """Of points (T, N, 2) and weights (T, N) of one picture's side."""
-    good = np.asarray(np.isfinite(points).all(axis=(0, 2)) & (weights > USED_WEIGHT).all(axis=0))
-    if good.sum() < MIN_SAMPLES:
-        return None
     points = points.astype(np.float64)
     middle = points.mean(axis=0)
+    normals = _normals(middle)
+    # beside a sample without an edge the line has no direction
+    known = np.isfinite(points).all(axis=(0, 2)) & np.isfinite(normals).all(axis=1)
+    good = np.asarray(known & (weights > USED_WEIGHT).all(axis=0))
+    if good.sum() < MIN_SAMPLES:
+        return None
     steps = np.diff(middle, axis=0)
     arc_px = float(np.median(np.linalg.norm(steps[np.isfinite(steps).all(axis=1)], axis=1)))
-    across = np.where(good, np.einsum("tni,ni->tn", points - middle, _normals(middle)), 0.0)
+    across = np.where(good, np.einsum("tni,ni->tn", points - middle, normals), 0.0)
     freedom = len(points) - 1
     variance = float(np.sum(across[:, good] ** 2)) / (freedom * int(good.sum()))
     if variance <= 0.0:
