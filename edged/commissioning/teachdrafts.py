@@ -73,11 +73,6 @@ class TeachingDraft:
         """A raw picture; as "jpg" for people."""
         return self.folder / "pictures" / f"{side}.{suffix}"
 
-    def pair(self) -> tuple[Image, Image]:
-        """Left and right, every grey value. Raises `ImageError`."""
-        left, right = (load_image(self.picture(side)) for side in SIDES)
-        return left, right
-
     def propose(self, shapes: list[JsonValue]) -> None:
         """The region that is proposed before anybody says another."""
         self._file.write(self.state.changed(start=self.state.start.with_({"shapes": shapes})))

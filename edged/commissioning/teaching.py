@@ -152,12 +152,12 @@ def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
     return wanted
 
 
-def check_name(name: str, option: str = "--name") -> None:
-    """Raises `TeachError` for what cannot be the name of a job. option : how it was given."""
+def check_name(name: str) -> None:
+    """Raises `TeachError` for what cannot be the name of a job."""
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
         raise TeachError(
-            f"{option} {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
+            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
             "beginning with a letter or digit",
             "name",
         )

@@ -40,6 +40,7 @@ Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 Length = Annotated[float, Field(gt=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Pixels, Pixels]
+Row = tuple[float, float, float]
 FeatureKind = Literal["circle", "slot", "edge", "corner"]
 
 
@@ -126,9 +127,7 @@ class Gripping(Kept):
 
     name: Text = "grip"
     position_mm: tuple[Millimetres, Millimetres, Millimetres]
-    rotation: Annotated[
-        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]], Field()
-    ]
+    rotation: tuple[Row, Row, Row]
     approach_mm: Annotated[float, Field(ge=0, le=1e4)] = 50.0
     retreat_mm: Annotated[float, Field(ge=0, le=1e4)] | None = None
     symmetry: Annotated[int, Field(ge=0, le=360)] = 1
