@@ -200,7 +200,7 @@ def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(t
         await person.do("PUT", "", {"brand": "ur"})
         assert (await person.judged())["trouble"] is None
 
-        for _ in range(3):
+        for _ in range(2):
             await person.pose()
         mistyped = person.document["samples"][5]
         x, *others = mistyped["numbers"]
@@ -217,7 +217,7 @@ def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(t
 
         carried = Registrar(newcomer, {"mount": "flange", "kind": "poses", "brand": "abb"}, "abb", 0)
         await carried.begin()
-        for _ in range(5):
+        for _ in range(4):
             await carried.pose("cameras")
         document = await carried.judged()
         assert (None, True) == (document["trouble"], document["good"])
