@@ -33,9 +33,9 @@ export const run = (on) =>
 // What is not looked at is not tried: the page is left, the cell has better to do.
 export const rest = () => isOn.value && holds.value && run(false);
 
-export async function findMap() {
-  map.value = null;
-  mapTrouble.value = null;
+// isFirst: not one that is made better because the light is known by now.
+export async function findMap(isFirst = true) {
+  if (isFirst) map.value = mapTrouble.value = null;
   const asked = chosen.value;
   if (!asked) return;
   const query = new URLSearchParams(wish()).toString();

@@ -48,6 +48,7 @@ try-scatter = Streuung
 try-edges = Sigma der Kanten
 try-map-title = Was wo zu erwarten ist
 try-map-what = Das Schlechteste von X, Y, Z in µm, von den Kameras gesehen, für die Merkmale dieses Auftrags bei diesem Licht.
+try-map-usual = Das Schlechteste von X, Y, Z in µm, von den Kameras gesehen, für die Merkmale dieses Auftrags bei üblichem Licht: sobald ein Teil gemessen ist, bei diesem.
 try-map-coming = Die Karte wird gemacht …
 try-map-none = Nirgends sehen beide Kameras genug von diesem Teil.
 try-map-beyond =

@@ -48,6 +48,7 @@ try-scatter = Scatter
 try-edges = Sigma of the edges
 try-map-title = What is to be expected where
 try-map-what = Worst of X, Y, Z in µm, seen from the cameras, for this job's features with the light as it is.
+try-map-usual = Worst of X, Y, Z in µm, seen from the cameras, for this job's features in usual light: as soon as a part is measured, in this one.
 try-map-coming = The map is being made …
 try-map-none = Nowhere do both cameras see enough of this part.
 try-map-beyond =

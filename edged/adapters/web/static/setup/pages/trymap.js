@@ -1,9 +1,9 @@
 // How well this job's part would be known wherever it may lie, layer by layer; and where it has lain already.
-import { html, useState } from "../../vendor/ui.js";
+import { html, useEffect, useState } from "../../vendor/ui.js";
 import { sentence } from "../api.js";
 import { Shape } from "../pieces.js";
 import { number, t } from "../texts.js";
-import { map, mapTrouble, trial } from "./trial.js";
+import { findMap, map, mapTrouble, trial } from "./trial.js";
 
 const AXES = ["x", "y", "z"];
 const worst = (sigma) => (sigma ? Math.max(...AXES.map((axis) => sigma[axis])) : null);
@@ -37,6 +37,11 @@ const step = (values) => (values.length > 1 ? (values.at(-1) - values[0]) / (val
 
 export function SigmaMap() {
   const [layer, setLayer] = useState(null);
+  const isUsual = map.value !== null && !map.value.measured;
+  const isSeen = trial.value?.status === "OK";
+  useEffect(() => {
+    if (isUsual && isSeen) findMap(false);
+  }, [isUsual && isSeen]);
   if (mapTrouble.value) return html`<p class="wrong"><${Shape} is="doubt" /> ${sentence(mapTrouble.value)}</p>`;
   if (!map.value) return html`<p class="muted" role="status">${t("try-map-coming")}</p>`;
   const { points, limit_um: limit } = map.value;
@@ -50,7 +55,7 @@ export function SigmaMap() {
   const names = LAYERS[zs.length] ?? zs.map(() => null);
   return html`<section aria-labelledby="try-map">
     <h2 id="try-map">${t("try-map-title")}</h2>
-    <p class="hint">${t("try-map-what")}</p>
+    <p class="hint">${t(isUsual ? "try-map-usual" : "try-map-what")}</p>
     <p><${Shape} is=${beyond ? "doubt" : "tick"} /> ${t("try-map-beyond", { beyond, count: seen.length, limit: number(limit) })}</p>
     ${zs.length > 1 &&
     html`<div class="choices" role="radiogroup" aria-label=${t("try-map-layer")}>
