@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
 
-    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--json]
+    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser] [--json]
 
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
 job is taught from one pair, and a part is laid at N places: each result beside the exact truth. Needs Aravis.
+With --browser all of it is done on the page, in chromium, by clicks and digits alone: left and right by a
+wave, the calibration by the drawn outline, a check, a job by taps, a trial; without Aravis.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from typing import Any, get_args
 
 import aiohttp
 import numpy as np
+from newcomerclicks import set_up
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
@@ -40,6 +43,8 @@ PASSWORD = "correct horse"
 ASK_AGAIN_S = 4.0
 """Who sees that the board is not where it should be moves it."""
 LIMIT_S = 900.0
+TRIED = 5
+"""Places of the part on the page, before its job is used."""
 X_MM, Y_MM, Z_MM = (-15.0, 8.0, 30.0), (-15.0, 0.0, 15.0), (200.0, 205.0, 210.0)
 """Points all over the volume where parts may lie."""
 
@@ -197,14 +202,20 @@ async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArra
 
 async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """The whole way; figures by their names."""
-    with VirtualWorld(gige=True, seed=options.seed, staged=True) as world:
-        async with stage(folder, world) as (newcomer, _daemon):
-            found = await calibrate(newcomer, options.goal, options.lens)
+    gige = not options.browser
+    with VirtualWorld(gige=gige, seed=options.seed, staged=True) as world:
+        async with stage(folder, world, gige=gige) as (newcomer, _daemon):
+            if options.browser:
+                await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes it
+                found = await set_up(newcomer.origin, (USER, PASSWORD), newcomer.ask, options.goal, TRIED)
+            else:
+                found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)
             found["rig_offset_um"] = error_um.mean(axis=0).round(1).tolist()
             found["rig_most_um"] = np.abs(error_um).max(axis=0).round(1).tolist()
-            found |= await teach_job(newcomer, world)
-            await newcomer.ask("DELETE", "setup", newcomer.token)
+            if not options.browser:
+                found |= await teach_job(newcomer, world)
+                await newcomer.ask("DELETE", "setup", newcomer.token)
             errors, sigmas, missed = await measure(newcomer, options.parts)
     found["parts"], found["missed"] = len(errors), missed
     if len(errors):
@@ -223,6 +234,7 @@ def main() -> None:
     parser.add_argument("--parts", type=int, default=50)
     parser.add_argument("--lens", choices=get_args(LensWish), default="auto")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--browser", action="store_true", help="on the page, by clicks")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:

@@ -202,6 +202,7 @@ export async function start() {
   await look();
   if (token.value) await renew();
   open();
+  if (offers("trials/still")) ask("GET", "trials/still").then(({ last }) => (told("still").value ??= last), () => {});
   if (offers("cameras")) search().catch(() => {}); // their page says what went wrong
   setInterval(renew, LEASE_MS);
   for (const name of ["pointerdown", "keydown"]) addEventListener(name, sign, { passive: true });

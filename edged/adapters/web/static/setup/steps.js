@@ -1,7 +1,7 @@
 // The way from unboxed cameras to a picked part: nine steps, whose ticks come from facts and never from clicks.
 import { computed, html, signal } from "../vendor/ui.js";
 import { Problem } from "./api.js";
-import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES } from "./live.js";
+import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES, told } from "./live.js";
 import { Shape } from "./pieces.js";
 import { learn, t } from "./texts.js";
 
@@ -32,6 +32,13 @@ function ofCheck() {
   return checked.value.last.verdict === "OK" ? "tick" : "doubt";
 }
 
+// By the last still test, of the calibration in use: scatter within what sigma says, or below it.
+function ofTry() {
+  const last = told("still").value;
+  if (!last || last.calibration !== cell.value.rig?.id) return "none";
+  return ["honest", "smaller"].includes(last.verdict) ? "tick" : "doubt";
+}
+
 const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
 export const STEPS = [
   { id: "welcome", load: () => import("./pages/welcome.js"), state: () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick") },
@@ -40,7 +47,7 @@ export const STEPS = [
   { id: "calibrate", load: () => import("./pages/calibrate.js"), needs: ["calibrations"], state: ofRig },
   { id: "check", load: () => import("./pages/check.js"), needs: ["checks"], state: ofCheck },
   { id: "teach", load: () => import("./pages/teach.js"), needs: ["teachings"], state: () => (cell.value.missing.includes("jobs") ? "gap" : "tick") },
-  { id: "try", load: () => import("./pages/try.js"), needs: ["trials"], state: () => "none" },
+  { id: "try", load: () => import("./pages/try.js"), needs: ["trials"], state: ofTry },
   { id: "robot", load: () => import("./pages/robot.js"), needs: ["registrations"], state: () => ROBOT[cell.value.rig?.robot] ?? "none" },
   { id: "plc", load: () => import("./pages/plc.js"), needs: ["plc"], state: () => (cell.value.plc.owner ? "tick" : "none") },
 ];

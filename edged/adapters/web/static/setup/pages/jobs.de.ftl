@@ -4,6 +4,7 @@ jobs-title = Aufträge
 jobs-what = Was diese Zelle messen kann, jeder mit der Nummer, mit der die SPS danach fragt. Jede Änderung ist eine eigene Freigabe, und es gibt einen Weg zurück.
 jobs-owned = Den Auftrag wählt die SPS, denn sie darf jetzt schreiben:
 jobs-in-setup = Solange jemand die Zelle einrichtet, lässt sich kein anderer Auftrag wählen: geben Sie sie zuerst zurück.
+jobs-busy = Einen Augenblick: zuerst wird es an den aufgezeichneten Zyklen geprüft.
 jobs-none = Es gibt noch keinen Auftrag.
 jobs-teach = Ein Teil einlernen
 jobs-active = jetzt in Gebrauch

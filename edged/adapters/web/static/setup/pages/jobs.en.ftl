@@ -4,6 +4,7 @@ jobs-title = Jobs
 jobs-what = What this cell can measure, each by the number with which the PLC asks for it. Each change is a release of its own, and there is a way back.
 jobs-owned = The PLC chooses the job, for it may write now:
 jobs-in-setup = While somebody sets the cell up, no other job can be chosen: give it back first.
+jobs-busy = One moment: it is tried on the recorded cycles first.
 jobs-none = There is no job yet.
 jobs-teach = Teach a part
 jobs-active = in use now

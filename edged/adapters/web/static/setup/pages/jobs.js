@@ -19,11 +19,14 @@ const mayUse = () => me.value?.role === "engineer" || me.value?.role === "operat
 const KEPT = "edged.teaching";
 
 // Everything that changes jobs: then both are looked at again.
+const isBusy = signal(false);
 async function doing(work, said) {
+  isBusy.value = true; // recorded cycles are measured again before a job is changed: that takes its time
   const done = await attempt(async () => {
     await work();
     return true;
   });
+  isBusy.value = false;
   if (!done) return false;
   say(said);
   await find();
@@ -128,6 +131,7 @@ export default function Jobs() {
     ${cell.value.state === "SETUP" && html`<p><${Shape} is="hand" /> ${t("jobs-in-setup")}</p>`}
     ${cell.value.plc.owner && html`<p><${Shape} is="plant" /> ${t("jobs-owned")} <span translate=${false}>${cell.value.plc.owner}</span></p>`}
     ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
+    ${isBusy.value && html`<p role="status"><${Shape} is="busy" /> ${t("jobs-busy")}</p>`}
     <ul class="tiles jobs">${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}</ul>
     <div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>
     ${asked && html`<${Question} key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)} />`}`;

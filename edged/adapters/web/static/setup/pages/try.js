@@ -1,5 +1,5 @@
 // Trying a job: live, while the part is pushed around; where it will be how precise; and whether sigma is honest.
-import { effect, html, signal, useEffect, useState } from "../../vendor/ui.js";
+import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, holds, rawSize, SIDES, sign, task, told, token } from "../live.js";
 import { say, Shape } from "../pieces.js";
@@ -72,11 +72,7 @@ function Pose({ target: { pose, sigma_um, sigma_deg, frame } }) {
 // --- hold still ---
 
 const STILL = 30;
-const still = told("still");
-const last = signal(null);
-effect(() => {
-  if (still.value) last.value = still.value;
-});
+const last = told("still");
 
 function Still() {
   const [id, setId] = useState(null);
@@ -86,9 +82,6 @@ function Still() {
     attempt(async () => {
       ({ last: last.value } = await ask("GET", "trials/still"));
     });
-  useEffect(() => {
-    findLast();
-  }, []);
   const begin = () =>
     attempt(async () => {
       sign();

@@ -10,6 +10,10 @@ next-cameras = Weiter: die Kameras
 next-light = Weiter: Licht und Schärfe
 next-calibrate = Weiter: kalibrieren
 next-check = Weiter: prüfen
+next-teach = Weiter: ein Teil einlernen
+next-try = Weiter: ausprobieren
+next-robot = Weiter: der Roboter
+next-plc = Weiter: die SPS, und der Start
 fact-cameras = Kameras
 fact-cameras-found =
     { $count ->

@@ -10,6 +10,10 @@ next-cameras = Next: the cameras
 next-light = Next: light and focus
 next-calibrate = Next: calibrate
 next-check = Next: check
+next-teach = Next: teach a part
+next-try = Next: try it
+next-robot = Next: the robot
+next-plc = Next: the PLC, and go live
 fact-cameras = Cameras
 fact-cameras-found =
     { $count ->

@@ -10,6 +10,7 @@ const MANUAL = { cameras: "cameras", light: "cameras", calibrate: "calibrate", c
 export default function Welcome() {
   const { name, missing, rig, jobs, plc, error } = cell.value;
   const found = cameras.value?.found ?? [];
+  const later = STEPS.filter((step) => !isBuilt(step));
   return html`<h1>${t("welcome-title", { cell: name })}</h1>
     <p class="lead">${t(missing.length ? "welcome-new" : "welcome-complete")}</p>
     ${next.value ? html`<a class="button primary big" href="#/${next.value.id}">${t(`next-${next.value.id}`)}</a>` : html`<p class="done"><${State} is="tick" /> ${t("welcome-done")}</p>`}
@@ -27,11 +28,12 @@ export default function Welcome() {
         ${error && html`<dt>${t("fact-error")}</dt><dd translate=${false}>${error}</dd>`}
       </dl>
     </section>
-    <section aria-labelledby="later">
+    ${later.length > 0 &&
+    html`<section aria-labelledby="later">
       <h2 id="later">${t("welcome-later")}</h2>
       <p>${t("welcome-later-why")}</p>
       <ul class="later">
-        ${STEPS.filter((step) => !isBuilt(step)).map(({ id, state }) => html`<li><${State} is=${state()} /> ${t(`step-${id}`)}: <a href="/manual/how-to/${MANUAL[id]}/">${t(`manual-${id}`)}</a></li>`)}
+        ${later.map(({ id, state }) => html`<li><${State} is=${state()} /> ${t(`step-${id}`)}: <a href="/manual/how-to/${MANUAL[id]}/">${t(`manual-${id}`)}</a></li>`)}
       </ul>
-    </section>`;
+    </section>`}`;
 }
