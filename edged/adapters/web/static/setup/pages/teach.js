@@ -135,8 +135,10 @@ function Activate() {
   const [worse, setWorse] = useState(null);
   const [release, setRelease] = useState(null);
   const { id, name, proposing, features, predicted } = teaching.value;
+  const [isBusy, setBusy] = useState(false); // recorded cycles are measured again first: that takes its time
   const activate = (signed) =>
     attempt(async () => {
+      setBusy(true);
       try {
         const made = await ask("POST", `teachings/${id}/activate`, { ...(holds.value ? { token: token.value } : {}), note, ...(signed ? { signed } : {}) });
         setAsked("");
@@ -147,6 +149,8 @@ function Activate() {
         if (problem.code !== "regression") throw problem;
         setWorse(problem);
         setAsked("sign");
+      } finally {
+        setBusy(false);
       }
     });
   const text = (id_, value, onValue) => html`<label class="field"><span>${t(id_)}</span><input value=${value} maxlength="200" onInput=${(event) => onValue(event.currentTarget.value)} /></label>`;
@@ -160,14 +164,14 @@ function Activate() {
     <${Dialog} title=${t("teach-activate-title", { name })} isOpen=${asked === "note"} onClose=${() => setAsked("")}>
       <p>${t("teach-activate-what")}</p>
       ${text("teach-note", note, setNote)}
-      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${() => activate()}>${t("teach-activate")}</button></div>
+      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim() || isBusy} onClick=${() => activate()}>${t(isBusy ? "teach-taking" : "teach-activate")}</button></div>
     <//>
     <${Dialog} title=${t("teach-sign-title")} isOpen=${asked === "sign"} onClose=${() => setAsked("")}>
       <p><${Shape} is="doubt" /> ${Number.isFinite(worse?.params?.good_to_bad) ? t("teach-sign-count", { count: worse.params.good_to_bad }) : t("teach-sign-some")}</p>
       <p class="hint" translate=${false} lang="en">${worse?.detail}</p>
       <p>${t("teach-sign-what")}</p>
       ${text("teach-sign-reason", reason, setReason)}
-      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!reason.trim()} onClick=${() => activate(reason)}>${t("teach-sign")}</button></div>
+      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!reason.trim() || isBusy} onClick=${() => activate(reason)}>${t(isBusy ? "teach-taking" : "teach-sign")}</button></div>
     <//>
   </section>`;
 }
