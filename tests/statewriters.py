@@ -17,7 +17,7 @@ from snapshots import make_snapshot
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.cellfiles import read_cell
 from edged.commands.backup import backup, restore
-from edged.commissioning.releases import unpack
+from edged.commissioning.releases.archive import unpack
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status

@@ -10,7 +10,7 @@ from cells import small_rig
 
 from edged.cellfiles import read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commissioning import releases
+from edged.commissioning.releases import archive as releases
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.config.reading import load
 from edged.errors import ConfigError

@@ -41,7 +41,7 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration import Views
+from edged.commissioning.calibration.views import Views
 from edged.commissioning.pairs import Pair
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import CalibrationError, UserError

@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration import Views
+from edged.commissioning.calibration.views import Views
 from edged.commissioning.pairs import Pair
 from edged.domain.arrays import SIDES, FloatArray
 from edged.files.images import load_image

@@ -17,10 +17,10 @@ import sys
 import numpy as np
 from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
-from edged.commissioning.calibration import Looked, Views
-from edged.commissioning.guidance import Ghost, first_ghosts, guide, held_share, nearness
+from edged.commissioning.calibration.guidance import Ghost, first_ghosts, guide, held_share, nearness
+from edged.commissioning.calibration.shown import IN_GHOST, Seen, Watched, is_same
+from edged.commissioning.calibration.views import Looked, Views
 from edged.commissioning.pairs import Pair, Picture
-from edged.commissioning.shown import IN_GHOST, Seen, Watched, is_same
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import VirtualCell, calibration_poses, demo_part, demo_rig
 from edged.sim.showing import Thing

@@ -37,7 +37,7 @@ from pagecost import viewer
 from setuppage import log_in, take
 
 from edged.capture.tasks import cancel_and_await
-from edged.commissioning.drafts import Drafts, keep_pair
+from edged.commissioning.calibration.drafts import Drafts, keep_pair
 from edged.domain.arrays import SIDES
 from edged.files.images import load_image
 from edged.files.statefolder import state_folder

@@ -33,7 +33,7 @@ from edged.session.notices import Notices
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
     from edged.app.workshop import Workshop
-    from edged.commissioning.registration import Registered
+    from edged.commissioning.registration.registering import Registered
     from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
@@ -189,7 +189,7 @@ class Daemon:
 
     async def _take_registration(self, base: LoadedCell, solved: Registered) -> Setup:
         """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
-        from edged.commissioning.registration import save
+        from edged.commissioning.registration.registering import save
 
         async with self._reloading:
             if self._loaded is not base:

@@ -16,9 +16,9 @@ from edged.errors import UserError
 from edged.loop.loaded import Setup
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
-    from edged.commissioning.registration import Registered as Solved
-    from edged.commissioning.robotdrafts import Kind, Mount
-    from edged.commissioning.sampling import Sampling, Step
+    from edged.commissioning.registration.drafts import Kind, Mount
+    from edged.commissioning.registration.registering import Registered as Solved
+    from edged.commissioning.registration.sampling import Sampling, Step
 
 
 class Witness(Protocol):
@@ -71,7 +71,7 @@ class CellRegistrar:
 
     def begin(self, command: Command) -> Registered:
         """Forget what was taken before."""
-        from edged.commissioning.sampling import Sampling
+        from edged.commissioning.registration.sampling import Sampling
 
         self._base, self._solved = self._running(), None
         allowed, rig = self._base.cell.config.registration, self._base.rig
@@ -92,7 +92,7 @@ class CellRegistrar:
 
     def add(self, command: Command, pair: FramePair) -> Registered:
         """One pose or point, with its pictures."""
-        from edged.commissioning.sampling import Step
+        from edged.commissioning.registration.sampling import Step
 
         sampling, _ = self._under_way
         try:

@@ -12,7 +12,7 @@ from edged.adapters.modbus import ModbusPublisher
 from edged.app.status import Running
 from edged.capture.tasks import cancel_and_await
 from edged.cellfiles import CellFiles
-from edged.commissioning.shelf import Shelf
+from edged.commissioning.releases.shelf import Shelf
 from edged.cycle import Cycle
 from edged.domain.events import Command, CommandKind
 from edged.domain.frames import FramePair
@@ -23,20 +23,24 @@ from edged.session.jobuse import JobUse
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
 from edged.vision.part.job import Job
-from edged.workshop import calibrations, cycles, registrations, regressions, teachings, trials
-from edged.workshop.activating import Activation, CellNow
-from edged.workshop.calibrations import Calibrations
-from edged.workshop.candidates import Candidates
-from edged.workshop.checks import Checks, RigInUse
-from edged.workshop.cycles import Cycles, JobsNow
-from edged.workshop.jobs import Jobs
-from edged.workshop.jobsinuse import JobsInUse, lines_in
-from edged.workshop.registrations import Registrations
-from edged.workshop.regressions import Active, Regressions
-from edged.workshop.robotprogram import WHOSE, RobotProgram
+from edged.workshop.calibration import drafts as calibrations
+from edged.workshop.calibration.checks import Checks, RigInUse
+from edged.workshop.calibration.drafts import Calibrations
+from edged.workshop.cycles import cycles, regressions
+from edged.workshop.cycles.candidates import Candidates
+from edged.workshop.cycles.cycles import Cycles, JobsNow
+from edged.workshop.cycles.regressions import Active, Regressions
+from edged.workshop.registration import drafts as registrations
+from edged.workshop.registration.drafts import Registrations
+from edged.workshop.registration.program import WHOSE, RobotProgram
+from edged.workshop.releases.activating import Activation, CellNow
+from edged.workshop.releases.jobs import Jobs
+from edged.workshop.releases.jobsinuse import JobsInUse, lines_in
 from edged.workshop.tasks import Tasks
-from edged.workshop.teachings import Teachings
-from edged.workshop.trials import CellSettings, Trials
+from edged.workshop.teaching import drafts as teachings
+from edged.workshop.teaching.drafts import Teachings
+from edged.workshop.trying import trials
+from edged.workshop.trying.trials import CellSettings, Trials
 from edged.workshop.worker import Worker
 
 if TYPE_CHECKING:
@@ -188,16 +192,16 @@ class Workshop:
 
     def rooms(self) -> Sequence[Callable[[RouteTable], None]]:
         """What adds the routes of all this."""
-        from edged.workshop.calibrationroutes import CalibrationRoutes  # aiohttp: only with a page
-        from edged.workshop.checkroutes import CheckRoutes
-        from edged.workshop.cycleroutes import CycleRoutes
-        from edged.workshop.jobroutes import JobRoutes
+        from edged.workshop.calibration.checkroutes import CheckRoutes
+        from edged.workshop.calibration.routes import CalibrationRoutes  # aiohttp: only with a page
+        from edged.workshop.cycles.regressionroutes import RegressionRoutes
+        from edged.workshop.cycles.routes import CycleRoutes
         from edged.workshop.plcroutes import PlcRoutes
-        from edged.workshop.registrationroutes import RegistrationRoutes
-        from edged.workshop.regressionroutes import RegressionRoutes
-        from edged.workshop.releaseroutes import ReleaseRoutes
-        from edged.workshop.teachingroutes import TeachingRoutes
-        from edged.workshop.trialroutes import TrialRoutes
+        from edged.workshop.registration.routes import RegistrationRoutes
+        from edged.workshop.releases.jobroutes import JobRoutes
+        from edged.workshop.releases.routes import ReleaseRoutes
+        from edged.workshop.teaching.routes import TeachingRoutes
+        from edged.workshop.trying.routes import TrialRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,

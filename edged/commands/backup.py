@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.cellfiles import read_cell
-from edged.commissioning.releases import REGISTERS, Backup, fits_map, make, read
-from edged.commissioning.releases import restore as put_back
+from edged.commissioning.releases.archive import REGISTERS, Backup, fits_map, make, read
+from edged.commissioning.releases.archive import restore as put_back
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.files.atomic import write_atomically
 from edged.files.outputs import check_outputs

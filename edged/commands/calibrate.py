@@ -14,8 +14,8 @@ from rich.table import Table
 
 from edged import __version__
 from edged.commands.progress import shown_on
-from edged.commissioning.boards import boards_in, stated_boards
-from edged.commissioning.calibration import Views, report_of, solve
+from edged.commissioning.calibration.boards import boards_in, stated_boards
+from edged.commissioning.calibration.views import Views, report_of, solve
 from edged.commissioning.pairs import Pair
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import write_file

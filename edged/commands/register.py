@@ -14,9 +14,15 @@ from rich.progress import track
 from rich.table import Table
 
 from edged.commands.progress import shown_on
-from edged.commissioning.boards import Stated, boards_in, check_board_shown, stated_boards
+from edged.commissioning.calibration.boards import Stated, boards_in, check_board_shown, stated_boards
 from edged.commissioning.pairs import Pair, Picture
-from edged.commissioning.registration import from_points, from_poses, rig_from_board, save, which_convention
+from edged.commissioning.registration.registering import (
+    from_points,
+    from_poses,
+    rig_from_board,
+    save,
+    which_convention,
+)
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import read_bytes

@@ -12,8 +12,8 @@ import cv2
 from rich.console import Console
 from rich.progress import track
 
-from edged.commissioning.regression import COMPARED, compare, decided, drawn, inspected
-from edged.commissioning.setups import Setups
+from edged.commissioning.cycles.regression import COMPARED, compare, decided, drawn, inspected
+from edged.commissioning.cycles.setups import Setups
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import write_atomically, write_file

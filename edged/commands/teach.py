@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from edged.commissioning.teaching import (
+from edged.commissioning.teaching.proposal import (
     PartModel,
     Proposal,
     Wanted,

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from edged.commissioning.boards import boards_in, stated_boards
-from edged.commissioning.checking import Finding, Limits, by_board, by_part, check_sizes
+from edged.commissioning.calibration.boards import boards_in, stated_boards
+from edged.commissioning.calibration.checking import Finding, Limits, by_board, by_part, check_sizes
 from edged.commissioning.pairs import Picture
 from edged.errors import UserError
 from edged.files.images import load_image

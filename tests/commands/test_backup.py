@@ -22,8 +22,8 @@ from edged.cellfiles import read_cell
 from edged.cli.main import app
 from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commissioning import releases as module
-from edged.commissioning.releases import Backup, pack, unpack
+from edged.commissioning.releases import archive as module
+from edged.commissioning.releases.archive import Backup, pack, unpack
 from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.passwords import hash_password

@@ -16,7 +16,7 @@ from rich.console import Console
 from rigs import make_rig
 
 from edged.commands.verify import verify
-from edged.commissioning.checking import Limits
+from edged.commissioning.calibration.checking import Limits
 from edged.domain.arrays import FloatArray
 from edged.errors import ImageError, UserError
 from edged.files.jobs import save_job

@@ -7,7 +7,7 @@ import pytest
 from boards import board_poses, draw_board
 from rigs import make_rig
 
-from edged.commissioning.boards import boards_in, check_board_shown, stated_boards
+from edged.commissioning.calibration.boards import boards_in, check_board_shown, stated_boards
 from edged.commissioning.pairs import Picture
 from edged.domain.arrays import Image
 from edged.errors import CalibrationError

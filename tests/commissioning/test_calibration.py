@@ -17,8 +17,8 @@ from rigs import make_rig
 
 from edged.commands.calibrate import calibrate
 from edged.commands.verify import verify
-from edged.commissioning.calibration import Calibrated, Views, solve
-from edged.commissioning.checking import Limits, by_board
+from edged.commissioning.calibration.checking import Limits, by_board
+from edged.commissioning.calibration.views import Calibrated, Views, solve
 from edged.commissioning.pairs import Pair, Picture
 from edged.domain.arrays import Image
 from edged.errors import CalibrationError, ImageError

@@ -14,9 +14,9 @@ import pytest
 from boardpairs import BOARD, SPEC, pairs
 from powercuts import Record, cut
 
-from edged.commissioning import drafts as drafts_module
-from edged.commissioning.drafts import Draft, Drafts, Solution, keep_pair, look_again
-from edged.commissioning.shown import Seen
+from edged.commissioning.calibration import drafts as drafts_module
+from edged.commissioning.calibration.drafts import Draft, Drafts, Solution, keep_pair, look_again
+from edged.commissioning.calibration.shown import Seen
 from edged.errors import CalibrationError, FileFormatError
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)

@@ -12,12 +12,12 @@ from boards import board_poses, synthetic_views
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
-from edged.commissioning.calibration import Looked, Views
-from edged.commissioning.drafts import keep_pair, views_of
-from edged.commissioning.guidance import guide, outlines_of
+from edged.commissioning.calibration.drafts import keep_pair, views_of
+from edged.commissioning.calibration.guidance import guide, outlines_of
+from edged.commissioning.calibration.shown import off_px
+from edged.commissioning.calibration.solving import moved_um, solution_of
+from edged.commissioning.calibration.views import Looked, Views
 from edged.commissioning.pairs import Pair, Picture
-from edged.commissioning.shown import off_px
-from edged.commissioning.solving import moved_um, solution_of
 from edged.domain.arrays import SIDES
 from edged.files.rig import rig_of
 from edged.vision.calibration.calibrate import calibrate_stereo

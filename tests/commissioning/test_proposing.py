@@ -12,9 +12,9 @@ import pytest
 from cells import pictures, pose, scene, small_rig
 from flatparts import DISC, PLATE
 
-from edged.commissioning.proposing import Order, Seen, propose_region, see
-from edged.commissioning.teachdrafts import KeptPair, TeachingDraft, TeachingDrafts
-from edged.commissioning.teachstate import Content
+from edged.commissioning.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
+from edged.commissioning.teaching.draftstate import Content
+from edged.commissioning.teaching.proposing import Order, Seen, propose_region, see
 from edged.errors import TeachError
 from edged.files.rig import rig_text
 from edged.sim.render.scene import Part

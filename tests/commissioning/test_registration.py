@@ -12,7 +12,7 @@ from rich.console import Console
 from rigs import make_rig
 
 from edged.commands.register import touch
-from edged.commissioning.registration import from_points, save
+from edged.commissioning.registration.registering import from_points, save
 from edged.files.rig import load_rig, load_rig_quality, save_rig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 

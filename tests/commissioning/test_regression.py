@@ -19,7 +19,7 @@ from recordedcell import exposures, record
 from smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
-from edged.commissioning.comparing import (
+from edged.commissioning.cycles.comparing import (
     APART_SIGMAS,
     Comparison,
     Found,
@@ -29,7 +29,7 @@ from edged.commissioning.comparing import (
     motion_of,
     try_on,
 )
-from edged.commissioning.setups import Contents, Setups, digest_of, measured_by
+from edged.commissioning.cycles.setups import Contents, Setups, digest_of, measured_by
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.files import recording

@@ -12,8 +12,13 @@ import pytest
 from smallcell import SmallCell
 
 from edged.cellfiles import read_any_cell, read_cell
-from edged.commissioning.releasediff import ReleaseDifference, difference, difference_of, moved_between
-from edged.commissioning.releases import make
+from edged.commissioning.releases.archive import make
+from edged.commissioning.releases.differences import (
+    ReleaseDifference,
+    difference,
+    difference_of,
+    moved_between,
+)
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import load_rig, save_rig
 from edged.vision.part.job import CircleFeature, Job, MeasurementSpec

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rigs import make_rig
 
-from edged.commissioning.robotverdict import Judged, judge_points, judge_poses
+from edged.commissioning.registration.verdict import Judged, judge_points, judge_poses
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of
 from edged.vision.boards.board import parse_boards

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rigs import make_rig
 from snapshots import make_target, make_transform
 
-from edged.commissioning.sampling import Sampling
+from edged.commissioning.registration.sampling import Sampling
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.registration import Method, Obstacle

@@ -11,9 +11,9 @@ import pytest
 from smallcell import SmallCell
 
 from edged.cellfiles import UnfinishedCell, read_any_cell, read_cell
-from edged.commissioning import shelf as shelves
-from edged.commissioning.releases import Made, RigFiles, make, rig_in
-from edged.commissioning.shelf import Release, Shelf
+from edged.commissioning.releases import shelf as shelves
+from edged.commissioning.releases.archive import Made, RigFiles, make, rig_in
+from edged.commissioning.releases.shelf import Release, Shelf
 from edged.errors import ConfigError, FileFormatError
 from edged.files.rig import load_rig, rig_text
 

@@ -10,7 +10,7 @@ from boardpairs import BOARD, RIG, drawn, pairs
 from boards import board_poses, draw_board, right_pose
 from rigs import make_rig
 
-from edged.commissioning.guidance import (
+from edged.commissioning.calibration.guidance import (
     FIRST_SHARE,
     Ghost,
     first_ghosts,
@@ -19,7 +19,7 @@ from edged.commissioning.guidance import (
     outlines_of,
     waits_for,
 )
-from edged.commissioning.shown import (
+from edged.commissioning.calibration.shown import (
     GAP_S,
     IN_GHOST,
     STILL_S,

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from powercuts import Record, cut
 
-from edged.commissioning import teachdrafts
-from edged.commissioning.teachdrafts import KeptPair, TeachingDraft, TeachingDrafts, kept_pair
-from edged.commissioning.teachstate import Brush, Content, Mark, Rectangle, nearest, region_of
+from edged.commissioning.teaching import drafts as teachdrafts
+from edged.commissioning.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts, kept_pair
+from edged.commissioning.teaching.draftstate import Brush, Content, Mark, Rectangle, nearest, region_of
 from edged.errors import FileFormatError, TeachError
 from edged.files.images import load_image
 from edged.vision.teaching.region import Region, painted_region

@@ -14,8 +14,8 @@ from rich.console import Console
 from snapshots import make_snapshot
 
 from edged.commands.teach import PairSource, teach
-from edged.commissioning.regression import COMPARED, compare, remeasure
-from edged.commissioning.teaching import Proposal, Wanted, commit, former_job, propose_from_pair
+from edged.commissioning.cycles.regression import COMPARED, compare, remeasure
+from edged.commissioning.teaching.proposal import Proposal, Wanted, commit, former_job, propose_from_pair
 from edged.files.jobs import load_job
 from edged.files.recording import Recording, decode, encode
 from edged.files.rig import save_rig

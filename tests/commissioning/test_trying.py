@@ -8,9 +8,9 @@ import cells
 import numpy as np
 import pytest
 
-from edged.commissioning.sigmamap import ACROSS, DEEP, DOWN, sigma_map
-from edged.commissioning.stilltest import LEAST, Stand, Stillness, interval, judged
-from edged.commissioning.trying import MOST_WHISKERS, Tried, stand_of, still_part, try_pair
+from edged.commissioning.trying.sigmamap import ACROSS, DEEP, DOWN, sigma_map
+from edged.commissioning.trying.stilltest import LEAST, Stand, Stillness, interval, judged
+from edged.commissioning.trying.tried import MOST_WHISKERS, Tried, stand_of, still_part, try_pair
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.picking import Bounds, Box
 from edged.pipeline import PreparedRig, inspect, prepare

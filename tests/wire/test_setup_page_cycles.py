@@ -18,7 +18,7 @@ from smallcell import SmallCell
 from webcell import PASSWORD
 
 from edged.cellfiles import read_cell
-from edged.commissioning.drafts import Drafts, Solution
+from edged.commissioning.calibration.drafts import Drafts, Solution
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.files.rig import rig_text

@@ -17,16 +17,16 @@ from powercuts import Record, cut
 from smallcell import SmallCell
 
 from edged.cellfiles import read_cell
-from edged.commissioning import shelf
-from edged.commissioning.jobsfolder import jobs_in, of_job, renamed, with_job
-from edged.commissioning.shelf import Release, Shelf
+from edged.commissioning.releases import shelf
+from edged.commissioning.releases.jobsfolder import jobs_in, of_job, renamed, with_job
+from edged.commissioning.releases.shelf import Release, Shelf
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
-from edged.workshop import activating
-from edged.workshop.activating import Activation, CellNow
-from edged.workshop.candidates import Candidates
-from edged.workshop.jobsinuse import Candidate
+from edged.workshop.cycles.candidates import Candidates
+from edged.workshop.releases import activating
+from edged.workshop.releases.activating import Activation, CellNow
+from edged.workshop.releases.jobsinuse import Candidate
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from edged.files.rig import rig_text, save_rig
 from edged.session.notices import Notices
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
-from edged.workshop.calibrations import FUNCTIONS
-from edged.workshop.checks import CheckDocument, Checked, Checks, OfferedLength, RigInUse
+from edged.workshop.calibration.checks import CheckDocument, Checked, Checks, OfferedLength, RigInUse
+from edged.workshop.calibration.drafts import FUNCTIONS
 from edged.workshop.worker import Worker
 
 BOARD = "chessboard:11x8:4"

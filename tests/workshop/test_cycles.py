@@ -20,19 +20,19 @@ from recordedcell import exposures, record
 from smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
+from edged.commissioning.cycles.recorded import Damaged, Records, Wanted
+from edged.commissioning.cycles.setups import Setups
+from edged.commissioning.cycles.sight import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
+from edged.commissioning.cycles.whatif import Change, LimitChange, WhatIf, changed_job
 from edged.commissioning.pairs import silent
-from edged.commissioning.recorded import Damaged, Records, Wanted
-from edged.commissioning.setups import Setups
-from edged.commissioning.sight import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
-from edged.commissioning.whatif import Change, LimitChange, WhatIf, changed_job
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.payload import Json
 from edged.sim.cell import VirtualCell
 from edged.vision.geometry.rigid import apply
-from edged.workshop import cyclework
-from edged.workshop.cycles import FUNCTIONS, Cycles, JobsNow
+from edged.workshop.cycles import work as cyclework
+from edged.workshop.cycles.cycles import FUNCTIONS, Cycles, JobsNow
 from edged.workshop.worker import Worker
 
 

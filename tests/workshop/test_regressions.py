@@ -15,13 +15,13 @@ from recordedcell import RecordingCell, exposures, record
 from smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
-from edged.commissioning.drafts import Drafts, Solution
-from edged.commissioning.setups import concerned
+from edged.commissioning.calibration.drafts import Drafts, Solution
+from edged.commissioning.cycles.setups import concerned
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError
 from edged.files.rig import rig_text
 from edged.vision.geometry.camera import StereoRig
-from edged.workshop import regressions
+from edged.workshop.cycles import regressions
 
 CYCLES = 6
 

@@ -27,7 +27,7 @@ from edged.errors import TeachError
 from edged.files import recording
 from edged.files.jobs import load_job
 from edged.vision.teaching.region import Polygon
-from edged.workshop.teachingsources import recorded_pair
+from edged.workshop.teaching.sources import recorded_pair
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
 """Of the flange: how many circles of each."""

@@ -10,7 +10,7 @@ from boards import board_poses, synthetic_views
 from htmlpages import HtmlPage
 from rigs import make_rig
 
-from edged.commissioning.calibration import quality_figures
+from edged.commissioning.calibration.views import quality_figures
 from edged.report.calibration import calibration_report
 from edged.vision.boards.board import Chessboard, NotDetected
 from edged.vision.calibration.calibrate import calibrate_stereo

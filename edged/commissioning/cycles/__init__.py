@@ -1,0 +1,1 @@
+"""Recorded cycles: looked at again, measured by what may come, and compared."""

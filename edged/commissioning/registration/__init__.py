@@ -1,0 +1,1 @@
+"""Where the rig stands to the robot: by touched points, or by poses."""

@@ -1,0 +1,1 @@
+"""What a cell stands on, as archives to go back to."""

@@ -1,0 +1,1 @@
+"""From a pair that shows a part to a job."""

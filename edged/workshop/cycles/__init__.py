@@ -1,0 +1,1 @@
+"""Recorded cycles of a running cell, and what is tried on them before it is used."""

@@ -1,0 +1,1 @@
+"""Drafts of registrations in a running cell."""

@@ -1,0 +1,1 @@
+"""What a running cell measures by: exchanged as releases."""

@@ -1,0 +1,1 @@
+"""Drafts of jobs in a running cell."""

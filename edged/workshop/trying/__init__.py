@@ -1,0 +1,1 @@
+"""Jobs that are tried in a running cell."""
