@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 
 import pytest
@@ -87,18 +88,25 @@ def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
     """Also by a command, an editor, or while the daemon was away; once, with what was there before."""
 
     async def test(cell: Cell) -> None:
+        async def noted() -> list[tuple[str | None, str]]:
+            _, told = await cell.ask("GET", "/api/v1/audit", None)
+            assert told["problem"] is None
+            return [(one["before"], one["after"]) for one in told["records"] if one["verb"] == RUN]
+
         await cell.log_in()
         for fingerprint in ("0000000a", "0000000a", "0000000b"):
             cell.runs_by = fingerprint
             cell.web.announce(Idle())
+        for _ in range(100):
+            if len(await noted()) == 2:
+                break
+            await asyncio.sleep(0.02)
         after = Auditor(AuditFile(cell.state))
         for fingerprint in ("0000000b", "0000000c"):
             after.note_run(fingerprint)
         await after.close()
-        _, told = await cell.ask("GET", "/api/v1/audit", None)
-        runs = [(one["before"], one["after"]) for one in told["records"] if one["verb"] == RUN]
+        runs = await noted()
         assert [(None, "0000000a"), ("0000000a", "0000000b"), ("0000000b", "0000000c")] == runs
-        assert told["problem"] is None
 
     run(test)
 

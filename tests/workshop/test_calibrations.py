@@ -220,27 +220,26 @@ WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
 """Mistakes that pictures can tell: what is stated, and what a view shows."""
 
 
-@pytest.mark.parametrize("code", WRONG)
-def test_a_mistake_at_the_board_has_a_name(tmp_path: Path, code: str) -> None:
+def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
     """Each with a code of its own, for which the page has a sentence with the remedy; nothing is solved."""
-    stated, view = WRONG[code]
 
     async def test(cell: BoardCell) -> None:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
-        _, draft = await cell.ask("POST", "/calibrations", {"boards": [stated]})
-        place = f"/calibrations/{draft['id']}"
-        for number in range(4):
-            cell.world.shown = view(number)
-            assert 201 == (await cell.ask("POST", f"{place}/views", {"token": entered["token"]}))[0]
-        _, begun = await cell.ask("POST", f"{place}/solve", {})
-        ended = await cell.done(begun["task"])
-        assert ("failed", code) == (ended["state"], ended["problem"]["code"])
-        draft = await cell.until(place, lambda draft: not draft["guiding"])
-        assert None is draft["solved"]
-        if code != "calibration_other_board":
-            assert code == draft["trouble"]["code"]
-        else:
-            assert {"stated": stated, "seen": SPEC} == ended["problem"]["params"]
+        for code, (stated, view) in WRONG.items():
+            _, draft = await cell.ask("POST", "/calibrations", {"boards": [stated]})
+            place = f"/calibrations/{draft['id']}"
+            for number in range(4):
+                cell.world.shown = view(number)
+                assert 201 == (await cell.ask("POST", f"{place}/views", {"token": entered["token"]}))[0]
+            _, begun = await cell.ask("POST", f"{place}/solve", {})
+            ended = await cell.done(begun["task"])
+            assert ("failed", code) == (ended["state"], ended["problem"]["code"])
+            draft = await cell.until(place, lambda draft: not draft["guiding"])
+            assert None is draft["solved"]
+            if code != "calibration_other_board":
+                assert code == draft["trouble"]["code"]
+            else:
+                assert {"stated": stated, "seen": SPEC} == ended["problem"]["params"]
 
     run(tmp_path, test)
 

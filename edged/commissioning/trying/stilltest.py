@@ -112,7 +112,7 @@ def interval(freedom: int) -> tuple[float, float]:
 
     >>> low, high = interval(87)
     >>> round(low, 2), round(high, 2)
-    (0.72, 1.32)
+    (0.73, 1.32)
     """
     spread = 2 / (9 * max(freedom, 1))
     low, high = ((1 - spread + side * COVERAGE_SIGMA * math.sqrt(spread)) ** 3 for side in (-1, 1))
