@@ -171,6 +171,9 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         back = await cell.change("POST", draft, "/undo", {})
         assert (None, draft["features"]) == (back["trouble"], back["features"])
         bore = np.array(draft["reference"]["left"])
+        meant = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
+        assert draft["features"] == meant["features"], "what was proposed is what was tapped"
+        draft = await cell.change("POST", draft, "/undo", {})
         tapped = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         widths = [np.ptp(np.array(one["region"][0]["points"])[:, 0]) for one in (tapped, again)]

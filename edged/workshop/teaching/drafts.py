@@ -161,13 +161,18 @@ class Teachings:
         return await self._operate(one, revision, "region", {"shapes": sets})
 
     async def tap(self, identity: str, revision: int | None, place: Tapped) -> TeachingDocument:
-        """Let the region be what is there: the largest thing, at the next tap the next smaller one."""
+        """Let the region be what is there: the largest thing, at the next tap the next smaller one.
+
+        Whoever taps what was proposed means it, and not a bore in it.
+        """
         one = await self._opened(identity)
         self._check_revision(one, revision)
         regions = await self._worker.run("regions_at", one.draft.folder / "pictures", place.x, place.y)
         shapes: list[JsonValue] = [[polygon(corners)] for corners in regions]
         now: JsonValue = [shape.model_dump(mode="json") for shape in one.draft.state.content.shapes or ()]
-        following = (shapes.index(now) + 1) % len(shapes) if now in shapes else 0
+        state = one.draft.state
+        is_again = state.done > 0 and state.operations[state.done - 1].what == "tap"
+        following = (shapes.index(now) + 1) % len(shapes) if is_again and now in shapes else 0
         return await self._operate(one, revision, "tap", {"shapes": shapes[following]})
 
     async def take(self, identity: str, revision: int | None, taken: Mapping[str, bool]) -> TeachingDocument:
