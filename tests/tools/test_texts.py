@@ -20,7 +20,7 @@ PARTS = ["", *PAGES]
 def families(script: str) -> set[str]:
     """What ids begin with that are made of a code: state-, why-, step-."""
     made = set(re.findall(r"`([a-z-]+-)\$\{", script))
-    return made | {f"{name}-" for name in re.findall(r"\bcoded\(\"([a-z]+)\"", script)}
+    return made | {f"{name}-" for name in re.findall(r"\binWords\(\"([a-z-]+)\"", script)}
 
 
 FAMILIES = families(ALL_SCRIPTS)

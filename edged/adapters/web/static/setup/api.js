@@ -1,6 +1,6 @@
 // What the page asks of the cell, and what it is told when it cannot have it.
 import { signal } from "../vendor/ui.js";
-import { has, t } from "./texts.js";
+import { dashed, has, t } from "./texts.js";
 
 export class Problem extends Error {
   constructor({ status = 0, code = "", detail = "", params = {} }) {
@@ -43,7 +43,7 @@ export async function ask(method, path, body) {
 
 // A sentence with cause and remedy; where there is none of ours, the server's own.
 export function sentence(problem) {
-  const id = `problem-${(problem.code ?? "").replaceAll("_", "-")}`;
+  const id = `problem-${dashed(problem.code ?? "")}`;
   if (has(id)) return t(id, { ...problem.params, detail: problem.detail || "" });
   return t("problem-other", { detail: problem.detail || problem.message || problem.code });
 }

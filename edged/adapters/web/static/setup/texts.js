@@ -60,6 +60,14 @@ export function t(id, values) {
   return bundle.value.formatPattern(message.value, values, []);
 }
 
+// A code of the cell as ids are spelt: LOW_QUALITY is low-quality.
+export const dashed = (code) => String(code).toLowerCase().replaceAll(/[ _]/g, "-");
+// A code in words of its family; one that has none there speaks for itself.
+export function inWords(family, code) {
+  const id = `${family}-${dashed(code)}`;
+  return has(id) ? t(id) : String(code);
+}
+
 const formats = computed(() => ({ tag: language.value, by: new Map() }));
 export function number(value, digits = 0) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";

@@ -6,7 +6,7 @@ import { draft, holds, look, mayTake, offers, sign, task, token } from "../live.
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
 import { Dialog, NumberField, say, Shape } from "../pieces.js";
-import { has, number, t } from "../texts.js";
+import { inWords, number, t } from "../texts.js";
 import { styled } from "./styles.js";
 
 await styled("calibrate");
@@ -57,16 +57,12 @@ function Board() {
 
 // --- view by view ---
 
-const coded = (family, code) => {
-  const id = `${family}-${String(code).replaceAll("_", "-")}`;
-  return has(id) ? t(id) : String(code);
-};
-const why = (code) => coded("why", code);
+const why = (code) => inWords("why", code);
 
 // "upper-left.near.lower-away": where in the picture, how far, and how it is tilted.
 function placed(code) {
   const [at, far, tilt] = code.split(".");
-  return [coded("at", at), coded("far", far), coded("tilt", tilt)].join(", ");
+  return [inWords("at", at), inWords("far", far), inWords("tilt", tilt)].join(", ");
 }
 
 // The suggested board dashed, the seen one solid; both have a letter, so that no colour is needed.
@@ -83,9 +79,9 @@ function boards(side) {
 
 // A board of another size is the mistake that pictures can tell at once.
 function missing({ missing, other_board }) {
-  if (!other_board) return coded("missing", missing);
+  if (!other_board) return inWords("missing", missing);
   const [kind, size] = other_board.split(":");
-  return t("other-board", { board: `${coded("kind", kind)} ${size.replace("x", " × ")}` });
+  return t("other-board", { board: `${inWords("kind", kind)} ${size.replace("x", " × ")}` });
 }
 
 function Seen({ side }) {
@@ -150,7 +146,7 @@ function Capture() {
     ${suggestion &&
     html`<label class="meter"><span>${t("ghost-share", { percent: number(share) })}</span><progress max="100" value=${share}></progress></label>
       ${suggestion.text_code && html`<p class="hint">${t("ghost-where")} ${placed(suggestion.text_code)}.</p>`}`}
-    <p class="verdict small"><${Shape} is=${waits || !still ? "none" : "tick"} /> ${auto && waits ? coded("waits", waits) : t(still ? "board-still" : "board-moves")}</p>
+    <p class="verdict small"><${Shape} is=${waits || !still ? "none" : "tick"} /> ${auto && waits ? inWords("waits", waits) : t(still ? "board-still" : "board-moves")}</p>
     <div class="actions">
       <button type="button" class=${auto ? "" : "primary"} aria-pressed=${Boolean(auto)} disabled=${!holds.value} onClick=${() => change("PUT", "/auto", { token: token.value, on: !auto })}>${t(auto ? "auto-stop" : "auto-start")}</button>
       <button type="button" disabled=${!holds.value} onClick=${() => change("POST", "/views", { token: token.value })}>${t("view-take")}</button>
@@ -220,7 +216,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
       setAsked(false);
       await look();
     });
-  return html`<p class="verdict"><${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} /> ${coded("verdict", verdict)}</p>
+  return html`<p class="verdict"><${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} /> ${inWords("verdict", verdict)}</p>
     ${[...(figures?.verdict ?? []), ...(figures?.lens ? [figures.lens] : [])].map((sentence) => html`<p class="hint" translate=${false} lang="en">${sentence}</p>`)}
     <dl class="facts">
       <dt>${t("solved-rms")}</dt><dd>${number(rms_px, 3)} px</dd>

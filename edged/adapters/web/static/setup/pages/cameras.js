@@ -5,7 +5,7 @@ import { cameras, holds, lookAtCameras, SIDES, token } from "../live.js";
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { say, Shape } from "../pieces.js";
-import { has, number, t } from "../texts.js";
+import { inWords, number, t } from "../texts.js";
 import { styled } from "./styles.js";
 
 await styled("cameras");
@@ -53,11 +53,6 @@ function Test() {
   </section>`;
 }
 
-const inWords = (trouble) => {
-  const id = `trouble-${String(trouble).replaceAll(/[ _]/g, "-")}`;
-  return has(id) ? t(id) : trouble;
-};
-
 export default function Cameras() {
   useEffect(() => {
     lookAtCameras();
@@ -76,7 +71,7 @@ export default function Cameras() {
               <h3 translate=${false}>${vendor} ${model}</h3>
               <p class="muted" translate=${false}>${serial} · ${address}</p>
               <p>${side ? html`<${Shape} is="tick" /> ${t(`is-${side}`)}` : html`<${Shape} is="none" /> ${t("is-neither")}`}</p>
-              ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords(trouble)}</p>`}
+              ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
             </li>`,
         )}
       </ul>

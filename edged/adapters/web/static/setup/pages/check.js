@@ -5,13 +5,12 @@ import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { cell, checked, holds, lookAtCheck, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
 import { NumberField, say, Shape } from "../pieces.js";
-import { moment, number, sign as signed, t } from "../texts.js";
+import { inWords, moment, number, sign as signed, t } from "../texts.js";
 import { styled } from "./styles.js";
 
 await styled("check");
 
 const SHAPES = { OK: "tick", NOT_OK: "gap", UNDECIDED: "doubt" };
-const inWords = (verdict) => t(`checked-${verdict.toLowerCase().replace("_", "-")}`);
 
 // --- figures between their limits ---
 
@@ -76,7 +75,7 @@ function Verdict() {
   const { at, by, board, job, verdict, rows, lengths, remarks } = last;
   return html`<section class="checked" aria-labelledby="checked">
     <h2 id="checked">${t("checked-last")}</h2>
-    <p class="big figure"><${Shape} is=${is_current ? SHAPES[verdict] : "none"} /> <strong>${inWords(verdict)}</strong></p>
+    <p class="big figure"><${Shape} is=${is_current ? SHAPES[verdict] : "none"} /> <strong>${inWords("checked", verdict)}</strong></p>
     ${!is_current && html`<p><${Shape} is="doubt" /> ${t("checked-before")}</p>`}
     <p class="muted" translate=${false}>${moment(at)} · ${by} · ${board ?? job}</p>
     <${Remedy} ...${last} />
@@ -126,7 +125,7 @@ export default function Check() {
     if (!last) return;
     setChosen(last.board ?? PART + last.job);
     await attempt(lookAtCheck);
-    say(inWords(last.verdict));
+    say(inWords("checked", last.verdict));
   };
   const head = html`<h1>${t("check-title")}</h1><p class="lead">${t("check-what")}</p>`;
   if (cell.value.missing.includes("rig"))

@@ -3,9 +3,9 @@ import { html, signal, useEffect } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, mayTake, offers } from "../live.js";
 import { Shape } from "../pieces.js";
-import { moment, number, t } from "../texts.js";
+import { dashed, moment, number, t } from "../texts.js";
 import { Beside } from "./cyclepair.js";
-import { coded, kept, open, REASONS, reasonsOf, SHAPES, shown, shut, statusOf } from "./recorded.js";
+import { kept, open, REASONS, reasonsOf, SHAPES, shown, shut, statusOf } from "./recorded.js";
 import { Regressions } from "./regression.js";
 import { styled } from "./styles.js";
 import { WhatIf } from "./whatif.js";
@@ -64,10 +64,10 @@ function List() {
   if (!recorder) return html`<p><${Shape} is="gap" /> ${t("cycles-no-recorder")}</p>`;
   const all = Object.values(counts).reduce((sum, one) => sum + one, 0);
   const jobs = cell.value.jobs.map(({ name }) => name);
-  const word = (status) => `${t(`cycles-status-${coded(status)}`)} (${counts[status] ?? 0})`;
+  const word = (status) => `${t(`cycles-status-${dashed(status)}`)} (${counts[status] ?? 0})`;
   return html`<div class="row">
       <${Choice} name="status" values=${Object.keys(SHAPES)} word=${word} />
-      <${Choice} name="reason" values=${REASONS} word=${(one) => t(`cycles-reason-${coded(one)}`)} />
+      <${Choice} name="reason" values=${REASONS} word=${(one) => t(`cycles-reason-${dashed(one)}`)} />
       <${Choice} name="job" values=${jobs} word=${(one) => one} />
     </div>
     <p class="muted">${t("cycles-count", { count: all })}</p>

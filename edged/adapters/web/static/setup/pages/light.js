@@ -5,7 +5,7 @@ import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, t
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { NumberField, Shape, Slider } from "../pieces.js";
-import { number, t } from "../texts.js";
+import { dashed, number, t } from "../texts.js";
 import { styled } from "./styles.js";
 
 await styled("light");
@@ -103,7 +103,7 @@ function Advice({ side, advice }) {
   const limits = cameras.value?.limits?.[side]?.exposure_us;
   const better = limits && exposure_us ? Math.min(limits[1], Math.max(limits[0], exposure_us * advice.exposure_factor)) : null;
   const isOffered = holds.value && better !== null && Math.abs(advice.exposure_factor - 1) > 0.05;
-  return html`<p><${Shape} is=${advice.code === "good" ? "tick" : "doubt"} /> ${t(`advice-${advice.code.replaceAll("_", "-")}`)}</p>
+  return html`<p><${Shape} is=${advice.code === "good" ? "tick" : "doubt"} /> ${t(`advice-${dashed(advice.code)}`)}</p>
     ${isOffered && html`<div class="actions"><button type="button" onClick=${() => set(side, { exposure_us: better })}>${t("advice-take", { exposure: number(better) })}</button></div>`}`;
 }
 

@@ -2,27 +2,26 @@
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask } from "../api.js";
 import { Shape } from "../pieces.js";
-import { number, t } from "../texts.js";
+import { dashed, number, t } from "../texts.js";
 
 const EVERY_MS = 1000;
 const NEWEST = 3; // what was swapped before is mended by now
-const low = (code) => code.toLowerCase().replaceAll("_", "-");
 const clock = (iso) => new Date(iso).toLocaleTimeString(undefined, { hour12: false });
 
 function outcome({ rungs }) {
   const end = rungs.findLast(({ what }) => ["ack", "nack", "barred"].includes(what));
   if (!end) return ["busy", t("plc-open")];
-  if (end.what === "nack") return ["gap", t(`plc-nack-${low(end.detail)}`)];
+  if (end.what === "nack") return ["gap", t(`plc-nack-${dashed(end.detail)}`)];
   if (end.what === "barred") return ["gap", t("plc-rung-barred")];
   const result = rungs.findLast(({ what }) => what === "result");
   if (!result) return ["tick", t("plc-rung-ack")];
-  return [result.detail === "OK" || result.detail === "VERIFIED" || result.detail === "GRABBED" ? "tick" : "doubt", t(`plc-result-${low(result.detail)}`)];
+  return [result.detail === "OK" || result.detail === "VERIFIED" || result.detail === "GRABBED" ? "tick" : "doubt", t(`plc-result-${dashed(result.detail)}`)];
 }
 
-function inWords({ what, detail, valid }) {
-  if (what === "nack") return `${t("plc-rung-nack")} ${t(`plc-nack-${low(detail)}`)}`;
-  if (what === "result") return `${t("plc-rung-result")} ${t(`plc-result-${low(detail)}`)} ${valid ? t("plc-valid") : ""}`;
-  return t(`plc-rung-${low(what)}`);
+function rungInWords({ what, detail, valid }) {
+  if (what === "nack") return `${t("plc-rung-nack")} ${t(`plc-nack-${dashed(detail)}`)}`;
+  if (what === "result") return `${t("plc-rung-result")} ${t(`plc-result-${dashed(detail)}`)} ${valid ? t("plc-valid") : ""}`;
+  return t(`plc-rung-${dashed(what)}`);
 }
 
 function Ladder({ one }) {
@@ -30,7 +29,7 @@ function Ladder({ one }) {
     (rung, i) => html`<li key=${i} class=${rung.by}>
       <span class="muted">${t("plc-after", { ms: number(rung.after_ms, rung.after_ms < 100 ? 1 : 0) })}</span>
       <span class="who">${t(rung.by === "plc" ? "plc-by-plc" : "plc-by-cell")}</span>
-      <span class="said">${rung.what === "command" ? html`<span translate=${false}>${one.command || `COMMAND ${one.code}`}, JOB ${one.job}, CMD_SEQ ${one.sequence}</span>` : inWords(rung)}</span>
+      <span class="said">${rung.what === "command" ? html`<span translate=${false}>${one.command || `COMMAND ${one.code}`}, JOB ${one.job}, CMD_SEQ ${one.sequence}</span>` : rungInWords(rung)}</span>
     </li>`,
   )}</ol>`;
 }

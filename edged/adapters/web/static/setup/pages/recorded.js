@@ -2,7 +2,7 @@
 import { html, signal } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { say, Shape } from "../pieces.js";
-import { t } from "../texts.js";
+import { dashed, t } from "../texts.js";
 
 export const SHAPES = { OK: "tick", NO_TARGET: "none", LOW_QUALITY: "doubt", CAPTURE_FAULT: "gap" };
 export const REASONS = ["SIGMA_LIMIT", "RESIDUAL", "FEW_EDGES", "LEFT_RIGHT_MISMATCH", "OUT_OF_VOLUME", "TOLERANCE", "AMBIGUOUS_ROTATION", "AMBIGUOUS_EDGE", "CALIBRATION", "OUT_OF_LIMITS", "KEEP_OUT", "NO_GRASP", "NOT_FOUND", "CAPTURE"];
@@ -11,9 +11,8 @@ const KEPT = "edged.cycle";
 export const part = signal(0); // which of the parts of the cycle
 export const shown = signal(null); // the document that is looked at
 
-export const coded = (code) => code.toLowerCase().replaceAll("_", "-");
-export const statusOf = (status) => html`<span class="status ${coded(status)}"><${Shape} is=${SHAPES[status] ?? "none"} /> ${t(`cycles-status-${coded(status)}`)}</span>`;
-export const reasonsOf = (reasons) => reasons.map((one) => t(`cycles-reason-${coded(one)}`)).join(", ");
+export const statusOf = (status) => html`<span class="status ${dashed(status)}"><${Shape} is=${SHAPES[status] ?? "none"} /> ${t(`cycles-status-${dashed(status)}`)}</span>`;
+export const reasonsOf = (reasons) => reasons.map((one) => t(`cycles-reason-${dashed(one)}`)).join(", ");
 
 export async function open(count) {
   const document = await attempt(() => ask("GET", `cycles/${count}`));

@@ -1,7 +1,7 @@
 // What is other in one release than in another, in words.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { number, sign, t } from "../texts.js";
+import { dashed, number, sign, t } from "../texts.js";
 
 const DIGITS = 4;
 function shown(value) {
@@ -12,7 +12,7 @@ function shown(value) {
   return typeof value === "object" ? JSON.stringify(value) : String(value) || t("diff-nothing");
 }
 
-const Change = ({ one }) => html`<li>${t(`diff-${one.code.replaceAll("_", "-")}`, { name: one.name ?? "", before: shown(one.before), after: shown(one.after) })}</li>`;
+const Change = ({ one }) => html`<li>${t(`diff-${dashed(one.code)}`, { name: one.name ?? "", before: shown(one.before), after: shown(one.after) })}</li>`;
 const Changes = ({ list }) => html`<ul>${list.map((one) => html`<${Change} key=${`${one.code} ${one.name}`} one=${one} />`)}</ul>`;
 
 function Rig({ rig }) {

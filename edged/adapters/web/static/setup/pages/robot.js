@@ -3,7 +3,7 @@ import { effect, html, useEffect, useState } from "../../vendor/ui.js";
 import { attempt, ask } from "../api.js";
 import { cell, checked, holds, look, mayTake, sign, token } from "../live.js";
 import { Dialog, NumberField, say, Shape } from "../pieces.js";
-import { number, t } from "../texts.js";
+import { dashed, number, t } from "../texts.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { Pair } from "./picture.js";
 import { More, Places, title } from "./robotplaces.js";
@@ -136,7 +136,7 @@ function said({ code, text, params }, { brand }) {
   const percents = code === "scale" ? { percent: number(params.percent, 2), sigma: number(params.sigma, 2) } : {};
   const carried = params.mount ? { mounted: t(`robot-mounted-${params.mount}`) } : {};
   const values = { ...params, ...readings, ...names, ...lengths, ...percents, ...carried, said: BRANDS[brand] ?? "", whose: BRANDS[params.brand] ?? t("robot-nobodys"), detail: text };
-  return t(`robot-trouble-${code.replaceAll("_", "-")}`, values);
+  return t(`robot-trouble-${dashed(code)}`, values);
 }
 
 function Conventions() {

@@ -2,7 +2,7 @@
 import { html, useState } from "../../vendor/ui.js";
 import { mayTake } from "../live.js";
 import { Dialog, say, Shape } from "../pieces.js";
-import { number, t } from "../texts.js";
+import { dashed, number, t } from "../texts.js";
 import { change, current, sampleName } from "./robotdraft.js";
 import { Shown } from "./robotnumbers.js";
 
@@ -36,7 +36,7 @@ export function Samples() {
           ${pictures && html`<span class="thumbs"><img src=${pictures.left} alt="" loading="lazy" /><img src=${pictures.right} alt="" loading="lazy" /></span>`}
           <span class="numbers" translate=${false}>${text ?? "–"}</span>
           <${Bar} value=${held_out_mm} limit=${limit_mm} />
-          <span class="muted">${isWrong && !["left_out", "not_seen", "length"].includes(why) ? t("robot-why-culprit") : why ? t(`robot-why-${why.replaceAll("_", "-")}`) : Number.isFinite(held_out_deg) ? html`${number(held_out_deg, 3)}°` : ""} ${why_text && html`<span translate=${false} lang="en">${why_text}</span>`}</span>
+          <span class="muted">${isWrong && !["left_out", "not_seen", "length"].includes(why) ? t("robot-why-culprit") : why ? t(`robot-why-${dashed(why)}`) : Number.isFinite(held_out_deg) ? html`${number(held_out_deg, 3)}°` : ""} ${why_text && html`<span translate=${false} lang="en">${why_text}</span>`}</span>
           <span class="actions">
             <button type="button" disabled=${!mayTake.value} aria-label=${t("robot-edit-name", values)} onClick=${() => setEdited(one)}>${t("robot-edit")}</button>
             ${why === "left_out"

@@ -2,7 +2,7 @@
 import { html } from "../../vendor/ui.js";
 import { mayTake, task } from "../live.js";
 import { say, Shape } from "../pieces.js";
-import { has, number, t } from "../texts.js";
+import { dashed, has, inWords, number, t } from "../texts.js";
 import { change, lit, teaching } from "./teaching.js";
 import { lookAt } from "./zoom.js";
 
@@ -10,9 +10,6 @@ const REACH_PX = 24; // of a finger, on the screen
 const NAMED_PX = 26; // what is smaller there has no room for its name
 const path = (outline, isClosed) => (outline.length ? `M${outline.map(([x, y]) => `${x} ${y}`).join("L")}${isClosed ? "Z" : ""}` : "");
 const isClosed = ({ kind }) => kind === "circle" || kind === "slot";
-// A code in words, where there are some.
-const dashed = (code) => String(code).replaceAll("_", "-");
-const inWords = (id, code) => (has(id) ? t(id) : String(code));
 
 // --- in the pictures ---
 
@@ -92,7 +89,7 @@ export function FeatureList({ size }) {
           <label class="choice"><input type="checkbox" checked=${feature.taken} disabled=${!mayTake.value} onChange=${() => toggle(feature)} />
             <span><strong translate=${false}>${key}</strong> ${t(`teach-kind-${kind}`)}${" "}
               <span class="figures">${sized(feature)}${Number.isFinite(sigma_um) && html` <span class="nowrap" translate=${false}>± ${number(sigma_um, 1)} µm</span>`}</span>
-              ${why && html`<span class="why"><${Shape} is="doubt" /> ${inWords(`teach-why-${dashed(why)}`, why)}</span>`}</span></label>
+              ${why && html`<span class="why"><${Shape} is="doubt" /> ${inWords("teach-why", why)}</span>`}</span></label>
           ${outline.left.length > 0 && html`<button type="button" class="quiet" aria-label=${t("teach-look-at", { key })} onClick=${() => lookAt(size, centre(outline.left), 3 * extent(outline.left))}>${t("teach-look")}</button>`}
         </li>`;
       })}

@@ -3,7 +3,7 @@ import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, holds, rawSize, SIDES, sign, task, told, token } from "../live.js";
 import { say, Shape } from "../pieces.js";
-import { has, moment, number, t } from "../texts.js";
+import { dashed, inWords, moment, number, t } from "../texts.js";
 import { Pair } from "./picture.js";
 import { styled } from "./styles.js";
 import { chosen, findMap, isOn, look, rest, run, trial } from "./trial.js";
@@ -46,9 +46,6 @@ function over(side) {
   </g>`;
 }
 
-const inWords = (id, otherwise) => (has(id) ? t(id) : otherwise);
-const dashed = (code) => String(code).toLowerCase().replaceAll("_", "-");
-
 function Verdict() {
   if (!isOn.value) return html`<p class="big figure"><${Shape} is="none" /> ${t("try-off")}</p>`;
   if (!trial.value.status && !trial.value.trouble) return html`<p class="big figure" role="status"><${Shape} is="busy" /> ${t("try-coming")}</p>`;
@@ -57,7 +54,7 @@ function Verdict() {
   return html`<div class="big figure" role="status">
     <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${t(`try-status-${dashed(status ?? "no_target")}`)}</strong></p>
     ${trouble && html`<p class="small" translate=${false} lang="en">${trouble}</p>`}
-    ${!isGood && reasons.map((one) => html`<p key=${one} class="small">${inWords(`try-why-${dashed(one)}`, one)}</p>`)}
+    ${!isGood && reasons.map((one) => html`<p key=${one} class="small">${inWords("try-why", one)}</p>`)}
   </div>`;
 }
 

@@ -3,7 +3,7 @@ import { html, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { offers } from "../live.js";
 import { NumberField, say, Shape } from "../pieces.js";
-import { number, t } from "../texts.js";
+import { dashed, number, t } from "../texts.js";
 import { reasonsOf, statusOf } from "./recorded.js";
 import { Sigmas } from "./cyclepair.js";
 import { begin } from "./regression.js";
@@ -21,7 +21,6 @@ const FIELDS = [
   ["light", "×", 2, 1],
 ];
 const LIMITS = { max_sigma_mm: [0.001, 100], max_rms_px: [0.01, 100], min_support: [0, 1], max_epipolar_px: [0.01, 100], radius_tolerance_mm: [0.0001, 100], form_tolerance_mm: [0.0001, 100], min_score: [0.1, 1], contrast: [0.1, 255], light: [0.1, 10] };
-const dashed = (name) => name.replaceAll("_", "-");
 const field = (name) => FIELDS.find(([one]) => one === name);
 
 function shownAs(name, value) {
@@ -80,7 +79,7 @@ export function WhatIf({ document }) {
     const answer = await asked(body);
     if (!answer) return;
     setTold(answer);
-    say(t("cycles-after-said", { status: t(`cycles-status-${answer.after.status.toLowerCase().replaceAll("_", "-")}`) }));
+    say(t("cycles-after-said", { status: t(`cycles-status-${dashed(answer.after.status)}`) }));
   };
   const help = async () => {
     const answer = await asked({});
