@@ -7,7 +7,7 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, Self, TypeVar
@@ -120,17 +120,24 @@ class DraftFolders(Generic[S]):
     """Drafts of one kind, in a folder.
 
     model : of their state.  error : of theirs.  places : folders inside each.  most : drafts; with one more
-    the oldest goes.
+    the oldest goes.  pictures : by the state, the files in "pictures" without which a draft cannot be read.
     """
 
     def __init__(
-        self, folder: Path, model: type[S], error: type[UserError], places: Sequence[str], most: int
+        self,
+        folder: Path,
+        model: type[S],
+        error: type[UserError],
+        places: Sequence[str],
+        most: int,
+        pictures: Callable[[S], Iterable[str]],
     ) -> None:
         self._folder = folder
         self._model = model
         self._error = error
         self._places = places
         self._most = most
+        self._pictures = pictures
 
     def place(self, identity: str) -> Path:
         """The folder of one, with those inside it. Raises `OSError`."""
@@ -178,10 +185,20 @@ class DraftFolders(Generic[S]):
             raise FileFormatError(f"{file}: {problem_of(error.errors()[0], self._model)}") from error
         if state.id != identity:
             raise FileFormatError(f"{file}: id: is {state.id!r}, the folder's name is {identity!r}")
+        for name in self._pictures(state):
+            picture = file.parent / "pictures" / name
+            if picture.is_symlink() or not picture.is_file():
+                raise FileFormatError(f"{picture}: a picture of the draft is missing")
         return StateFile(file.parent, state, self._error)
 
-
-def check_picture(file: Path) -> None:
-    """Raises `FileFormatError` where a picture that a draft names is not there."""
-    if file.is_symlink() or not file.is_file():
-        raise FileFormatError(f"{file}: a picture of the draft is missing")
+    def states(self) -> list[tuple[str, S | FileFormatError]]:
+        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
+        found: list[tuple[str, S | FileFormatError]] = []
+        for identity in self.names():
+            try:
+                found.append((identity, self.load(identity).state))
+            except FileFormatError as error:
+                found.append((identity, error))
+            except KeyError:  # forgotten meanwhile
+                continue
+        return found

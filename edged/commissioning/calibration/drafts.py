@@ -21,7 +21,7 @@ from pydantic import JsonValue
 from edged.commissioning.calibration.draftstate import DraftState, Operation, PictureState, Solved, ViewState
 from edged.commissioning.calibration.shown import Seen, seen_in
 from edged.commissioning.calibration.views import Looked, Views, look_at
-from edged.commissioning.history import DraftFolders, StateFile, check_picture, new_identity
+from edged.commissioning.history import DraftFolders, StateFile, new_identity
 from edged.commissioning.pairs import Pair, Progress, silent
 from edged.domain.arrays import SIDES, Image
 from edged.errors import CalibrationError, FileFormatError
@@ -137,7 +137,8 @@ class Drafts:
     """All drafts of a cell, in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._folders = DraftFolders(folder, DraftState, CalibrationError, ("pictures", "small"), KEPT)
+        places = ("pictures", "small")
+        self._folders = DraftFolders(folder, DraftState, CalibrationError, places, KEPT, _pictures)
 
     def create(
         self,
@@ -167,13 +168,17 @@ class Drafts:
         """Of all drafts, the youngest first."""
         return self._folders.names()
 
+    def states(self) -> list[tuple[str, DraftState | FileFormatError]]:
+        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
+        return self._folders.states()
+
     def load(self, identity: str) -> Draft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
-        draft = Draft(self._folders.load(identity))
-        for name in draft.state.taken:
-            for side in SIDES:
-                check_picture(draft.pictures / f"{name}_{side}.png")
-        return draft
+        return Draft(self._folders.load(identity))
+
+
+def _pictures(state: DraftState) -> list[str]:
+    return [f"{name}_{side}.png" for name in state.taken for side in SIDES]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,6 @@ from edged.commissioning.history import (
     Kept,
     StateFile,
     Text,
-    check_picture,
     new_identity,
 )
 from edged.domain.arrays import SIDES
@@ -265,7 +264,7 @@ class RobotDrafts:
 
     def __init__(self, folder: Path) -> None:
         places = ("pictures", "small")
-        self._folders = DraftFolders(folder, RegistrationState, CalibrationError, places, KEPT)
+        self._folders = DraftFolders(folder, RegistrationState, CalibrationError, places, KEPT, _pictures)
 
     def create(
         self,
@@ -300,14 +299,18 @@ class RobotDrafts:
         """Of all drafts, the youngest first."""
         return self._folders.names()
 
+    def states(self) -> list[tuple[str, RegistrationState | FileFormatError]]:
+        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
+        return self._folders.states()
+
     def load(self, identity: str) -> RobotDraft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
-        draft = RobotDraft(self._folders.load(identity))
-        if draft.state.kind == "poses":
-            for name in draft.state.taken:
-                for side in SIDES:
-                    check_picture(draft.folder / "pictures" / f"{name}_{side}.png")
-        return draft
+        return RobotDraft(self._folders.load(identity))
+
+
+def _pictures(state: RegistrationState) -> list[str]:
+    """Of poses: a touched place is kept in numbers."""
+    return [f"{name}_{side}.png" for name in state.taken for side in SIDES] if state.kind == "poses" else []
 
 
 def check_kind(mount: Mount, kind: Kind) -> None:

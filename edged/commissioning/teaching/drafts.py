@@ -19,7 +19,7 @@ from typing import Literal
 import cv2
 from pydantic import JsonValue, ValidationError
 
-from edged.commissioning.history import DraftFolders, Kept, StateFile, check_picture, new_identity
+from edged.commissioning.history import DraftFolders, Kept, StateFile, new_identity
 from edged.commissioning.teaching.draftstate import Content, TeachOperation, TeachState
 from edged.config.reading import problem_of
 from edged.domain.arrays import SIDES, Image
@@ -117,7 +117,7 @@ class TeachingDrafts:
     """All drafts of jobs of a cell, in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._folders = DraftFolders(folder, TeachState, TeachError, ("pictures",), KEPT)
+        self._folders = DraftFolders(folder, TeachState, TeachError, ("pictures",), KEPT, _pictures)
 
     def create(
         self, author: str, start: Content, pair: KeptPair, now: datetime, job: str | None = None
@@ -149,6 +149,10 @@ class TeachingDrafts:
         """Of all drafts, the youngest first."""
         return self._folders.names()
 
+    def states(self) -> list[tuple[str, TeachState | FileFormatError]]:
+        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
+        return self._folders.states()
+
     def remove(self, identity: str) -> None:
         """Forget one. Raises `KeyError` when there is none."""
         if identity not in self.names():
@@ -157,10 +161,11 @@ class TeachingDrafts:
 
     def load(self, identity: str) -> TeachingDraft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
-        draft = TeachingDraft(self._folders.load(identity))
-        for side in SIDES:
-            check_picture(draft.picture(side))
-        return draft
+        return TeachingDraft(self._folders.load(identity))
+
+
+def _pictures(_state: TeachState) -> list[str]:
+    return [f"{side}.png" for side in SIDES]
 
 
 def keeps_pair(folder: Path) -> bool:

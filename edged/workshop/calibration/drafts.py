@@ -21,7 +21,7 @@ import numpy as np
 from edged import __version__
 from edged.capture.tasks import cancel_and_await
 from edged.commissioning.calibration.drafts import Draft, Drafts, Looks, Solution
-from edged.commissioning.calibration.draftstate import ViewState
+from edged.commissioning.calibration.draftstate import DraftState, ViewState
 from edged.commissioning.calibration.guidance import (
     FIRST_SHARE,
     Ghost,
@@ -157,7 +157,8 @@ class Calibrations:
 
     async def listed(self) -> DraftList:
         """All of them."""
-        return DraftList(calibrations=await asyncio.to_thread(self._lines))
+        states = await asyncio.to_thread(self._drafts.states)
+        return DraftList(calibrations=[self._line(*one) for one in states])
 
     async def document(self, identity: str) -> DraftDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
@@ -355,25 +356,17 @@ class Calibrations:
                 self._guide(self._open[identity])
         return self._open[identity]
 
-    def _lines(self) -> list[DraftLine]:
-        lines = []
-        for identity in self._drafts.names():
-            try:
-                state = self._drafts.load(identity).state
-            except (KeyError, FileFormatError) as error:
-                lines.append(DraftLine(id=identity, trouble=str(error)))
-                continue
-            lines.append(
-                DraftLine(
-                    id=identity,
-                    boards=list(state.boards),
-                    views=len(state.used),
-                    created=state.created,
-                    author=state.author,
-                    active=state.solved is not None and self._is_active(state.solved.calibration_id),
-                )
-            )
-        return lines
+    def _line(self, identity: str, state: DraftState | FileFormatError) -> DraftLine:
+        if isinstance(state, FileFormatError):
+            return DraftLine(id=identity, trouble=str(state))
+        return DraftLine(
+            id=identity,
+            boards=list(state.boards),
+            views=len(state.used),
+            created=state.created,
+            author=state.author,
+            active=state.solved is not None and self._is_active(state.solved.calibration_id),
+        )
 
     def _tell(self, one: _Open) -> DraftDocument:
         document = self._document(one)

@@ -22,6 +22,7 @@ from edged.commissioning.registration.drafts import (
     LookState,
     Mount,
     Place,
+    RegistrationState,
     RobotDraft,
     RobotDrafts,
     SampleState,
@@ -132,8 +133,8 @@ class Registrations:
 
     async def listed(self) -> RegistrationList:
         """All of them."""
-        lines = await asyncio.to_thread(self._lines)
-        return RegistrationList(registrations=lines, brands=brands())
+        states = await asyncio.to_thread(self._drafts.states)
+        return RegistrationList(registrations=[self._line(*one) for one in states], brands=brands())
 
     async def document(self, identity: str) -> RegistrationDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
@@ -371,26 +372,18 @@ class Registrations:
         if one.draft.state.solved is not None:
             one.solved = rig_of(await asyncio.to_thread(one.draft.rig), one.draft.folder)
 
-    def _lines(self) -> list[RegistrationLine]:
-        lines = []
-        for identity in self._drafts.names():
-            try:
-                state = self._drafts.load(identity).state
-            except (KeyError, FileFormatError) as error:
-                lines.append(RegistrationLine(id=identity, trouble=str(error)))
-                continue
-            lines.append(
-                RegistrationLine(
-                    id=identity,
-                    kind=state.kind,
-                    mount=state.mount,
-                    samples=len(state.used),
-                    created=state.created,
-                    author=state.author,
-                    active=is_active(state, self._rig()),
-                )
-            )
-        return lines
+    def _line(self, identity: str, state: RegistrationState | FileFormatError) -> RegistrationLine:
+        if isinstance(state, FileFormatError):
+            return RegistrationLine(id=identity, trouble=str(state))
+        return RegistrationLine(
+            id=identity,
+            kind=state.kind,
+            mount=state.mount,
+            samples=len(state.used),
+            created=state.created,
+            author=state.author,
+            active=is_active(state, self._rig()),
+        )
 
     def _tell(self, one: _Open) -> RegistrationDocument:
         document = self._document(one)

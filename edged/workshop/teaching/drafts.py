@@ -125,7 +125,8 @@ class Teachings:
 
     async def listed(self) -> TeachingList:
         """All of them."""
-        return TeachingList(teachings=await asyncio.to_thread(self._lines))
+        states = await asyncio.to_thread(self._drafts.states)
+        return TeachingList(teachings=[self._line(*one) for one in states])
 
     async def document(self, identity: str) -> TeachingDocument:
         """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
@@ -367,27 +368,18 @@ class Teachings:
         self._look(one)
         return one
 
-    def _lines(self) -> list[TeachingLine]:
-        lines = []
-        for identity in self._drafts.names():
-            try:
-                state = self._drafts.load(identity).state
-            except (KeyError, FileFormatError) as error:
-                lines.append(TeachingLine(id=identity, trouble=str(error)))
-                continue
-            content = state.content
-            lines.append(
-                TeachingLine(
-                    id=identity,
-                    name=content.name,
-                    number=content.number,
-                    job=state.job,
-                    author=state.author,
-                    created=state.created,
-                    active=self._is_active(state),
-                )
-            )
-        return lines
+    def _line(self, identity: str, state: TeachState | FileFormatError) -> TeachingLine:
+        if isinstance(state, FileFormatError):
+            return TeachingLine(id=identity, trouble=str(state))
+        return TeachingLine(
+            id=identity,
+            name=state.content.name,
+            number=state.content.number,
+            job=state.job,
+            author=state.author,
+            created=state.created,
+            active=self._is_active(state),
+        )
 
     def _is_active(self, state: TeachState) -> bool:
         """Whether the job that came of it is the cell's, as it is."""
