@@ -184,7 +184,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
 
 
 def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While it solves or keeps a pair: that has failed and says so, and the draft is as it was."""
+    """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
 
     async def test(cell: BoardCell) -> None:
         place, token = await with_views(cell, 3)
@@ -195,6 +195,13 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         with monkeypatch.context() as patch:
             patch.setitem(functions, "keep", "workertasks:vanish")
             assert (503, "task_failed") == await refused(cell, "POST", f"{place}/views", {"token": token})
+            patch.setitem(functions, "guide", "workertasks:vanish")
+            await cell.ask("DELETE", f"{place}/views/view_003", {})
+            draft = await cell.until(place, lambda draft: not draft["guiding"])
+            assert "task_failed" == draft["trouble"]["code"]
+        await cell.ask("POST", f"{place}/undo", {})
+        draft = await cell.until(place, lambda draft: not draft["guiding"])
+        assert None is draft["trouble"]
         _, begun = await cell.ask("POST", f"{place}/solve", {})
         await cell.until(f"/tasks/{begun['task']}", lambda task: task["text"] != "waits for its turn")
         assert (422, "calibration") == (await refused(cell, "POST", f"{place}/solve"))

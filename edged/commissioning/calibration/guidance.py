@@ -11,7 +11,7 @@ from edged.commissioning.calibration.shown import IN_GHOST, Watched, in_ghost, i
 from edged.commissioning.calibration.views import Views
 from edged.commissioning.pairs import Progress, silent
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError
+from edged.errors import CalibrationError, EdgedError
 from edged.vision.boards.board import Board, Detection, NotDetected, outline_mm
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.calibration.lenschoice import LensWish
@@ -59,7 +59,7 @@ class Guided:
     ghosts : the best first.  more_views : to the goal; None: none stated, or out of reach.
     """
 
-    trouble: CalibrationError | None
+    trouble: EdgedError | None
     ghosts: Sequence[Ghost]
     rms_px: dict[str, float] = field(default_factory=dict)
     excluded: dict[str, str] = field(default_factory=dict)

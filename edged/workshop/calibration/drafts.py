@@ -323,10 +323,8 @@ class Calibrations:
                             one.share or FIRST_SHARE,
                         )
                         guided = await self._worker.run("guide", one.draft.pictures, *arguments)
-                except CalibrationError as error:
-                    guided = Guided(error, ())
                 except EdgedError as error:
-                    guided = Guided(CalibrationError(str(error)), ())
+                    guided = Guided(error, ())
                 one.guided, one.guided_of = guided, wanted
         finally:
             one.guiding = None
