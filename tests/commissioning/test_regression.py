@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import zipfile
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from recordedcell import exposures, record
 from smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
+from edged.commissioning.cycles import comparing
 from edged.commissioning.cycles.comparing import (
     APART_SIGMAS,
     Comparison,
@@ -29,7 +31,15 @@ from edged.commissioning.cycles.comparing import (
     motion_of,
     try_on,
 )
-from edged.commissioning.cycles.setups import Contents, Setups, digest_of, measured_by
+from edged.commissioning.cycles.setups import (
+    Contents,
+    Setups,
+    concerned,
+    digest_of,
+    measured_by,
+    successors,
+)
+from edged.commissioning.releases.jobsfolder import renamed
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.files import recording
@@ -62,11 +72,23 @@ def tried(cell: Cell, candidate: Contents, *, of_rig: bool, active: Contents | N
     """As the worker does it."""
     before, after, setups = (
         measured_by(active or cell.files.contents, Path("active")),
-        measured_by(candidate, Path("new")),
+        measured_by(candidate, Path("new")).in_place_of(successors(active or cell.files.contents, candidate)),
         Setups(),
     )
     entries = recording.entries(cell.folder)
     return compare([try_on(one, before, after, setups) for one in entries], of_rig=of_rig)
+
+
+TEXT, SHAPE = "jobs/flange/job.toml", "jobs/flange/shape.npz"
+
+
+def called(contents: Contents, name: str, number: int, **limits: float) -> Contents:
+    """The same files, with their job under another name, in a folder of that name, and by other limits."""
+    text = renamed({"job.toml": contents[TEXT]}, name=name, number=number)["job.toml"].decode()
+    for limit, value in limits.items():
+        text = re.sub(rf"^{limit} = \S+", f"{limit} = {value}", text, flags=re.MULTILINE)
+    others = {key: data for key, data in contents.items() if key not in {TEXT, SHAPE}}
+    return {**others, f"jobs/{name}/job.toml": text.encode(), f"jobs/{name}/shape.npz": contents[SHAPE]}
 
 
 def with_job(cell: Cell, tmp_path: Path, **changes: Any) -> Contents:
@@ -91,6 +113,58 @@ def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
         assert result.motion is not None
         assert 0.0 == np.abs(result.motion.shift_mm).max() == np.abs(result.motion.turn_rad).max()
     assert digest_of(cell.files.contents) != digest_of(retold)
+
+
+def test_a_job_of_another_name_and_number_has_the_same_cycles(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those recorded before: what they came to is taken as it is, and only the new one measures. A job that
+    was renumbered is known by its name, one that was renamed by its number.
+    """
+    measured = []
+    counted = comparing.inspect
+    monkeypatch.setattr(comparing, "inspect", lambda *args: measured.append(args) or counted(*args))
+    contents = cell.files.contents
+    for name, number in (("flange", 9), ("cover", 1)):
+        active = called(contents, name, number)
+        strict = called(contents, name, number, max_rms_px=1e-6)
+        assert {number} == concerned(active, strict)
+        measured.clear()
+        result = tried(cell, strict, of_rig=False, active=active)
+        assert (CYCLES, CYCLES) == (len(measured), len(result.compared))
+        assert all(one.was_good and not one.is_good for one in result.compared)
+
+
+def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
+    """Another name, number or remark, a copy, a job that is retired; a byte of its shape or a limit does."""
+    contents = cell.files.contents
+    copied = {**contents, **called(contents, "cover", 2)}
+    for active, candidate in (
+        (contents, called(contents, "cover", 1)),
+        (contents, called(contents, "flange", 9)),
+        (contents, called(contents, "cover", 9)),
+        (contents, copied),
+        (copied, contents),
+        (copied, called(contents, "cover", 2)),
+    ):
+        assert set() == concerned(active, candidate)
+    assert {1: 9} == successors(contents, called(contents, "cover", 9))
+    assert {2: 2} == successors(copied, called(contents, "cover", 2))
+    remarked = {**contents, TEXT: contents[TEXT] + b"# Anna's own words\n"}
+    assert set() == concerned(contents, remarked)
+    assert digest_of(contents) == digest_of(remarked) == digest_of(called(contents, "cover", 9))
+
+    shape = bytearray(contents[SHAPE])
+    shape[len(shape) // 2] ^= 1
+    for changed in ({**contents, SHAPE: bytes(shape)}, called(contents, "flange", 1, max_rms_px=0.4)):
+        assert digest_of(contents) != digest_of(changed)
+        assert {1} == concerned(contents, changed)
+        # the copy is as it was: whoever is measured by it has nothing to fear
+        assert {1} == concerned(copied, {**copied, **changed})
+    # what replaces a job under another name and number escapes by neither alone
+    for name, number in (("cover", 1), ("flange", 9)):
+        assert {1} == concerned(contents, called(contents, name, number, max_rms_px=0.4))
+    assert {1: 9} == successors(contents, called(contents, "flange", 9, max_rms_px=0.4))
 
 
 def test_a_feature_that_was_moved_is_caught(cell: Cell, tmp_path: Path) -> None:

@@ -224,6 +224,39 @@ def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_pa
     beside(recorded, tmp_path, test)
 
 
+def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
+    """Renamed, renumbered, copied and retired at once; the recorded cycles stay those of the job. What an
+    editor has changed in it meanwhile would become active with its name: that is measured, or signed for.
+    """
+
+    async def test(cell: RecordingCell) -> None:
+        flange = cell.config.parent / "jobs" / "flange"
+        for method, place, body, wanted in (
+            ("PUT", "flange", {"number": 7}, 200),
+            ("POST", "flange/duplicate", {"new_name": "lid", "number": 2}, 201),
+            ("PUT", "lid", {"new_name": "cover", "number": 3}, 200),
+            ("PUT", "cover", {"retired": True}, 200),
+        ):
+            status, answer = await cell.ask(method, f"/jobs/{place}", body)
+            assert wanted == status, answer
+        _, listed = await cell.ask("GET", "/releases")
+        assert {None} == {one["tested"] for one in listed["releases"]}
+        # by its name: the number is 7 by now
+        result = await tried(cell, {"change": {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}})
+        assert CYCLES == result["counts"]["good_to_bad"]
+
+        text = flange / "job.toml"
+        text.write_text(text.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.0001"))
+        status, problem = await cell.ask("PUT", "/jobs/flange", {"number": 8})
+        assert (409, "regression", CYCLES) == (status, problem["code"], problem["params"]["cycles"])
+        status, _ = await cell.ask("PUT", "/jobs/flange", {"number": 8, "signed": "tighter from now on"})
+        assert 200 == status
+        _, listed = await cell.ask("GET", "/releases")
+        assert "tighter from now on" == listed["releases"][0]["tested"]["signed"]
+
+    beside(recorded, tmp_path, test)
+
+
 def test_a_robot_that_stands_elsewhere_changes_no_measurement(recorded: Recorded) -> None:
     """Only a job, or a cell, that bounds where the robot may go is concerned by a registration."""
     contents = dict(recorded.files.contents)

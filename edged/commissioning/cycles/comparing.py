@@ -133,7 +133,10 @@ class Comparison:
 
 
 def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, setups: Setups) -> Tried:
-    """Measure a recording by both. What the very same files and versions have measured is taken as it is."""
+    """Measure a recording by both. What the very same job, rig and versions have measured is taken as it is.
+
+    candidate : with its jobs under the numbers of those that they succeed.
+    """
     at = entry.recorded.isoformat(timespec="milliseconds")
     nothing = Tried(entry.index, at, "")
     try:
@@ -146,9 +149,10 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, se
         return replace(nothing, skipped="no_pictures")
     if isinstance(command, dict) and command.get("kind") == CommandKind.GRAB.name:
         return replace(nothing, skipped="grab")
+    number = active.number_for(taken.snapshot)
     try:
-        before = _recorded(entry, taken, active, setups) or _measured(taken, active)
-        after = _measured(taken, candidate)
+        before = _recorded(entry, taken, active, number, setups) or _measured(taken, active, number)
+        after = _measured(taken, candidate, number)
     except UserError as error:  # pictures of other cameras, numbers that are none
         return replace(nothing, skipped="damaged", detail=str(error))
     if before is None or after is None:
@@ -157,9 +161,9 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, se
 
 
 def _recorded(
-    entry: recording.Entry, taken: recording.Recording, active: MeasuredBy, setups: Setups
+    entry: recording.Entry, taken: recording.Recording, active: MeasuredBy, number: int, setups: Setups
 ) -> Found | None:
-    """The recorded result, if the active setup gives the very same one; None where that is not known."""
+    """The recorded result, if an active job gives the very same one; None where that is not known."""
     drift = taken.snapshot.get("drift")
     if dict(taken.versions) != recording.versions() or not isinstance(drift, dict):
         return None
@@ -169,14 +173,14 @@ def _recorded(
         setup = setups.setup_of(entry.path, taken.snapshot)
     except FileFormatError:
         return None
-    if not setup.measures_as(active, taken.snapshot["job_number"]):
+    if not setup.measures_as(active, (taken.snapshot["job_number"], number)):
         return None
     return found_in(taken.snapshot)
 
 
-def _measured(taken: recording.Recording, by: MeasuredBy) -> Found | None:
+def _measured(taken: recording.Recording, by: MeasuredBy, number: int) -> Found | None:
     """None where the setup has no such job."""
-    job = by.job_for(taken.snapshot)
+    job = by.job_for(number, taken.snapshot)
     if job is None or taken.pair is None:
         return None
     return found_in(shown(taken, inspect(taken.pair, job, by.rig), by.rig, job, drifts=False))

@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -38,7 +38,8 @@ Contents = Mapping[str, bytes]
 class MeasuredBy:
     """What a cell measures by. jobs : by number. bounds : where its robot may go, whatever the job.
 
-    rig_digest, job_digests : of the files; of two setups that agree in both, and in bounds, results agree.
+    rig_digest, job_digests : of what results stand on; of two setups that agree in both, and in bounds,
+    results agree.
     """
 
     rig: PreparedRig
@@ -47,20 +48,36 @@ class MeasuredBy:
     rig_digest: str
     job_digests: Mapping[int, str]
 
-    def job_for(self, snapshot: Json) -> Job | None:
-        """The job with the number of a recorded cycle, bounded as its command wanted; None: there is none."""
-        job, command = self.jobs.get(int(snapshot["job_number"])), snapshot.get("command")
+    def number_for(self, snapshot: Json) -> int:
+        """Of the job that a recorded cycle is of: by its name, which stays when the number changes, else by
+        its number. There may be none.
+        """
+        named = (number for number, job in self.jobs.items() if job.name == snapshot["job"])
+        return next(named, int(snapshot["job_number"]))
+
+    def job_for(self, number: int, snapshot: Json) -> Job | None:
+        """A job, bounded as the command of a recorded cycle wanted; None: there is none."""
+        job, command = self.jobs.get(number), snapshot.get("command")
         if job is None:
             return None
         box = command.get("box", 0) if isinstance(command, dict) else 0
         box = box if isinstance(box, int) else 0
         return replace(job, picking=within(job.picking, narrowed(self.bounds, box)))
 
-    def measures_as(self, other: MeasuredBy, number: int) -> bool:
-        """Whether a job's results are the same to the last bit."""
-        digest = self.job_digests.get(number)
-        is_same_job = digest is not None and digest == other.job_digests.get(number)
+    def measures_as(self, other: MeasuredBy, numbers: tuple[int, int]) -> bool:
+        """Whether results of a job are the same to the last bit. numbers : of the job, here and there."""
+        digest = self.job_digests.get(numbers[0])
+        is_same_job = digest is not None and digest == other.job_digests.get(numbers[1])
         return is_same_job and self.rig_digest == other.rig_digest and self.bounds == other.bounds
+
+    def in_place_of(self, successors: Mapping[int, int]) -> MeasuredBy:
+        """The same with each job under the number of the one that it succeeds, as `successors` tells."""
+        known = {old: new for old, new in successors.items() if new in self.jobs}
+        return replace(
+            self,
+            jobs={old: self.jobs[new] for old, new in known.items()},
+            job_digests={old: self.job_digests[new] for old, new in known.items()},
+        )
 
 
 def measured_by(contents: Contents, place: Path) -> MeasuredBy:
@@ -70,37 +87,78 @@ def measured_by(contents: Contents, place: Path) -> MeasuredBy:
     rig = prepare(rig_of(contents[RIG], place / RIG))
     jobs: dict[int, Job] = {}
     digests: dict[int, str] = {}
-    for name in sorted(contents):
-        path = PurePosixPath(name)
-        if path.name != TEXT or path.parent.parent != PurePosixPath("jobs"):
-            continue
-        files = {one: contents.get(f"{path.parent}/{one}", b"") for one in (TEXT, SHAPE)}
-        job = job_of(files, place / path.parent)
-        jobs[job.number], digests[job.number] = job, job_digest(*files.values())
+    for folder in _folders(contents):
+        files = _files(contents, folder)
+        job = job_of(files, place / "jobs" / folder)
+        jobs[job.number], digests[job.number] = job, _measuring(files, folder).digest
     return MeasuredBy(rig, jobs, _bounds(contents, place), _digest(contents[RIG]), digests)
 
 
-def concerned(active: Contents, candidate: Contents) -> set[int] | None:
-    """Numbers of the active jobs that a candidate measures otherwise, or not at all; None: all of them.
+@dataclass(frozen=True, slots=True)
+class JobFacts:
+    """What a job's files say of it. is_bounded : it says itself where a robot may go.
 
-    Where a robot stands to the rig changes no measurement, only what it may pick: jobs with such bounds.
-    Raises `FileFormatError` for a job or rig that cannot be read.
+    digest : of what its results stand on: neither its name, nor its number, nor what people remark.
     """
-    if active.get(CONFIG) != candidate.get(CONFIG) or _cameras(active) != _cameras(candidate):
+
+    folder: str
+    name: str
+    number: int
+    digest: str
+    is_bounded: bool
+
+
+def facts_of_jobs(contents: Contents) -> list[JobFacts]:
+    """Of all jobs of a setup. Raises `FileFormatError` for one that cannot be read."""
+    return [_measuring(_files(contents, folder), folder) for folder in _folders(contents)]
+
+
+def job_of_cycle(jobs: Iterable[JobFacts], name: str, number: int) -> JobFacts | None:
+    """The job that a recorded cycle is of, as `MeasuredBy.number_for` has it."""
+    jobs = list(jobs)
+    fitting = [one for one in jobs if one.name == name] or [one for one in jobs if one.number == number]
+    return next(iter(fitting), None)
+
+
+def successors(active: Contents, candidate: Contents) -> dict[int, int]:
+    """By the number of each active job that of the one that a candidate has in its place.
+
+    In its place is the one in its folder; else a new one that measures the same, under whatever name; else a
+    new one of its number. A job without is retired. Raises `FileFormatError` for one that cannot be read.
+    """
+    return {one.number: other.number for one, other in _succession(active, candidate)}
+
+
+def _succession(active: Contents, candidate: Contents) -> list[tuple[JobFacts, JobFacts]]:
+    there, wanted = facts_of_jobs(active), {one.folder: one for one in facts_of_jobs(candidate)}
+    new = [one for folder, one in wanted.items() if folder not in {other.folder for other in there}]
+    pairs = []
+    for one in there:
+        same = [other for other in new if other.digest == one.digest]
+        of_number = [other for other in new if other.number == one.number]
+        found = wanted.get(one.folder) or next(iter(same + of_number), None)
+        if found is not None:
+            pairs.append((one, found))
+    return pairs
+
+
+def concerned(active: Contents, candidate: Contents) -> set[int] | None:
+    """Numbers of the active jobs in whose place a candidate has one that measures otherwise; None: all.
+
+    What a job is called, or that it is retired, changes nothing that is measured. Where a robot stands to the
+    rig changes no measurement, only what it may pick: jobs with such bounds. Raises `FileFormatError` for a
+    job or rig that cannot be read.
+    """
+    bounds = _bounds(active, Path("the cell"))
+    if bounds != _bounds(candidate, Path("the cell")) or _cameras(active) != _cameras(candidate):
         return None
-    is_bounded = _bounds(active, Path("the cell")) != Bounds()
     stands_elsewhere = active.get(RIG) != candidate.get(RIG)
-    numbers = set()
-    for name in active:
-        path = PurePosixPath(name)
-        if path.name != TEXT:
-            continue
-        number, is_bounded_itself = _number_of(active[name], name)
-        files = name, str(path.with_name(SHAPE))
-        is_other = any(active.get(one) != candidate.get(one) for one in files)
-        if is_other or (stands_elsewhere and (is_bounded or is_bounded_itself)):
-            numbers.add(number)
-    return numbers
+    is_bounded = bounds != Bounds()
+    return {
+        one.number
+        for one, other in _succession(active, candidate)
+        if one.digest != other.digest or (stands_elsewhere and (is_bounded or one.is_bounded))
+    }
 
 
 def _cameras(contents: Contents) -> object:
@@ -112,31 +170,33 @@ def _cameras(contents: Contents) -> object:
         raise FileFormatError(f"{RIG}: not a rig: {error}") from error
 
 
-def number_of(text: bytes, name: str) -> int:
-    """Of a job by its file. Raises `FileFormatError` that names it."""
-    return _number_of(text, name)[0]
+def _folders(contents: Contents) -> list[str]:
+    """Of the jobs of a setup."""
+    places = (PurePosixPath(name) for name in sorted(contents))
+    return [place.parent.name for place in places if place.match(f"jobs/*/{TEXT}")]
 
 
-def _number_of(text: bytes, name: str) -> tuple[int, bool]:
-    """A job's number, and whether it bounds where a robot may go."""
+def _files(contents: Contents, folder: str) -> dict[str, bytes]:
+    return {one: contents.get(f"jobs/{folder}/{one}", b"") for one in (TEXT, SHAPE)}
+
+
+def _measuring(files: Contents, folder: str) -> JobFacts:
+    """Raises `FileFormatError`."""
     try:
-        job = tomllib.loads(text.decode("utf-8-sig"))
-        limits = job.get("limits", {})
-        return int(job["number"]), bool(job.get("grasp") or limits.get("box") or limits.get("keep_out"))
+        job = tomllib.loads(files[TEXT].decode("utf-8-sig"))
+        name, number, limits = str(job.pop("name")), int(job.pop("number")), job.get("limits", {})
+        is_bounded = bool(job.get("grasp") or limits.get("box") or limits.get("keep_out"))
+        text = json.dumps(job, sort_keys=True, default=str)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileFormatError(f"{name}: no number can be read: {error}") from error
-
-
-def job_digest(text: bytes, shape: bytes) -> str:
-    """What tells jobs apart, by their files."""
-    return _digest(text, shape)
+        raise FileFormatError(f"jobs/{folder}/{TEXT}: no name and number can be read: {error}") from error
+    return JobFacts(folder, name, number, _digest(text.encode(), files[SHAPE]), is_bounded)
 
 
 def digest_of(contents: Contents) -> str:
-    """What tells setups apart by all that results stand on, but the configuration, and names of folders."""
-    texts = [PurePosixPath(name) for name in contents if PurePosixPath(name).name == TEXT]
-    jobs = [job_digest(contents[str(path)], contents.get(str(path.with_name(SHAPE)), b"")) for path in texts]
-    return _digest(contents.get(RIG, b""), *(job.encode() for job in sorted(jobs)))
+    """What tells setups apart by all that results stand on."""
+    jobs = sorted(one.digest for one in facts_of_jobs(contents))
+    bounds = _bounds(contents, Path("the cell"))
+    return _digest(contents.get(RIG, b""), repr(bounds).encode(), *(job.encode() for job in jobs))
 
 
 class Setups:
@@ -148,7 +208,7 @@ class Setups:
     def of(self, file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
         """Rig and job of a recorded cycle. Raises `FileFormatError`. file : the recording."""
         setup = self.setup_of(file, snapshot)
-        job = setup.job_for(snapshot)
+        job = setup.job_for(setup.number_for(snapshot), snapshot)
         if job is None:
             raise FileFormatError(f"{file}: its setup has no job {snapshot['job_number']}")
         return setup.rig, job

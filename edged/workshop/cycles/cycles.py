@@ -10,14 +10,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TypeVar
 
 import cv2
 from pydantic import BaseModel, ConfigDict
 
 from edged.commissioning.cycles.recorded import Damaged, Line, Records, Wanted
-from edged.commissioning.cycles.setups import Contents, Setups, job_digest, number_of
+from edged.commissioning.cycles.setups import Contents, Setups, facts_of_jobs, job_of_cycle
 from edged.commissioning.cycles.sight import PartSight, parts_of, taught_part
 from edged.commissioning.cycles.whatif import Change, WhatIf
 from edged.commissioning.teaching.drafts import TAUGHT
@@ -25,7 +25,6 @@ from edged.domain.arrays import Image, Side
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
-from edged.files.jobs import SHAPE, TEXT
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.workshop.worker import Worker
@@ -143,14 +142,10 @@ class JobsNow:
     place: Path
     contents: Contents
 
-    def folder_of(self, number: int, digest: str | None) -> tuple[str | None, bool]:
-        """The folder of the job with a number, and whether it is still the same job."""
-        for name, text in self.contents.items():
-            path = PurePosixPath(name)
-            if path.name == TEXT and number_of(text, name) == number:
-                files = text, self.contents.get(str(path.with_name(SHAPE)), b"")
-                return path.parent.name, job_digest(*files) == digest
-        return None, False
+    def folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
+        """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
+        job = job_of_cycle(facts_of_jobs(self.contents), name, number)
+        return (None, False) if job is None else (job.folder, job.digest == digest)
 
 
 class Cycles:
@@ -239,7 +234,7 @@ class Cycles:
         try:
             prepared, job = self._setups.of(entry.path, snapshot)
             digest = self._setups.setup_of(entry.path, snapshot).job_digests[job.number]
-            folder, is_same = self._jobs().folder_of(job.number, digest)
+            folder, is_same = self._jobs().folder_of(line.job, line.job_number, digest)
         except FileFormatError as error:
             return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
         rig = prepared.rig
@@ -288,8 +283,9 @@ class Cycles:
         return _jpeg(recording.load_picture(self._known().entry(number).path, side))
 
     def _taught_picture(self, number: int, side: Side) -> bytes:
-        line = self._known().line(self._known().entry(number))
-        folder = None if isinstance(line, Damaged) else self._jobs().folder_of(line.job_number, None)[0]
+        line, folder = self._known().line(self._known().entry(number)), None
+        if not isinstance(line, Damaged):
+            folder, _ = self._jobs().folder_of(line.job, line.job_number, None)
         if folder is None or not self._taught_file(folder, side).is_file():
             raise KeyError(number)
         return _jpeg(load_image(self._taught_file(folder, side)))

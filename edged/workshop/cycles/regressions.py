@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from edged.commissioning.cycles.comparing import Tried, compare
 from edged.commissioning.cycles.recorded import Line, Records
-from edged.commissioning.cycles.setups import Contents, concerned, digest_of
+from edged.commissioning.cycles.setups import Contents, concerned, digest_of, facts_of_jobs, job_of_cycle
 from edged.commissioning.pairs import Progress
 from edged.commissioning.releases.shelf import Tested
 from edged.errors import FileFormatError, RegressionNeeded, UserError
@@ -153,12 +153,16 @@ class Regressions:
             return []
         if self._records is None or self._records.folder != folder:
             self._records = Records(folder)
-        numbers, found = concerned(active, candidate), []
+        numbers, jobs = concerned(active, candidate), facts_of_jobs(active)
+        if numbers == set():
+            return []
+        found = []
         for entry in self._records.entries():
             line = self._records.line(entry)
             if not isinstance(line, Line) or not line.has_pictures:
                 continue
-            if numbers is None or line.job_number in numbers:
+            job = job_of_cycle(jobs, line.job, line.job_number)
+            if numbers is None or (job is not None and job.number in numbers):
                 found.append(entry)
         return found
 

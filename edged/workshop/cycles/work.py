@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edged.commissioning.cycles import whatif
 from edged.commissioning.cycles.comparing import Tried, try_on
-from edged.commissioning.cycles.setups import Contents, MeasuredBy, Setups, measured_by
+from edged.commissioning.cycles.setups import Contents, MeasuredBy, Setups, measured_by, successors
 from edged.commissioning.cycles.whatif import Change, WhatIf
 from edged.commissioning.pairs import Progress
 from edged.commissioning.releases.archive import read
@@ -42,6 +42,7 @@ def try_recordings(
     """The first of some recordings by two setups: as many as the time allows, one at least."""
     end_s = time.monotonic() + most_s
     before, after = _in_memory().of(active), _in_memory().of(candidate)
+    after = after.in_place_of(successors(active, candidate))
     tried: list[Tried] = []
     for entry in entries:
         tried.append(try_on(entry, before, after, _setups()))

@@ -21,7 +21,7 @@ const KEPT = "edged.teaching";
 // Everything that changes jobs: then both are looked at again.
 const isBusy = signal(false);
 async function doing(work, said) {
-  isBusy.value = true; // recorded cycles are measured again before a job is changed: that takes its time
+  isBusy.value = true; // each change is a release: that takes its time
   const done = await attempt(async () => {
     await work();
     return true;
