@@ -6,12 +6,7 @@
     │   ├── FileFormatError       a rig, job, model or recording that cannot be used
     │   ├── ImageError            an image that cannot be read or does not fit
     │   ├── CalibrationError      calibration images that cannot give a calibration
-    │   │   ├── OtherUnits        points in other units than they are said to be in
-    │   │   ├── Mirrored          points of a left-handed frame
-    │   │   └── Undetermined      poses or points that leave something open: more of them, elsewhere
-    │   │       ├── SamePlace     two points that are one
-    │   │       ├── OnOneLine     points on a line
-    │   │       └── TurnsMissing  poses that do not turn about two axes
+    │   │   └── Undetermined      views, poses or points that leave something open: more of them, elsewhere
     │   └── TeachError            a region that cannot give a job
     ├── CaptureError              a camera did not deliver: a fault, the daemon goes on
     │   ├── CameraUnreachable     not found, or not answering
@@ -83,26 +78,6 @@ class CalibrationError(UserError):
 
 class Undetermined(CalibrationError):
     """Views, or poses and points of a robot, that leave open what was asked of them."""
-
-
-class SamePlace(Undetermined):
-    """Two of the points are nearly one."""
-
-
-class OnOneLine(Undetermined):
-    """The points lie on a line: the rotation about it stays open."""
-
-
-class TurnsMissing(Undetermined):
-    """The poses do not turn, or all of them about one axis."""
-
-
-class OtherUnits(CalibrationError):
-    """The lengths of both frames differ by the factor of another unit."""
-
-
-class Mirrored(CalibrationError):
-    """An axis has the wrong sign, or two are swapped."""
 
 
 class TeachError(UserError):

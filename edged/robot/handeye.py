@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError, TurnsMissing
+from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import (
     apply,
     invert,
@@ -128,14 +128,16 @@ def _check_motion(A: FloatArray) -> None:
     """Rotations about two different axes are needed; a shift alone says nothing about the board's place."""
     turns = turns_of(list(A))
     if turns.largest_rad < MIN_TURN_RAD:
-        raise TurnsMissing(
+        raise Undetermined(
             f"the flange turned by at most {np.degrees(turns.largest_rad):.1f}°: poses that only shift leave "
-            "the board's place open; turn the wrist by 20° or more"
+            "the board's place open; turn the wrist by 20° or more",
+            "turns_missing",
         )
     if not turns.are_enough:
-        raise TurnsMissing(
+        raise Undetermined(
             "all rotations of the flange are about one axis: the place along it stays open; turn about "
-            "another axis too"
+            "another axis too",
+            "turns_missing",
         )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.errors import CalibrationError, Mirrored, OnOneLine, OtherUnits, SamePlace
+from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 
 TWIN_SHARE = 0.005
@@ -150,12 +150,15 @@ def _check_spread(name: str, points: FloatArray) -> None:
     twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
     if len(twins):
         one, two = twins[0] + 1
-        raise SamePlace(f"points {one} and {two} are nearly the same place in the {name}'s frame")
+        raise Undetermined(
+            f"points {one} and {two} are nearly the same place in the {name}'s frame", "same_place"
+        )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < FLAT_SHARE * spread[0]:
-        raise OnOneLine(
+        raise Undetermined(
             f"the points lie on one line in the {name}'s frame: the rotation about it stays open; "
-            "touch a point beside it"
+            "touch a point beside it",
+            "on_one_line",
         )
 
 
@@ -163,8 +166,9 @@ def _check_units(scale: float) -> None:
     units = {1000.0: "µm", 0.001: "m", 0.1: "cm", 1 / 25.4: "inches"}
     for factor, unit in units.items():
         if abs(scale / factor - 1) < 0.05:
-            raise OtherUnits(
-                f"the robot's lengths are {scale:.4g} times the rig's: they look like {unit}, expected mm"
+            raise CalibrationError(
+                f"the robot's lengths are {scale:.4g} times the rig's: they look like {unit}, expected mm",
+                "other_units",
             )
 
 
@@ -175,6 +179,7 @@ def _check_hand(rig: FloatArray, robot: FloatArray) -> None:
     straight = fit_rigid(rig, robot).residuals_mm
     mirrored = fit_rigid(rig * [1.0, 1.0, -1.0], robot).residuals_mm
     if np.sqrt(np.mean(mirrored**2)) * MIRROR_GAIN < np.sqrt(np.mean(straight**2)):
-        raise Mirrored(
-            "the robot's points are the rig's in a mirror: one axis has the wrong sign, or two are swapped"
+        raise CalibrationError(
+            "the robot's points are the rig's in a mirror: one axis has the wrong sign, or two are swapped",
+            "mirrored",
         )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rigs import make_rig
 
+from edged.commissioning.registration import verdict
 from edged.commissioning.registration.verdict import Judged, judge_points, judge_poses
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of
@@ -96,6 +97,18 @@ def test_the_turn_that_poses_lack_is_told() -> None:
     assert ("", None) == (both.missing, both.trouble)
     tilts = [(round(one.tilt_deg, 6), round(one.azimuth_deg, 6)) for one in both.sky.values()]
     assert [(0, 0), (20, -90), (20, 0), (0, 0)] == tilts
+
+
+def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The linear algebra's own error has the code that the page has a sentence for."""
+
+    def fail(*_: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(verdict, "from_poses", fail)
+    judged = posed([(0, 0, 0), (20, 0, 0), (0, 20, 0), (0, 0, 30)])
+    assert judged.trouble is not None
+    assert ("calibration", "SVD did not converge") == (judged.trouble.code, judged.trouble.text)
 
 
 def test_poses_of_nobody_are_ranked_and_of_a_stranger_told() -> None:

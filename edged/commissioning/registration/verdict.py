@@ -22,7 +22,7 @@ from edged.commissioning.registration.registering import (
 from edged.commissioning.registration.sampling import TRIED, sigma_at
 from edged.domain.arrays import FloatArray
 from edged.domain.registration import UNKNOWN_6
-from edged.errors import CalibrationError, OtherUnits
+from edged.errors import CalibrationError
 from edged.robot.handeye import MIN_POSES, MIN_TURN_RAD, Mount, turns_of
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform_of
 from edged.robot.pendant import READING_CODES, brands_of, mm_per_unit
@@ -33,6 +33,8 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 
 LEAST_POINTS = 3
+UNSOLVED = "calibration"
+"""Of samples that give nothing, for a reason without a code of its own."""
 WRIST_SHARE = 0.7
 """A turn whose axis is nearer to the flange's own than this cosine turns the wrist; another one tilts it."""
 _UNITS_MM = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
@@ -157,7 +159,7 @@ def _of_points(
     error: CalibrationError, names: list[str], rig_mm: FloatArray, robot_mm: FloatArray, unit_mm: float
 ) -> Trouble:
     params: dict[str, str | float] = {}
-    if isinstance(error, OtherUnits):
+    if error.code == "other_units":
         ratio = _length_of(robot_mm) / _length_of(rig_mm) / unit_mm
         nearest = min(_UNITS_MM, key=lambda unit: abs(math.log(ratio * _UNITS_MM[unit])))
         params = {"unit": nearest}
@@ -166,7 +168,7 @@ def _of_points(
         twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
         if len(twins) and not params:
             params = {"one": names[twins[0][0]], "two": names[twins[0][1]]}
-    return Trouble(_code(error), str(error), params)
+    return Trouble(error.code or UNSOLVED, str(error), params)
 
 
 def _length_of(points: FloatArray) -> float:
@@ -204,8 +206,10 @@ def judge_poses(
     views = {name: view for name, (view, _) in posed.items()}
     try:
         solved = from_poses(rig, flanges, views, board, mount, limit_mm)
-    except (CalibrationError, np.linalg.LinAlgError) as error:
-        return replace(known, trouble=other or Trouble(_code(error), str(error)))
+    except CalibrationError as error:
+        return replace(known, trouble=other or Trouble(error.code or UNSOLVED, str(error)))
+    except np.linalg.LinAlgError as error:
+        return replace(known, trouble=other or Trouble(UNSOLVED, str(error)))
     found = solved.found
     rows = {
         name: Row(math.nan, held_mm, math.degrees(held_rad), bool(used))
@@ -329,9 +333,3 @@ def _too_few(there: int, least: int) -> Trouble:
 def _disagree(mm: float, limit_mm: float) -> Trouble:
     text = f"they disagree by {mm:.3f} mm, the limit is {limit_mm:g} mm"
     return Trouble("disagree", text, {"mm": mm, "limit": limit_mm})
-
-
-def _code(error: Exception) -> str:
-    """OnOneLine: "on_one_line"."""
-    name = type(error).__name__.removesuffix("Error")
-    return "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("_")
