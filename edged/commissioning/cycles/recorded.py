@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject, Status
 from edged.errors import FileFormatError
@@ -23,14 +25,14 @@ NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
 REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(BaseModel):
     """A recorded cycle. reasons : of `REASONS`; none of a good one.
 
     number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
     parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; None: there is none.
     """
 
+    model_config = ConfigDict(frozen=True)
     number: int
     at: str
     status: str
@@ -47,10 +49,10 @@ class Line:
     has_pictures: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Damaged:
-    """A recording that cannot be read."""
+class Damaged(BaseModel):
+    """A recording that cannot be read, and why."""
 
+    model_config = ConfigDict(frozen=True)
     file: str
     why: str
 
@@ -136,7 +138,7 @@ class Records:
             try:
                 known = _line(entry, *recording.load_snapshot(entry.path))
             except FileFormatError as error:
-                known = Damaged(name, str(error))
+                known = Damaged(file=name, why=str(error))
             self._known[name] = known
         return known
 

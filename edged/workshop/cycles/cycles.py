@@ -36,34 +36,6 @@ JPEG_QUALITY = 90
 T = TypeVar("T")
 
 
-class CycleLine(BaseModel):
-    """A recorded cycle in short; `Line` says what is what."""
-
-    model_config = ConfigDict(frozen=True, from_attributes=True)
-    number: int
-    at: str
-    status: str
-    cycle: int
-    kind: str
-    job: str
-    job_number: int
-    calibration: str
-    fingerprint: str
-    reasons: list[str]
-    parts: int
-    sigma_um: float | None
-    error: str
-    has_pictures: bool
-
-
-class DamagedLine(BaseModel):
-    """A recording that cannot be read, and why."""
-
-    model_config = ConfigDict(frozen=True, from_attributes=True)
-    file: str
-    why: str
-
-
 class CycleList(BaseModel):
     """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
 
@@ -72,8 +44,8 @@ class CycleList(BaseModel):
 
     model_config = ConfigDict(frozen=True)
     recorder: bool
-    cycles: list[CycleLine]
-    damaged: list[DamagedLine]
+    cycles: list[Line]
+    damaged: list[Damaged]
     counts: dict[str, int]
     has_more: bool
 
@@ -118,7 +90,7 @@ class JobLimits(BaseModel):
     contrast: float
 
 
-class CycleDocument(CycleLine):
+class CycleDocument(Line):
     """A recorded cycle with its features. folder : of its job, as the cell has it now; null: not any more.
 
     trouble : why there are none: "setup", its rig or job is not kept
@@ -216,8 +188,8 @@ class Cycles:
             return CycleList(recorder=False, cycles=[], damaged=[], counts={}, has_more=False)
         return CycleList(
             recorder=True,
-            cycles=[CycleLine.model_validate(one) for one in page.lines],
-            damaged=[DamagedLine.model_validate(one) for one in page.damaged],
+            cycles=list(page.lines),
+            damaged=list(page.damaged),
             counts=page.counts,
             has_more=page.has_more,
         )
@@ -228,7 +200,7 @@ class Cycles:
         line = records.line(entry)
         if isinstance(line, Damaged):
             raise FileFormatError(line.why)
-        facts = {**CycleLine.model_validate(line).model_dump(), "reference": ""}
+        facts = {**line.model_dump(), "reference": ""}
         nothing = dict.fromkeys(("folder", "limits", "now", "taught", "beside"))
         snapshot, _ = recording.load_snapshot(entry.path)
         try:
