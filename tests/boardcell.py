@@ -10,8 +10,9 @@ from typing import Any
 
 import aiohttp
 from boardpairs import pairs
+from browsersession import PASSWORD, BrowserSession, browsing
 from smallcell import free_port
-from webcell import HASH, PASSWORD
+from webcell import HASH
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
@@ -69,11 +70,7 @@ class BoardCell:
 
     async def ask(self, method: str, path: str, document: Any = None) -> tuple[int, Any]:
         """Status and answer below /api/v1, as the page asks."""
-        headers = {"Origin": f"http://127.0.0.1:{self.port}"}
-        asked = self.session.request(method, f"/api/v1{path}", json=document, headers=headers)
-        async with asked as answer:
-            is_json = answer.content_type.endswith("json")
-            return answer.status, await answer.json() if is_json else await answer.read()
+        return await BrowserSession(self.session).ask(method, f"/api/v1{path}", document)
 
     async def done(self, task: str) -> dict[str, Any]:
         """How a task ended."""
@@ -98,23 +95,11 @@ class BoardCell:
         loaded = load_any_cell(self.config)
         self.daemon = Daemon(self.config, loaded, world=self.world)
         task = asyncio.create_task(self.daemon.run())
-        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         try:
-            async with aiohttp.ClientSession(f"http://127.0.0.1:{self.port}", cookie_jar=jar) as self.session:
-                await self._log_in(task)
+            async with browsing(f"http://127.0.0.1:{self.port}") as self.session:
+                browser = BrowserSession(self.session)
+                await browser.log_in_once_it_listens("Anna", PASSWORD, lambda: not task.done())
                 yield
         finally:
             self.daemon.stop()
             await task
-
-    async def _log_in(self, task: asyncio.Task[None]) -> None:
-        while not task.done():
-            try:
-                async with self.session.post(
-                    "/login", data={"name": "Anna", "password": PASSWORD}, allow_redirects=False
-                ) as answer:
-                    assert 303 == answer.status
-                    return
-            except aiohttp.ClientConnectionError:
-                await asyncio.sleep(0.02)
-        await task

@@ -8,8 +8,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from browsersession import PASSWORD, BrowserSession
 from openapi_spec_validator import OpenAPIV31SpecValidator
-from webcell import PASSWORD, BrowserSession
 
 ROLES = ("viewer", "operator", "engineer")
 BASIC = "Basic " + base64.b64encode(f"edged:{PASSWORD}".encode()).decode()

@@ -7,11 +7,10 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
-import aiohttp
 import cv2
 import numpy as np
+from browsersession import PASSWORD, BrowserSession, Visitor, browsing
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
@@ -19,8 +18,6 @@ from edged.app.stage import StageRoutes
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
 from edged.sim.world import VirtualWorld
-
-PASSWORD = "correct horse"
 
 
 def free_port() -> int:
@@ -30,31 +27,12 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class Newcomer:
-    """A browser's session with a stage."""
+class Newcomer(Visitor):
+    """Somebody at a stage."""
 
-    def __init__(
-        self, world: VirtualWorld, session: aiohttp.ClientSession, port: int, daemon: Daemon
-    ) -> None:
-        self.world, self.session, self.daemon = world, session, daemon
-        self.origin = f"http://127.0.0.1:{port}"
-        self.token: dict[str, str] = {}
-
-    async def ask(self, method: str, path: str, document: Any = None, expected: int = 200) -> Any:
-        """The answer, as the page gets it."""
-        headers = {"Origin": self.origin}
-        async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
-            body = await answer.json() if answer.content_type.endswith("json") else None
-            assert expected == answer.status, body
-            return body
-
-    async def take(self) -> None:
-        """Log in and take the cell."""
-        async with self.session.post(
-            "/login", data={"name": USER, "password": PASSWORD}, allow_redirects=False
-        ) as answer:
-            assert "Location" in answer.headers
-        self.token = await self.ask("POST", "setup", {"name": "Anna"}, 201)
+    def __init__(self, browser: BrowserSession, world: VirtualWorld, daemon: Daemon) -> None:
+        super().__init__(browser)
+        self.world, self.daemon = world, daemon
 
     async def picture(self) -> dict[str, Image]:
         """A fresh pair."""
@@ -90,17 +68,10 @@ async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
         daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
         running = asyncio.create_task(daemon.run())
         try:
-            jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-            base = f"http://127.0.0.1:{ports[0]}"
-            async with aiohttp.ClientSession(base, cookie_jar=jar) as session:
-                newcomer = Newcomer(world, session, ports[0], daemon)
-                while True:
-                    try:
-                        await newcomer.take()
-                        break
-                    except aiohttp.ClientConnectorError:
-                        assert not running.done()
-                        await asyncio.sleep(0.02)
+            async with browsing(f"http://127.0.0.1:{ports[0]}") as session:
+                newcomer = Newcomer(BrowserSession(session), world, daemon)
+                await newcomer.browser.log_in_once_it_listens(USER, PASSWORD, lambda: not running.done())
+                await newcomer.take()
                 yield newcomer
         finally:
             daemon.stop()

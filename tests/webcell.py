@@ -8,13 +8,12 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import aiohttp
 import pytest
 from argon2 import PasswordHasher
+from browsersession import PASSWORD, BrowserSession, browsing
 from scriptedhead import Ear, Head, make_setup
-from yarl import URL
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
@@ -23,44 +22,10 @@ from edged.files.users import RoleName, User, UserFile
 from edged.robot.orientations import Convention
 from edged.workshop.plcroutes import PlcRoutes
 
-PASSWORD = "correct horse"
 HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
 """Cheap to check: many tests log in."""
 USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
 """All with the same password."""
-
-
-class BrowserSession:
-    """A browser that logs in and asks."""
-
-    def __init__(self, session: aiohttp.ClientSession) -> None:
-        self.session = session
-        self.origin = str(session._base_url).rstrip("/")  # noqa: SLF001  (what the browser would send)
-
-    async def ask(self, method: str, path: str, document: Any, **headers: str) -> tuple[int, Any]:
-        """Status and answer, as the page asks."""
-        sent = {"Origin": self.origin, **headers}
-        async with self.session.request(method, path, json=document, headers=sent) as answer:
-            return answer.status, await answer.json() if answer.content_type.endswith("json") else None
-
-    async def log_in(self, name: str = "Anna") -> None:
-        """With the form; "" with the page's password alone, which makes a viewer."""
-        assert await self.comes_in(name)
-
-    async def comes_in(self, name: str, password: str = PASSWORD) -> bool:
-        """Whether somebody can log in."""
-        form = {"name": name, "password": password}
-        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
-            return answer.headers["Location"] == "/"
-
-    def cookies(self) -> dict[str, str]:
-        """Of the session that is used now."""
-        return {cookie.key: cookie.value for cookie in self.session.cookie_jar}
-
-    def use(self, cookies: Mapping[str, str]) -> None:
-        """Another session from now on."""
-        self.session.cookie_jar.clear()
-        self.session.cookie_jar.update_cookies(cookies, URL(self.origin))
 
 
 class Cell(BrowserSession):
@@ -152,8 +117,7 @@ async def running(
         cycle.set_publishers([ear, web, *([] if plc is None else [plc])])
         task = asyncio.create_task(cycle.run())
         try:
-            jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-            async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
+            async with browsing(f"http://127.0.0.1:{web.port}") as session:
                 cell = Cell(cycle, web, head, ear, session, asleep_s, state)
                 cell.modbus = plc
                 seen.append(cell)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from browser import browser
+from browsersession import PASSWORD
 from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
-from stagecell import PASSWORD, Newcomer, run
+from stagecell import Newcomer, run
 
 from edged.adapters.aravis import aravis_missing
 from edged.commands.stage import USER

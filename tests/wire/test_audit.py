@@ -6,8 +6,9 @@ import asyncio
 import logging
 
 import pytest
+from browsersession import PASSWORD
 from scriptedhead import until
-from webcell import PASSWORD, Cell, run
+from webcell import Cell, run
 
 from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase

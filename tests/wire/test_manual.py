@@ -12,6 +12,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from browsersession import browsing
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
@@ -52,8 +53,7 @@ async def served(
     web = WebPublisher("cell", settings, nothing, manual=manual)
     await web.start()
     try:
-        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-        async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
+        async with browsing(f"http://127.0.0.1:{web.port}") as session:
             yield web, session
     finally:
         await web.close()

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 from argon2 import PasswordHasher
-from webcell import HASH, PASSWORD, Cell, run
+from browsersession import PASSWORD
+from webcell import HASH, Cell, run
 
 from edged.adapters.web.access import IDLE_S, Access
 from edged.adapters.web.visitors import Role

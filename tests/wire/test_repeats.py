@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from webcell import PASSWORD, Cell, run
+from browsersession import PASSWORD
+from webcell import Cell, run
 
 from edged.adapters.web.repeats import KEPT, KEPT_S, MAX_LETTERS
 

@@ -7,8 +7,9 @@ import base64
 import cv2
 import numpy as np
 import pytest
+from browsersession import PASSWORD
 from scriptedhead import until
-from webcell import PASSWORD, Cell, run
+from webcell import Cell, run
 
 from edged.domain.cell import CellPhase
 

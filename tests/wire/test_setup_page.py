@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 from browser import Browser, browser
+from browsersession import PASSWORD
 from scriptedhead import Ear, until
 from setuppage import (
     DIALOG,
@@ -22,7 +23,7 @@ from setuppage import (
     said,
     take,
 )
-from webcell import PASSWORD, Cell, running
+from webcell import Cell, running
 
 from edged.domain.cell import CellPhase
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 from browser import browser
+from browsersession import PASSWORD
 from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
-from stagecell import PASSWORD, Newcomer, run
+from stagecell import Newcomer, run
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig

@@ -12,10 +12,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from browser import Browser, browser
+from browsersession import PASSWORD
 from recordedcell import RecordingCell, exposures, record
 from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from smallcell import SmallCell
-from webcell import PASSWORD
 
 from edged.cellfiles import read_cell
 from edged.commissioning.calibration.drafts import Drafts, Solution

@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 from browser import Browser, browser
+from browsersession import PASSWORD
 from scriptedhead import Ear, until
 from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
-from webcell import PASSWORD, Cell, running
+from webcell import Cell, running
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 from browser import Browser, browser
+from browsersession import PASSWORD
 from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
-from stagecell import PASSWORD, Newcomer, run
+from stagecell import Newcomer, run
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 from browser import Browser, browser
+from browsersession import PASSWORD
 from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
-from stagecell import PASSWORD, Newcomer, staged
+from stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
@@ -78,7 +79,7 @@ class Stand:
 
     async def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The draft, as soon as the cell keeps it so."""
-        return await kept(self.newcomer, f"teachings/{self.draft}", is_so)
+        return await self.newcomer.until(f"teachings/{self.draft}", is_so)
 
     async def key(self, name: str, modifiers: int = 0, code: int = 0) -> None:
         """A key with others held."""
@@ -86,13 +87,6 @@ class Stand:
             await self.page.ask(
                 "Input.dispatchKeyEvent", type=kind, key=name, modifiers=modifiers, windowsVirtualKeyCode=code
             )
-
-
-async def kept(newcomer: Newcomer, place: str, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """What the cell answers there, as soon as it is so."""
-    while not is_so(document := await newcomer.ask("GET", place)):  # noqa: ASYNC110  (nothing else tells)
-        await asyncio.sleep(0.05)
-    return dict(document)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +101,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
         newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
         await newcomer.ask("PUT", "stage", {"showing": "part"})
         draft = (await newcomer.ask("POST", "teachings", newcomer.token, 201))["id"]
-        await kept(newcomer, f"teachings/{draft}", lambda document: document["proposing"] is None)
+        await newcomer.until(f"teachings/{draft}", lambda document: document["proposing"] is None)
         await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
         return newcomer, page, draft
 
@@ -326,7 +320,7 @@ def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(s
         assert [] == await page.violations()
         assert [] == await page.value(SMALL_TARGETS)
         await go(page, "jobs")
-        await kept(stand.newcomer, "trials", lambda now: not now["on"])
+        await stand.newcomer.until("trials", lambda now: not now["on"])
         await stand.open(360, 740, "?pseudo", "try", 'document.querySelector(".sigma-map text")')
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
@@ -357,20 +351,20 @@ def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> None:
         await page.type("dialog[open] [name=number]", "7")
         await page.type("dialog[open] [name=note]", "as the drawing calls it")
         await page.click("dialog[open] .primary")
-        await kept(stand.newcomer, "jobs", lambda now: "cover" in [job["name"] for job in now["jobs"]])
+        await stand.newcomer.until("jobs", lambda now: "cover" in [job["name"] for job in now["jobs"]])
         await page.until(said("cover"))
         await press(page, "Duplicate")
         await page.until(DIALOG)
         await page.type("dialog[open] [name=note]", "with another tolerance")
         await page.click("dialog[open] .primary")
-        await kept(stand.newcomer, "jobs", lambda now: len(now["jobs"]) == 2)
+        await stand.newcomer.until("jobs", lambda now: len(now["jobs"]) == 2)
         await page.until(said("cover-2"))
         await page.click(".versions summary")
         await page.until(said("me · with another tolerance"))
         await page.click(".lease button")
         await page.until(DIALOG)
         await page.click("dialog[open] .primary")
-        truth = await kept(stand.newcomer, "stage/truth", lambda now: now["error_mm"] is not None)
+        truth = await stand.newcomer.until("stage/truth", lambda now: now["error_mm"] is not None)
         assert "OK" == truth["status"]
         assert [0, 0, 0] == pytest.approx(truth["error_mm"], abs=0.02)
 

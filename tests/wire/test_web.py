@@ -20,6 +20,7 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
+from browsersession import browsing
 from cells import flange, frame_pair
 from livecell import GRASPS
 from snapshots import make_snapshot, make_target, make_transform
@@ -92,8 +93,7 @@ async def served(
     web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources())
     await web.start()
     try:
-        jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-        async with aiohttp.ClientSession(f"http://127.0.0.1:{web.port}", cookie_jar=jar) as session:
+        async with browsing(f"http://127.0.0.1:{web.port}") as session:
             yield web, session
     finally:
         await web.close()

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 from boardcell import BoardCell
+from browsersession import BrowserSession
 from everyroute import check_document, check_questions, check_roles
-from webcell import HASH, USERS, BrowserSession
+from webcell import HASH, USERS
 
 from edged.files.statefolder import state_folder
 from edged.files.users import User, UserFile

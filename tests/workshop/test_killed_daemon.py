@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import re
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import aiohttp
 import pytest
+from browsersession import BrowserSession, Visitor, browsing
 from smallcell import free_port
 
 from edged.commands.stage import USER
@@ -21,32 +20,8 @@ from edged.files.rig import load_rig
 BOARD = "chessboard:11x8:4"
 
 
-class Stage:
-    """A browser's session with one daemon."""
-
-    def __init__(self, process: asyncio.subprocess.Process, session: aiohttp.ClientSession) -> None:
-        self.process, self.session = process, session
-        self.token: dict[str, str] = {}
-
-    async def ask(self, method: str, path: str, document: Any = None) -> Any:
-        """The answer, as the page gets it."""
-        headers = {"Origin": str(self.session._base_url).rstrip("/")}  # noqa: SLF001  (what a browser sends)
-        async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
-            body = await answer.json() if answer.content_type.endswith("json") else None
-            assert answer.status < 300, body
-            return body
-
-    async def until(self, path: str, holds: Callable[[Any], object]) -> Any:
-        """The first answer of which something holds."""
-        while True:
-            document = await self.ask("GET", path)
-            if holds(document):
-                return document
-            await asyncio.sleep(0.05)
-
-    async def take(self) -> None:
-        """The cell, whoever had it before."""
-        self.token = await self.ask("POST", "setup", {"take_over": True})
+class Stage(Visitor):
+    """Somebody at a daemon of its own."""
 
     async def view(self, place: str) -> Any:
         """Hold the board where the draft wants it, at first in the middle, and take a pair."""
@@ -57,7 +32,7 @@ class Stage:
         wanted = {side: ghost[side] for side in ("left", "right") if ghost[side]}
         await self.ask("PUT", "stage/hand", wanted)
         await self.until("stage", lambda one: not one["moving"])
-        return await self.ask("POST", f"{place}/views", self.token)
+        return await self.ask("POST", f"{place}/views", self.token, 201)
 
 
 @asynccontextmanager
@@ -72,15 +47,10 @@ async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stag
         assert process.stdout is not None
         while (said := re.search(r"password (\S+)", (await process.stdout.readline()).decode())) is None:
             pass
-        origin, form = f"http://127.0.0.1:{ports[0]}", {"name": USER, "password": said[1]}
-        async with aiohttp.ClientSession(origin, cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
-            while True:
-                with contextlib.suppress(aiohttp.ClientConnectorError):
-                    async with session.post("/login", data=form, allow_redirects=False) as answer:
-                        assert 303 == answer.status
-                        break
-                await asyncio.sleep(0.05)
-            yield Stage(process, session)
+        async with browsing(f"http://127.0.0.1:{ports[0]}") as session:
+            cell = Stage(BrowserSession(session))
+            await cell.browser.log_in_once_it_listens(USER, said[1], lambda: process.returncode is None)
+            yield cell
     finally:
         process.kill()
         await process.wait()
@@ -94,7 +64,7 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
     async def taking(cell: Stage) -> None:
         await cell.take()
         await cell.ask("PUT", "stage", {"showing": "board", "still": True})
-        draft = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"})
+        draft = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"}, 201)
         kept["place"] = f"calibrations/{draft['id']}"
         for _ in range(3):
             kept["draft"] = await cell.view(kept["place"])
@@ -111,7 +81,7 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
         await cell.ask("PUT", "stage", {"showing": "board", "still": True})
         for _ in range(2):
             await cell.view(kept["place"])
-        task = (await cell.ask("POST", f"{kept['place']}/solve", {}))["task"]
+        task = (await cell.ask("POST", f"{kept['place']}/solve", {}, 202))["task"]
         await cell.until(f"tasks/{task}", lambda one: one["text"] != "waits for its turn")
 
     async def activating(cell: Stage) -> None:
@@ -119,7 +89,7 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
         assert (None, None, 5) == (draft["solved"], draft["task"], len(draft["views"]))
         assert not (tmp_path / "cell" / "rig.json").exists()
         await cell.take()
-        task = (await cell.ask("POST", f"{kept['place']}/solve", {}))["task"]
+        task = (await cell.ask("POST", f"{kept['place']}/solve", {}, 202))["task"]
         ended = await cell.until(f"tasks/{task}", lambda one: one["state"] != "running")
         assert ("done", None) == (ended["state"], ended["problem"])
         kept["release"] = await cell.ask("POST", f"{kept['place']}/activate", {**cell.token, "note": "first"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -51,11 +50,8 @@ class Registrar:
 
     async def judged(self) -> dict[str, Any]:
         """The draft, when all that it says is of the samples it has."""
-        while True:
-            self.document = await self.newcomer.ask("GET", self.place)
-            if not self.document["judging"]:
-                return self.document
-            await asyncio.sleep(0.02)
+        self.document = await self.newcomer.until(self.place, lambda draft: not draft["judging"])
+        return self.document
 
     async def shown(self, **where: float | str) -> dict[str, Any]:
         """What the robot's pendant shows."""
