@@ -216,6 +216,14 @@ def message(
     return {**origin, **body}
 
 
+def said(code: str, text: str, **values: Any) -> Json:
+    """A sentence in English, and its code for a page that has it in other languages, with what it needs.
+
+    Decimal numbers among the values are text, with the digits that are shown.
+    """
+    return {"code": code, "text": text, **values}
+
+
 def encode(document: Mapping[str, Any]) -> bytes:
     """JSON as ASCII bytes. Raises `ValueError` for a NaN that got past the functions above."""
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()

@@ -20,9 +20,14 @@ import numpy as np
 from benchcell import BenchCell, free_port
 from pageviewer import fetch_pictures
 
+from edged.adapters.web.assets import read_assets, run_modules
+
 ROUNDS = 3
 """Times without and with a viewer, in turn, so that a busy machine is busy for both."""
-FILES = ("/", "/static/app.js", "/static/style.css", "/static/icon.svg")
+FILES = (
+    *("/", "/static/run/run.css", "/static/icon.svg", "/static/setup/en.ftl", "/static/run/run.en.ftl"),
+    *(f"/static/{name}" for name in run_modules(read_assets())),
+)
 BROWSER_S = 30.0
 LOOK = """JSON.stringify({
   load_ms: performance.getEntriesByType("navigation")[0].loadEventEnd,

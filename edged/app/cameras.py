@@ -22,6 +22,7 @@ from edged.capture.stereohead import StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES, Side
 from edged.errors import ConfigError
+from edged.payload import Json, said
 from edged.ports import Camera
 from edged.session.cameras import CameraChanges
 
@@ -159,20 +160,33 @@ def _aravis(
     )
 
 
-def camera_facts(head: StereoHead) -> dict[str, str]:
+def camera_facts(head: StereoHead) -> dict[str, list[Json]]:
     """How the cameras are, for people; one that is lost stays in the list."""
-    facts = {camera.name: "not connected" for camera in head.cameras if isinstance(camera, AravisCamera)}
+    facts = {
+        camera.name: [said("not-connected", "not connected")]
+        for camera in head.cameras
+        if isinstance(camera, AravisCamera)
+    }
     for camera, health in _healths(head):
-        parts = [] if health.temperature_c is None else [f"{health.temperature_c:.1f} °C"]
-        bound = "" if health.clock_bound_ns is None else f", ±{health.clock_bound_ns * 1e-3:.0f} µs"
-        parts.append(f"clock: {'PTP' if health.ptp else 'free-running'}{bound}")
+        parts = []
+        if health.temperature_c is not None:
+            celsius = f"{health.temperature_c:.1f}"
+            parts.append(said("temperature", f"{celsius} °C", value=celsius))
+        kind = "PTP" if health.ptp else "free-running"
+        if health.clock_bound_ns is None:
+            parts.append(said(f"clock-{kind.lower()}", f"clock: {kind}"))
+        else:
+            bound = f"{health.clock_bound_ns * 1e-3:.0f}"
+            parts.append(said(f"clock-{kind.lower()}-within", f"clock: {kind}, ±{bound} µs", bound=bound))
         if health.gamma != 1.0:
-            parts.append(f"Gamma {health.gamma:g}")
+            parts.append(said("gamma", f"Gamma {health.gamma:g}", value=f"{health.gamma:g}"))
         if health.complete is not None:
-            parts.append(f"{health.complete} images, {health.failed or 0} damaged")
+            whole, damaged = str(health.complete), str(health.failed or 0)
+            parts.append(said("images", f"{whole} images, {damaged} damaged", whole=whole, damaged=damaged))
         if health.resent is not None:
-            parts.append(f"packets: {health.resent} resent, {health.lost or 0} lost")
-        facts[camera] = "; ".join(parts)
+            resent, lost = str(health.resent), str(health.lost or 0)
+            parts.append(said("packets", f"packets: {resent} resent, {lost} lost", resent=resent, lost=lost))
+        facts[camera] = parts
     return facts
 
 

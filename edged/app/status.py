@@ -17,6 +17,7 @@ from edged.app.cell import LoadedCell
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import CellFiles, UnfinishedCell
 from edged.cycle import Cycle
+from edged.payload import Json, said
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
 from edged.vision.geometry.uncertainty import calibration_covariance
@@ -46,13 +47,15 @@ def register_rows(modbus: Publisher | None) -> list[tuple[Register, Number]]:
 def facts(running: Running) -> dict[str, dict[str, Any]]:
     """What the status page says of the parts, group by group."""
     config, setup = running.loaded.cell.config, running.loaded.setup
-    registered = "yes" if setup.robot_from_rig is not None else "no: results are in the rig's frame"
+    registered = said("not-registered", "no: results are in the rig's frame")
+    if setup.robot_from_rig is not None:
+        registered = said("registered", "yes")
     if setup.flange_from_rig is not None:
-        registered = "on the flange: commands say where it is"
+        registered = said("on-flange", "on the flange: commands say where it is")
     groups: dict[str, dict[str, Any]] = {
         "Software": {"version": __version__, "configuration": setup.fingerprint},
         "Calibration": {
-            "id": setup.calibration_id or "none yet",
+            "id": setup.calibration_id or said("none-yet", "none yet"),
             "registered to the robot": registered,
             **_drift_facts(running),
         },
@@ -68,27 +71,44 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
     if (opcua := config.opcua) is not None and "opcua" in running.servers:
         groups["OPC UA"] = {
             "port": opcua.port,
-            "commands": "with a password" if opcua.password_hash else "none",
+            "commands": said("with-password", "with a password")
+            if opcua.password_hash
+            else said("none", "none"),
         }
     if zenoh is not None:
-        groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or "nothing"}
+        groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or said("nothing", "nothing")}
     if isinstance(recorder, Recorder):
         kept = recorder.figures
         groups["Recorder"] = {
-            "kept": f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
+            "kept": said(
+                "recordings",
+                f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
+                cycles=str(kept.kept),
+                megabytes=f"{kept.kept_bytes / 1e6:.0f}",
+            ),
             "skipped": kept.left_out,
             "failed": kept.failed,
         }
         if kept.problem:
-            groups["Recorder"]["problem"] = kept.problem
+            groups["Recorder"]["problem"] = said("own-words", kept.problem)
     return groups
 
 
-def _drift_facts(running: Running) -> dict[str, str]:
+def _drift_facts(running: Running) -> dict[str, Json | str]:
     drift = running.cycle.drift
-    rows = "–" if math.isnan(drift.rows_px) else f"{drift.rows_px:.3f} px"
-    length = "–" if math.isnan(drift.length_percent) else f"{drift.length_percent:+.3f} %"
-    return {"verdict": drift.verdict.name.lower(), "rows, mean": rows, "known length, mean": length}
+    verdict = drift.verdict.name.lower()
+    return {
+        "verdict": said(verdict, verdict),
+        "rows, mean": _figure(drift.rows_px, ".3f", "px"),
+        "known length, mean": _figure(drift.length_percent, "+.3f", "%"),
+    }
+
+
+def _figure(value: float, digits: str, unit: str) -> Json | str:
+    if math.isnan(value):
+        return "–"
+    text = format(value, digits)
+    return said("figure", f"{text} {unit}", value=text, unit=unit)
 
 
 def figures(running: Running) -> dict[str, tuple[str, float]]:

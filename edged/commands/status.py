@@ -68,6 +68,13 @@ def _in_words(state: dict[str, Any]) -> str:
     return f"{word}: {setup['by'] or 'nobody looks after it' if reason == 'person' else reason}"
 
 
+def _text(fact: Any) -> str:
+    """In English: a value, a sentence with its code, or several of them."""
+    if isinstance(fact, list):
+        return "; ".join(_text(one) for one in fact)
+    return str(fact["text"] if isinstance(fact, dict) else fact)
+
+
 def _print(document: dict[str, Any], console: Console) -> None:
     state, result = document.get("state") or {}, document.get("result")
     table = Table(show_header=False, title=f"cell {document['cell']}", title_justify="left")
@@ -80,8 +87,9 @@ def _print(document: dict[str, Any], console: Console) -> None:
             places = zip("XYZ", pose["position_mm"], pose["sigma_mm"], strict=True)
             table.add_row("position", "  ".join(f"{axis} {mm:.3f} ± {s:.4f} mm" for axis, mm, s in places))
     for group, facts in document.get("facts", {}).items():
-        table.add_row(group, ", ".join(f"{name} {value}" for name, value in facts.items()))
+        table.add_row(group, ", ".join(f"{name} {_text(value)}" for name, value in facts.items()))
     faults = document.get("faults", [])
     if faults:
-        table.add_row("last fault", f"cycle {faults[0]['cycle']}: {faults[0]['text']}")
+        why = ". ".join(_text(one) for one in faults[0]["why"])
+        table.add_row("last fault", f"cycle {faults[0]['cycle']}: {why}")
     console.print(table)

@@ -86,7 +86,8 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
     if times_ms:
         text += f", {statistics.median(times_ms):.0f} ms from trigger to both images"
         text += f", skew up to {max(skews_ms):.2f} ms"
-    text += "".join(f"; {side}: {fact}" for side, fact in facts.items())
+    for side, parts in facts.items():
+        text += f"; {side}: " + "; ".join(part["text"] for part in parts)
     if faults:
         return [
             Check(

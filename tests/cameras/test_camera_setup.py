@@ -169,17 +169,23 @@ def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
     run(script, left_camera())
 
 
+def texts_of(head: StereoHead) -> dict[str, list[str]]:
+    """What is said of each camera, in English."""
+    return {camera: [part["text"] for part in parts] for camera, parts in camera_facts(head).items()}
+
+
 def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
     """That they are not connected while they are closed; then temperature, clock, images, packets of both."""
     section = CamerasSection.model_validate({"left": {"device": LEFT}, "right": {"device": RIGHT}})
 
     async def script(head: StereoHead) -> None:
-        assert {"left": "not connected", "right": "not connected"} == camera_facts(head)
+        assert {"left": ["not connected"], "right": ["not connected"]} == texts_of(head)
         assert {} == camera_figures(head)
         await head.open()
-        facts, figures = camera_facts(head), camera_figures(head)
+        facts, figures = texts_of(head), camera_figures(head)
         assert {"left", "right"} == set(facts)
-        assert "41.5 °C; clock: free-running, ±" in facts["left"]
+        assert "41.5 °C" == facts["left"][0]
+        assert facts["left"][1].startswith("clock: free-running, ±")
         assert 41.5 == figures["camera_right_temperature_celsius"][1]
         assert 0.0 < figures["camera_left_clock_bound_seconds"][1] < 0.1
         assert 0 == figures["camera_left_images"][1]

@@ -67,8 +67,8 @@ def test_a_value_that_is_missing_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("index.html", {"setup": False}),
-        ("index.html", {"setup": True}),
+        ("index.html", {"setup": False, "modules": []}),
+        ("index.html", {"setup": True, "modules": ["run/run.js"]}),
         ("invite.html", {"min_length": 8}),
         ("login.html", {"users": False, "one": True}),
         ("login.html", {"users": True, "one": False}),

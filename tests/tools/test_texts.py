@@ -1,20 +1,34 @@
-"""The texts of the pages that set a cell up: complete in each language, and all of them used."""
+"""The texts of the pages: complete in each language, and all of them used."""
 
 from __future__ import annotations
 
+import inspect
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
-SETUP = Path(__file__).resolve().parents[2] / "edged" / "adapters" / "web" / "static" / "setup"
-SCRIPTS = {path.stem: path.read_text() for path in sorted(SETUP.rglob("*.js"))}
-ALL_SCRIPTS = "\n".join(SCRIPTS.values())
+from edged.app import status
+from edged.app.cameras import camera_facts
+from edged.app.status import facts
+from edged.domain.cell import CellPhase
+from edged.domain.measurement import Reject, Status
+from edged.errors import CaptureError
+from edged.pictures.captions import REASONS, REMEDIES
+from edged.robot.orientations import Convention
+
+WEB = Path(__file__).resolve().parents[2] / "edged" / "adapters" / "web"
+SETUP, RUN = WEB / "static" / "setup", WEB / "static" / "run"
+SCRIPTS = {path.stem: path.read_text() for path in sorted([*SETUP.rglob("*.js"), *RUN.rglob("*.js")])}
+FRAME = (WEB / "templates" / "index.html").read_text()
+"""Of the Run page: its texts are named there."""
+ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME])
 ENTRY = re.compile(r"^([a-z][a-z0-9-]*) =(.*(?:\n[ }].*)*)", re.MULTILINE)
 VALUE = re.compile(r"\$(\w+)")
 PAGES = sorted({path.name.split(".")[0] for path in (SETUP / "pages").glob("*.ftl")})
-PARTS = ["", *PAGES]
-"""Files of texts: around the pages, and of each page."""
+PARTS = ["", "run", *PAGES]
+"""Files of texts: around the pages that set a cell up, of the Run page, and of each of them."""
 
 
 def families(script: str) -> set[str]:
@@ -28,7 +42,8 @@ FAMILIES = families(ALL_SCRIPTS)
 
 def entries(part: str, language: str) -> list[tuple[str, str]]:
     """Ids and texts of a file, in its order."""
-    path = SETUP / "pages" / f"{part}.{language}.ftl" if part else SETUP / f"{language}.ftl"
+    folder = SETUP / "pages" if part in PAGES else RUN if part else SETUP
+    path = folder / (f"{part}.{language}.ftl" if part else f"{language}.ftl")
     return [(name, text) for name, text in ENTRY.findall(path.read_text())]
 
 
@@ -65,7 +80,7 @@ def test_no_text_stands_twice(language: str) -> None:
     assert len(names) == len(set(names))
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", ["run", *PAGES])
 def test_every_text_that_a_page_asks_for_comes_with_it(page: str) -> None:
     """Whole ids are in its file or that around the pages; of a family (step-NAME) at least two are."""
     there = {**ENGLISH[""], **ENGLISH[page]}
@@ -74,6 +89,64 @@ def test_every_text_that_a_page_asks_for_comes_with_it(page: str) -> None:
             assert name in there, script
         for start in families(SCRIPTS[script]):
             assert 2 <= sum(name.startswith(start) for name in there), (script, start)
+
+
+def test_every_text_of_the_run_pages_frame_is_there() -> None:
+    """Whatever can be read or heard in it is named; and nothing is written into it."""
+    there = {**ENGLISH[""], **ENGLISH["run"]}
+    named = re.findall(r'data-(?:text|label)="([^"]+)"', FRAME)
+
+    assert len(named) > 30
+    assert [] == [name for name in named if name not in there]
+    assert "aria-label=" not in FRAME
+
+
+def spoken(family: str) -> set[str]:
+    """What the Run page has a text for, of a family."""
+    return {name.removeprefix(family) for name in ENGLISH["run"] if name.startswith(family)}
+
+
+def coded(names: Iterable[str | None]) -> set[str]:
+    """As they stand in ids."""
+    return {re.sub("[^a-z0-9]+", "-", (name or "").lower()) for name in names}
+
+
+def test_the_run_page_has_a_sentence_for_each_code() -> None:
+    """Every status, reason, fault, phase and convention; in English the sentences of the command line."""
+    english = ENGLISH["run"]
+    faults = {str(one.code) for one in subclasses(CaptureError)}
+    assert {"100", "112"} <= faults
+    assert faults | {"other"} == spoken("run-fault-")
+    assert coded(Status) == spoken("run-status-")
+    assert coded(one.name for one in Convention) == spoken("run-convention-")
+    assert coded(f"state-{phase}" for phase in CellPhase) <= set(ENGLISH[""])
+    assert coded(one.name for one in Reject if one) == spoken("run-reject-")
+    for family, told in (("run-reject-", REASONS), ("run-try-", REMEDIES)):
+        for bit, words in told.items():
+            (code,) = coded([bit.name])
+            assert words == english[f"{family}{code}"].strip()
+    assert coded(one.name for one in REMEDIES) | {"look"} == spoken("run-try-")
+
+
+def test_the_run_page_has_a_text_for_each_fact() -> None:
+    """For the name of each group and fact, and for each value that is a sentence; and for no other."""
+    sources = [inspect.getsource(made) for made in (facts, status._drift_facts)]  # noqa: SLF001  (part of it)
+    groups = re.findall(r"groups(?:: .*)? = \{|groups\[\"([^\"]+)\"\]", "".join(sources))
+    names = {*filter(None, groups), *re.findall(r"\"([^\"]+)\": ", "".join(sources))}
+    names |= set(re.findall(r"\]\[\"([^\"]+)\"\] = ", "".join(sources)))
+    told = "".join([*sources, inspect.getsource(camera_facts)])
+    codes = set(re.findall(r"said\(\s*\"([^\"]+)\"", told)) - {"own-words"}
+    codes |= {"holds", "drifts", "invalid"} | {f"clock-{kind}" for kind in ("ptp", "free-running")}
+    codes |= {f"clock-{kind}-within" for kind in ("ptp", "free-running")}
+
+    assert {"version", "Zenoh", "Recorder"} <= names
+    assert coded(names) | {"left", "right"} == spoken("run-fact-")
+    assert codes == spoken("run-told-")
+
+
+def subclasses(kind: type[CaptureError]) -> list[type[CaptureError]]:
+    """It, and all that are made of it."""
+    return [kind, *(one for child in kind.__subclasses__() for one in subclasses(child))]
 
 
 def test_every_text_around_the_pages_is_there() -> None:

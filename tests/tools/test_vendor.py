@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import posixpath
 import re
 import shutil
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from edged.adapters.web.assets import in_shell, read_assets, type_of
+from edged.adapters.web.assets import in_shell, read_assets, run_modules, type_of
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "edged" / "adapters" / "web" / "static"
@@ -19,6 +20,8 @@ SHELL_BYTES = 150_000
 """What a browser loads at most before somebody can set a cell up."""
 PAGE_BYTES = 80_000
 """What it loads for one step."""
+RUN_BYTES = 100_000
+"""What it loads at most to look at a cell that runs."""
 
 
 @pytest.mark.parametrize("folder", VENDORED, ids=lambda folder: folder.name)
@@ -76,7 +79,7 @@ def test_the_shell_is_small_and_so_is_each_page() -> None:
     texts = {name: size for name, size in sizes.items() if name.endswith(".ftl")}
     shell = sum(size for name, size in sizes.items() if in_shell(name) and name not in texts)
     shell += max(size for name, size in texts.items() if in_shell(name))
-    pages = {PurePosixPath(name).name.split(".")[0] for name in texts if not in_shell(name)}
+    pages = {PurePosixPath(name).name.split(".")[0] for name in texts if name.startswith("setup/pages/")}
     loaded = dict.fromkeys(pages, 0)
     for page in pages:
         names, wanted = set[str](), [f"setup/pages/{page}.js"]
@@ -90,3 +93,20 @@ def test_the_shell_is_small_and_so_is_each_page() -> None:
 
     assert shell + loaded["welcome"] <= SHELL_BYTES
     assert {} == {page: size for page, size in loaded.items() if size > PAGE_BYTES}
+
+
+def test_the_run_page_is_light() -> None:
+    """Everything that it is made of is named to the browser at once, and is little."""
+    assets = read_assets()
+    scripts = run_modules(assets)
+    imported = set[str]()
+    for name in scripts:
+        folder = PurePosixPath(name).parent
+        for other in re.findall(r'from "([./]+[\w/]+\.js)"', assets[name]):
+            imported.add(posixpath.normpath(folder / other))
+    texts = max(
+        len((assets[f"setup/{tag}.ftl"] + assets[f"run/run.{tag}.ftl"]).encode()) for tag in ("en", "de")
+    )
+
+    assert imported <= set(scripts)
+    assert sum(len(assets[name].encode()) for name in [*scripts, "run/run.css"]) + texts <= RUN_BYTES

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import shutil
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -11,18 +12,29 @@ import numpy as np
 import pytest
 from browser import Browser, browser
 from cells import flange, frame_pair
+from setuppage import TOO_WIDE, UNTRANSLATED
 from snapshots import make_snapshot, make_target
 from wire.test_web import sources
 
 from edged.adapters.web import WebPublisher, WebSettings
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import ExposureDone
-from edged.domain.measurement import Reject, Status
+from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
+from edged.payload import said
 from edged.vision.geometry.rectification import make_rectification
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
 
 BOX = 'document.querySelector("#largeleft").getAttribute("viewBox").split(" ").map(Number)'
+FACTS = {
+    "Software": {"version": "1.2.3", "configuration": "12ab"},
+    "Cameras": {
+        "source": "gige",
+        "left": [said("temperature", "41.5 °C", value="41.5"), said("clock-ptp", "clock: PTP")],
+    },
+    "Calibration": {"rows, mean": said("figure", "0.120 px", value="0.120", unit="px"), "id": "demo"},
+    "Recorder": {"problem": said("own-words", "No space left on device")},
+}
 OPEN = 'document.querySelector("#viewer").open'
 
 
@@ -46,18 +58,24 @@ def on_the_page(
     width: int = 1400,
     height: int = 900,
     limit_mm: float = 0.2,
+    query: str = "",
 ) -> None:
     """Run a test on a filled page; nothing may be refused by its own security policy, or fail unseen."""
 
     async def bounded() -> None:
         rectification = make_rectification(flange().rig)
-        asked = replace(sources(), rectification=lambda: rectification, limits=lambda: {1: limit_mm})
+        asked = replace(
+            sources(),
+            rectification=lambda: rectification,
+            limits=lambda: {1: limit_mm},
+            facts=lambda: FACTS,
+        )
         web = WebPublisher("cell", WebSettings(port=0), asked)
         await web.start()
         try:
             fill(web)
             async with asyncio.timeout(60), browser() as page:
-                await page.open(f"http://127.0.0.1:{web.port}/", width, height)
+                await page.open(f"http://127.0.0.1:{web.port}/{query}", width, height)
                 await page.until('document.querySelector("#left image[href]")')
                 await test(page, web)
                 assert [] == page.complaints
@@ -153,6 +171,106 @@ def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
         assert "more views of the board" in await page.value('document.querySelector("#budget").textContent')
 
     on_the_page(test, limit_mm=(y + z) / 2e3)
+
+
+def fail(web: WebPublisher) -> None:
+    """In every way that has words of its own."""
+    match, pair = Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91), frame_pair(flange().left, flange().right)
+    nothing = make_snapshot(20, Status.NO_TARGET)
+    web.announce(replace(nothing, dismissed=(NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)))
+    web.announce(replace(nothing, cycle=21, nearest=Nearest(lambda: NearMiss(match, 0.95))))
+    web.announce(ExposureDone(22, None, pair))
+    web.announce(make_snapshot(22, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT | Reject.KEEP_OUT),)))
+    error = {"error": "camera left: no image within 200 ms", "error_code": 104}
+    web.announce(replace(make_snapshot(23, Status.CAPTURE_FAULT), **error))
+
+
+def words(text: str) -> set[str]:
+    """Of three letters and more."""
+    return set(re.findall(r"[^\W\d_]{3,}", text))
+
+
+READ = """(() => {
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [...document.querySelectorAll("[aria-label]")].map((e) => e.getAttribute("aria-label"));
+  for (let node; (node = texts.nextNode()); )
+    if (!node.parentElement.closest("[translate=no], script, noscript")) found.push(node.textContent);
+  return [...found, document.querySelector("#find").placeholder].join("\\n"); })()"""
+"""What can be read or heard, but for names, values and the cell's own words."""
+STRETCHED = 'document.querySelector("#find").placeholder.includes("⟦")'
+TEXTS = """fetch("/static/%s.ftl").then((answer) => answer.text())"""
+LANGUAGE = """(() => { const list = document.querySelector("#language"); list.value = "%s";
+  list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
+
+
+def test_it_speaks_german_throughout() -> None:
+    """As chosen, and after a reload: every word that can be read stands in the German texts; numbers have
+    their comma; a browser in English says the same by the English texts.
+    """
+
+    async def test(page: Browser, web: WebPublisher) -> None:
+        fail(web)
+        web.announce(CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "camera left: late", 104))
+        await page.value('document.querySelector("#registers").open = true')
+        await page.until('document.querySelector("#words tr")')
+        for tag, badge, count in (("en", "FAULT", "41.5 °C"), ("de", "FEHLER", "41,5 °C")):
+            await page.value(LANGUAGE % tag)
+            await page.until(f'document.querySelector("#badge").textContent === "{badge}"')
+            if tag == "de":
+                await page.ask("Page.reload")
+                await page.until(
+                    'document.querySelector("#badge")?.textContent === "FEHLER"'
+                    ' && document.querySelectorAll("#faults li").length > 5'
+                )
+            assert tag == await page.value("document.documentElement.lang")
+            texts = "".join([await page.value(TEXTS % name) for name in (f"setup/{tag}", f"run/run.{tag}")])
+            read = await page.value(READ)
+            assert len(words(read)) > 80
+            assert set() == words(read) - words(texts)
+            assert count in read
+
+    on_the_page(test)
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_no_word_is_written_into_the_page(width: int) -> None:
+    """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits; of
+    a good result, a bad one and a fault, with a cycle enlarged. axe finds nothing.
+    """
+    known = replace(make_target(), by_edges=0.36 * make_target().covariance)
+
+    async def test(page: Browser, web: WebPublisher) -> None:
+        web.announce(make_snapshot(12, Status.OK, (known,)))
+        await page.until('document.querySelectorAll("#budget .bars svg").length === 3')
+        await page.value('document.querySelectorAll("details").forEach((one) => (one.open = true))')
+        await page.until(f'document.querySelector("#words tr") && {STRETCHED}')
+        assert [] == await page.value(UNTRANSLATED)
+        fail(web)
+        await page.until('document.querySelector("#faults").textContent.includes("200 ms")')
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+        assert [] == await page.violations()
+        await page.click("#recent button")
+        await page.until(OPEN)
+        assert [] == await page.value(UNTRANSLATED)
+        assert [] == await page.violations()
+
+    on_the_page(test, width, 844, query="?pseudo")
+
+
+def test_a_lost_cell_is_not_shown_as_present() -> None:
+    """Also where the language is chosen meanwhile."""
+
+    async def test(page: Browser, web: WebPublisher) -> None:
+        await page.value(LANGUAGE % "de")
+        await page.until('document.documentElement.lang === "de"')
+        await web.close()
+        await page.until('document.querySelector("#badge").textContent === "keine Verbindung"')
+        await page.value(LANGUAGE % "en")
+        await page.until('document.querySelector("#badge").textContent === "no connection"')
+        page.complaints.clear()  # of the connection
+
+    on_the_page(test)
 
 
 @pytest.mark.parametrize("width", [390, 768, 1400])

@@ -93,7 +93,9 @@ def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
 
 
 def test_the_page_speaks_as_it_is_told() -> None:
-    """The language is chosen at once and kept; numbers are written, and read, as people write them."""
+    """The language is chosen at once and kept, also with the user and for the Run page, where it is chosen
+    likewise; numbers are written, and read, as people write them.
+    """
 
     async def test(page: Browser, cell: Cell) -> None:
         await page.value(
@@ -110,6 +112,20 @@ def test_the_page_speaks_as_it_is_told() -> None:
             "import('/static/setup/texts.js').then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
         )
         assert [] == await page.value(wrong % "['1.000,5', '', '4 mm', '1e3', '.', '--1']")
+
+        await page.value("localStorage.clear()")  # another screen: only the user's record is left
+        await page.open(f"{cell.origin}/", 1280, 900)
+        await page.until(said("Letzte Zyklen"))
+        await page.value(
+            """(() => { const list = document.querySelector("#language"); list.value = "en";
+            list.dispatchEvent(new Event("change")); })()"""
+        )
+        await page.until(said("Last cycles"))
+        await page.value(
+            """(async () => { while ((await (await fetch("/api/v1/me")).json()).language !== "en"); })()"""
+        )
+        await page.open(f"{cell.origin}/setup", 1280, 900)
+        await page.until(f'document.querySelector("#state") && {STATE} === "READY"')
 
     on_the_page(test)
 

@@ -85,6 +85,11 @@ def measure(web: WebPublisher | Page, cycle: int, status: Status = Status.OK, er
     take(replace(make_snapshot(cycle, status), error=error, error_code=104 if error else 0))
 
 
+def words(fault: Mapping[str, Any]) -> str:
+    """What a fault says in English."""
+    return ". ".join(one["text"] for one in fault["why"])
+
+
 @asynccontextmanager
 async def served(
     settings: WebSettings | None = None, asked: Sources | None = None
@@ -332,7 +337,7 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
     measure(page, 50)
 
     faults = page.status()["faults"]
-    assert [(fault["cycle"], fault["text"], fault["has_picture"], fault["times"]) for fault in faults] == [
+    assert [(fault["cycle"], words(fault), fault["has_picture"], fault["times"]) for fault in faults] == [
         (2, "cable", False, 48),
         (1, "", True, 1),
     ]
@@ -391,7 +396,7 @@ def test_a_cycle_can_be_asked_for() -> None:
             async with session.get("/cycle/5.json") as answer:
                 shown = await answer.json()
             assert (5, "LOW_QUALITY", "flange") == (shown["cycle"], shown["status"], shown["job"])
-            assert "sigma" in shown["text"]
+            assert ["SIGMA_LIMIT"] == [one["code"] for one in shown["why"]]
             assert [False] == [mark["good"] for mark in shown["picture"]["marks"]]
             async with session.get("/cycle/6.json") as answer:
                 assert 404 == answer.status
@@ -452,26 +457,29 @@ def test_the_log_in_names_the_cell() -> None:
 def test_why_nothing_was_found_reaches_the_page() -> None:
     """A match that could not be measured, with its place; else the best score, where, and what to try."""
     page, match = Page("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
-    for cycle, found, expected in (
+    for cycle, code, found, expected in (
         (
             1,
+            "SEEN",
             {"dismissed": (NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)},
             r"512, 300 px .*LEFT_RIGHT_MISMATCH.*Try",
         ),
         (
             2,
+            "NEAREST",
             {"nearest": Nearest(lambda: NearMiss(replace(match, score=0.52), 0.6))},
             r"0\.52 at 512, 300 px, 0\.60 is needed\. Try",
         ),
-        (3, {}, r"nothing in the left picture is like the part\. Try"),
+        (3, "NOTHING", {}, r"nothing in the left picture is like the part\. Try"),
     ):
         page.take(replace(make_snapshot(cycle, Status.NO_TARGET), **found))
         for question in set(page.questions()):
             assert [] == page.status()["why"]  # not yet: it would be a guess
             question.ask()
         (line,) = page.status()["why"]
-        assert re.search(expected, line)
-        assert line == page.status()["faults"][0]["text"] or cycle > 1
+        assert code == line["code"]
+        assert re.search(expected, line["text"])
+        assert [line] == page.status()["faults"][0]["why"] or cycle > 1
 
 
 def test_only_a_viewer_has_the_cell_look_again() -> None:
@@ -488,7 +496,7 @@ def test_only_a_viewer_has_the_cell_look_again() -> None:
             for _ in range(2):
                 async with session.get("/status.json") as answer:
                     (line,) = (await answer.json())["why"]
-                    assert "nothing in the left picture is like the part" in line
+                    assert "nothing in the left picture is like the part" in line["text"]
             (thread,) = looks
             assert thread.startswith("web")  # never the loop's, which has the PLC to answer
 
@@ -505,7 +513,7 @@ def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPat
     assert {asked[1]} == set(shown.questions())
     assert asked[0].ask() is None
     assert not asked[0].answered
-    assert "" == shown.status()["faults"][1]["text"]
+    assert [] == shown.status()["faults"][1]["why"]
 
 
 def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -530,7 +538,8 @@ def test_why_a_target_was_not_good_is_in_words() -> None:
     page = Page("cell", sources())
     page.take(make_snapshot(1, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
 
-    assert page.status()["faults"][0]["text"] == "sigma over its limit"
+    (why,) = page.status()["faults"][0]["why"]
+    assert {"code": "SIGMA_LIMIT", "text": "sigma over its limit"} == why
     assert page.history()[0].get("position_mm") is None
 
 
@@ -576,7 +585,7 @@ def test_without_a_session_only_the_form_is_shown() -> None:
                 "/registers.json",
                 "/metrics",
                 "/picture/1/left",
-                "/static/app.js",
+                "/static/run/run.js",
             ):
                 async with session.get(path) as answer:
                     assert answer.status == 401, path

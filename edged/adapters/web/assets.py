@@ -8,6 +8,8 @@ from pathlib import PurePosixPath
 
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".ftl": "text/plain"}
 """By the end of the name; what ends otherwise (licences, check sums) is for who looks into the package."""
+SHARED = ("setup/api.js", "setup/texts.js", "vendor/ui.js")
+"""Scripts that the Run page has in common with those that set the cell up."""
 
 
 def read_assets() -> dict[str, str]:
@@ -33,6 +35,11 @@ def type_of(name: str) -> str:
 def in_shell(name: str) -> bool:
     """Whether it stands around the pages that set a cell up; a page comes when it is entered."""
     return name.startswith(("setup/", "vendor/")) and not name.startswith("setup/pages/")
+
+
+def run_modules(assets: Iterable[str]) -> list[str]:
+    """Scripts of the Run page, all at once likewise."""
+    return sorted([*SHARED, *(name for name in assets if name.startswith("run/") and name.endswith(".js"))])
 
 
 def modules(assets: Iterable[str]) -> list[str]:

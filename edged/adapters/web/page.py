@@ -22,10 +22,10 @@ from edged.domain.arrays import SIDES, Side
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import CommandKind, Event, ExposureDone, Snapshot
 from edged.domain.frames import FramePair
-from edged.domain.measurement import Nearest, Status, Target
+from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Status, Target
 from edged.logs import RELAPSE_S
-from edged.payload import Json, snapshot_to_json, state_to_json
-from edged.pictures.captions import reasons, why_nothing
+from edged.payload import Json, reject_names, said, snapshot_to_json, state_to_json
+from edged.pictures.captions import REASONS, why_nothing
 from edged.plc.registers import Number, Register
 from edged.plc.registers.readings import meaning_of, text_of
 from edged.robot.orientations import Convention
@@ -82,8 +82,9 @@ class Overview:
 class Sources:
     """Where the page gets what events do not tell; called on the event loop, at once.
 
-    rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value, as they are
-    shown.  registers : each with its value; empty without a Modbus server.
+    rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value: as it is
+    shown, or what `payload.said` made, or a list of such.
+    registers : each with its value; empty without a Modbus server.
     metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
     overview : for who sets the cell up.  fingerprint : of what the cell runs by.  limits : of the sigma of
     each job's coordinates, mm, by its number.
@@ -361,16 +362,38 @@ def _trend(snapshot: Snapshot) -> Json:
     return point
 
 
-def _why(snapshot: Snapshot) -> list[str]:
-    """What is wrong with a cycle, in words; nothing with a good one, and with one that took pictures only."""
+def _why(snapshot: Snapshot) -> list[Json]:
+    """What is wrong with a cycle; nothing with a good one, and with one that took pictures only."""
     if snapshot.error:
-        return [snapshot.error]
+        return [said("ERROR", snapshot.error, number=snapshot.error_code)]
     if snapshot.status is Status.NO_TARGET:
         grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
         if grabbed or (snapshot.nearest is not None and not snapshot.nearest.answered):
             return []
-        return why_nothing(snapshot.dismissed, None if snapshot.nearest is None else snapshot.nearest.answer)
-    return sorted({words for t in snapshot.targets if t.reject for words in reasons(t.reject)})
+        return _why_nothing(snapshot.dismissed, None if snapshot.nearest is None else snapshot.nearest.answer)
+    rejected = [target.reject for target in snapshot.targets]
+    return [
+        said(bit.name or "", words)
+        for bit, words in REASONS.items()
+        if any(reject & bit for reject in rejected)
+    ]
+
+
+def _why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> list[Json]:
+    lines = why_nothing(dismissed, nearest)
+    if dismissed:
+        return [
+            said("SEEN", line, **_place(one.match), reject=reject_names(one.reject))
+            for line, one in zip(lines, dismissed, strict=True)
+        ]
+    if nearest is not None:
+        needed = f"{nearest.needed_score:.2f}"
+        return [said("NEAREST", line, **_place(nearest.match), needed=needed) for line in lines]
+    return [said("NOTHING", line) for line in lines]
+
+
+def _place(match: Match) -> Json:
+    return {"x_px": f"{match.x_px:.0f}", "y_px": f"{match.y_px:.0f}", "score": f"{match.score:.2f}"}
 
 
 def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json | None:
@@ -407,6 +430,6 @@ def _fault(shown: Shown) -> Json:
         "times": shown.times,
         "last_ns": shown.last_ns,
         "status": str(snapshot.status),
-        "text": ". ".join(_why(snapshot)),
+        "why": _why(snapshot),
         "has_picture": shown.pair is not None,
     }

@@ -21,7 +21,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.access import Access, TooManyAttempts
-from edged.adapters.web.assets import modules, read_assets, type_of
+from edged.adapters.web.assets import modules, read_assets, run_modules, type_of
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
@@ -141,7 +141,9 @@ class WebPublisher:
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._assets = read_assets()
         self._html = {"nomanual": render("nomanual.html", __package__, cell=cell)}
-        self._html["index"] = render("index.html", __package__, cell=cell, setup=is_set_up)
+        self._html["index"] = render(
+            "index.html", __package__, cell=cell, setup=is_set_up, modules=run_modules(self._assets)
+        )
         self._runner: web.AppRunner | None = None
         self._door: Door | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)

@@ -70,7 +70,7 @@ export async function enter({ id, load }) {
   if (come.value[id]) return;
   let page;
   try {
-    [{ default: page }] = await Promise.all([load(), learn(id)]);
+    [{ default: page }] = await Promise.all([load(), learn(`setup/pages/${id}`)]);
   } catch {
     throw new Problem({ code: "page" });
   }

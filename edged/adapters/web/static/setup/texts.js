@@ -4,9 +4,9 @@ import { computed, FluentBundle, FluentResource, signal } from "../vendor/ui.js"
 export const LANGUAGES = { en: "English", de: "Deutsch" };
 const PSEUDO = new URLSearchParams(location.search).has("pseudo");
 const KEPT = "edged.language";
-const parts = new Set([""]); // what is spoken: around the pages, and of each page that was entered
+const parts = new Set(["setup/"]); // what is spoken: around the pages, and of each page that was entered
 const resources = new Map(); // of a file's path
-const path = (part, tag) => (part ? `pages/${part}.${tag}` : tag);
+const path = (part, tag) => `/static/${part}${part.endsWith("/") ? "" : "."}${tag}.ftl`;
 export const language = signal("en");
 
 const heard = signal(0); // counts files: a bundle made before is made again
@@ -28,11 +28,11 @@ function stretched(text) {
 
 async function load(part, tag) {
   if (resources.has(path(part, tag))) return;
-  const answer = await fetch(`/static/setup/${path(part, tag)}.ftl`);
+  const answer = await fetch(path(part, tag));
   if (answer.ok) resources.set(path(part, tag), new FluentResource(await answer.text()));
 }
 
-// The texts of a page, before it is shown.
+// The texts of a page, as "setup/pages/teach", before it is shown.
 export async function learn(part) {
   await load(part, language.value);
   parts.add(part);

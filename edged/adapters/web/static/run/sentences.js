@@ -1,0 +1,44 @@
+// What the cell says by codes and by figures, as sentences.
+import { data, detail, element } from "./dom.js";
+import { has, language, number, t } from "../setup/texts.js";
+
+const coded = (code) => code.toLowerCase().replaceAll(/[^a-z0-9]+/gi, "-");
+export const statusOf = (status) => t(`run-status-${coded(status)}`);
+export const kindOf = (status) => (status === "OK" ? "good" : status === "CAPTURE_FAULT" ? "bad" : "warn");
+const rejects = (codes) => codes.map((code) => t(`run-reject-${coded(code)}`)).join(", ");
+
+// Numbers that come as text have the digits that are shown.
+const figure = (text) => (/^[-+]?\d+(\.\d+)?$/.test(text) ? `${text.startsWith("+") ? "+" : ""}${number(Number(text), (text.split(".")[1] ?? "").length)}` : text);
+const figures = (values) => Object.fromEntries(Object.entries(values).map(([name, value]) => [name, typeof value === "string" ? figure(value) : value]));
+
+// The hours as the browser's owner writes them, where that is the language of the page.
+export function clock(ns) {
+  if (!ns) return "–";
+  const tag = navigator.languages.find((one) => one.split("-")[0] === language.value) ?? language.value;
+  return new Date(ns / 1e6).toLocaleTimeString(tag);
+}
+
+export const fault = (code) => t(has(`run-fault-${code}`) ? `run-fault-${code}` : "run-fault-other");
+
+const REMEDIED = ["FEW_EDGES", "RESIDUAL", "SIGMA_LIMIT", "LEFT_RIGHT_MISMATCH", "OUT_OF_VOLUME"];
+function cause({ code, number: count, text, reject, ...values }) {
+  if (code === "ERROR") return [fault(count), " ", detail(text)];
+  if (code === "NOTHING") return [t("run-why-nothing")];
+  if (code === "NEAREST") return [t("run-why-nearest", figures(values))];
+  if (code !== "SEEN") return [rejects([code])];
+  const remedies = reject.filter((one) => REMEDIED.includes(one)).map((one) => t(`run-try-${coded(one)}`));
+  return [t("run-why-seen", { ...figures(values), reasons: rejects(reject), remedies: remedies.join(" ") || t("run-try-look") })];
+}
+export const causes = (why) => why.map((one) => element("div", {}, ...cause(one)));
+export const notGood = (codes) => t("run-not-good", { reasons: rejects(codes) });
+
+// A fact: a value, a sentence by its code, or several of them.
+export function told(fact) {
+  if (Array.isArray(fact)) return fact.flatMap((one, i) => (i ? ["; ", ...told(one)] : told(one)));
+  if (typeof fact === "number") return [number(fact)];
+  if (typeof fact === "string") return [data(fact)];
+  const { code, text, ...values } = fact;
+  if (code === "figure") return [data(`${figure(values.value)} ${values.unit}`)];
+  return code === "own-words" ? [detail(text)] : [t(`run-told-${code}`, figures(values))];
+}
+export const nameOf = (name) => t(`run-fact-${coded(name)}`);
