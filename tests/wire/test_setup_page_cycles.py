@@ -14,7 +14,7 @@ import pytest
 from browser import Browser, browser
 from browsersession import PASSWORD
 from recordedcell import RecordingCell, exposures, record
-from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from smallcell import SmallCell
 
 from edged.cellfiles import read_cell
@@ -84,6 +84,7 @@ def on_the_page(
     width: int = 1280,
     height: int = 900,
     place: str = "/setup#/cycles",
+    there: str = 'document.querySelector(".cycle")',
 ) -> None:
     """Run a test on Anna's page; nothing may fail unseen."""
 
@@ -92,7 +93,7 @@ def on_the_page(
         async with asyncio.timeout(90), cell.running(), browser() as page:
             origin = f"http://127.0.0.1:{cell.port}"
             await log_in(page, origin, "Anna", PASSWORD, place, (width, height))
-            await page.until('document.querySelector(".cycle")')
+            await page.until(there)
             await test(page, cell)
             assert [] == page.complaints
 
@@ -158,10 +159,13 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         await page.until('document.querySelector("#result")')
         assert await page.value(said(f"{GOOD} good cycles become bad."))
         await page.until('[...document.querySelectorAll(".changed img")].some((e) => e.naturalWidth === 320)')
-        await page.type("input[name=note]", "another board")
-        assert await page.value('document.querySelector(".use button").disabled')
-        await page.type("input[name=signed]", "these parts are gone")
-        await press(page, "Sign and use it")
+        await press(page, "Use it")
+        await page.until(DIALOG)
+        assert await page.value(said(f"{GOOD} recorded cycles that were good become bad by it."))
+        await page.type("dialog[open] [name=note]", "another board")
+        assert await page.value('document.querySelector("dialog[open] .primary").disabled')
+        await page.type("dialog[open] [name=signed]", "these parts are gone")
+        await press(page, "Sign: Use it")
         await page.until('!document.querySelector(".use")')
         assert before != cell.rig.read_bytes()
         await go(page, "system")
@@ -170,6 +174,55 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         await page.until(said("Calibration demo → wide"))
 
     on_the_page(cell, test)
+
+
+def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
+    cell: Callable[[], RecordingCell],
+) -> None:
+    """Its name alone needs no signature; what would become active with it does, in the same dialog, which can
+    be used by everybody; what is wrong otherwise is said there, too.
+    """
+
+    async def test(page: Browser, cell: RecordingCell) -> None:
+        job = cell.config.parent / "jobs" / "flange" / "job.toml"
+        text = job.read_text()
+        dialog = 'document.querySelector("dialog[open]").innerText'
+        await press(page, "Name and number")
+        await page.until(DIALOG)
+        await page.type("dialog[open] [name=number]", "7")
+        await page.type("dialog[open] [name=note]", "as the plant counts")
+        await page.click("dialog[open] .primary")
+        await page.until(f"!{DIALOG} && document.querySelector('.job .count').textContent === '7'")
+
+        job.write_text(job.read_text().replace("max_sigma_mm = 0.02", "max_sigma_mm = 0.0001"))
+        await press(page, "Duplicate")
+        await page.until(DIALOG)
+        await page.type("dialog[open] [name=job]", "flange")
+        await page.type("dialog[open] [name=note]", "one more")
+        await page.click("dialog[open] .primary")
+        await page.until(f"{dialog}.includes('There is a job flange already')")
+        await page.click("dialog[open] .actions button")
+        await page.until(f"!{DIALOG}")
+
+        await press(page, "Name and number")
+        await page.until(DIALOG)
+        await page.type("dialog[open] [name=number]", "9")
+        await page.type("dialog[open] [name=note]", "as the plant counts")
+        await page.click("dialog[open] .primary")
+        await page.until(f"{dialog}.includes('It was not tried on the 5 recorded cycles that it concerns.')")
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        assert await page.value('document.querySelector("dialog[open] .primary").disabled')
+        await page.type("dialog[open] [name=signed]", "tighter from now on")
+        await press(page, "Sign: Name and number")
+        await page.until(f"!{DIALOG} && document.querySelector('.job .count').textContent === '9'")
+        assert text != job.read_text()
+        await go(page, "system")
+        await page.until(said("tighter from now on"))
+        assert ["422", "409"] == [one.partition("status of ")[2][:3] for one in page.complaints]
+        page.complaints.clear()  # the browser's own word for what was refused
+
+    on_the_page(cell, test, place="/setup#/jobs", there='document.querySelector(".job")')
 
 
 def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:

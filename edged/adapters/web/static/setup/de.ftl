@@ -98,6 +98,10 @@ problem-input = Das nimmt die Zelle nicht an: { $detail }
 problem-storage = Die Platte des Zellen-PCs ist voll. Schaffen Sie Platz und versuchen Sie es noch einmal.
 problem-stale = Jemand anderes, oder ein anderer Bildschirm, hat das inzwischen geändert. Sie sehen jetzt das Neuere: sehen Sie es an, dann machen Sie Ihres noch einmal.
 problem-regression = Gute aufgezeichnete Zyklen werden dadurch schlecht, oder es wurde nicht an ihnen versucht: Das geht auf der Seite Zyklen, das Übernehmen auch.
+problem-teach-name = Das kann kein Name sein: Buchstaben, Ziffern, „_“, „.“ und „-“ sind möglich, zuerst ein Buchstabe oder eine Ziffer.
+problem-teach-name-taken = Den Auftrag { $name } gibt es schon: ändern Sie jenen, oder wählen Sie einen anderen Namen.
+problem-teach-number-taken = { $number } ist die Nummer von { $name }; { $free } ist frei.
+problem-teach-name-old = Was so endet, ist ein ersetzter Auftrag: wählen Sie einen anderen Namen.
 problem-gone = Dieses Bild ist nicht mehr da. Nehmen Sie ein neues auf.
 problem-status-404 = Diese Zelle bietet das nicht an. Bringen Sie edged auf dem Zellen-PC auf den neuen Stand und laden Sie die Seite neu.
 problem-status-500 = Die Zelle hat selbst einen Fehler gemacht: sehen Sie in ihr Protokoll (journalctl -u edged).
@@ -135,6 +139,25 @@ board-begin = Beginnen
 board-still = Die Tafel ist ruhig.
 board-moves = Halten Sie die Tafel einen Augenblick ruhig.
 view = Ansicht { $name }
+
+## Was eine Freigabe wird, und wer dafür unterschreibt
+release-note = Warum (für alle, die es später ansehen)
+release-making = Einen Augenblick …
+sign-worse =
+    { $count ->
+        [one] Ein aufgezeichneter Zyklus, der gut war, wird dadurch schlecht.
+       *[other] { $count } aufgezeichnete Zyklen, die gut waren, werden dadurch schlecht.
+    }
+sign-untried =
+    { $count ->
+        [one] Am aufgezeichneten Zyklus, den es betrifft, wurde es nicht versucht.
+       *[other] An den { $count } aufgezeichneten Zyklen, die es betrifft, wurde es nicht versucht.
+    }
+sign-look = Ansehen
+sign-try = An ihnen versuchen
+sign-what = Wenn es so sein soll, sagen Sie warum: es steht bei der Freigabe, und mit Ihrem Namen im Protokoll.
+sign-reason = Warum es so sein darf
+sign = Unterschreiben: { $label }
 
 ## Die virtuelle Bühne von edged demo --stage
 stage-title = Virtuelle Bühne: Ihre Hände in dieser Vorführung

@@ -98,6 +98,10 @@ problem-input = The cell does not take this: { $detail }
 problem-storage = The disk of the cell PC is full. Make room, then try again.
 problem-stale = Somebody else, or another screen, changed this meanwhile. You see the newer one now: look at it, then do yours again.
 problem-regression = Good recorded cycles become bad by this, or it was not tried on them: do so on the page Cycles, and use it there.
+problem-teach-name = This cannot be a name: letters, digits, “_”, “.” and “-” can, the first a letter or a digit.
+problem-teach-name-taken = There is a job { $name } already: change that one, or choose another name.
+problem-teach-number-taken = { $number } is the number of { $name }; { $free } is free.
+problem-teach-name-old = What ends so is a job that was replaced: choose another name.
 problem-gone = This picture is no longer kept. Take a new one.
 problem-status-404 = This cell does not offer that. Update edged on the cell PC, and load this page again.
 problem-status-500 = The cell made a mistake of its own: look at its log (journalctl -u edged).
@@ -135,6 +139,25 @@ board-begin = Begin
 board-still = The board is still.
 board-moves = Hold the board still for a moment.
 view = View { $name }
+
+## What becomes a release, and who signs for it
+release-note = Why (for whoever looks at it later)
+release-making = One moment …
+sign-worse =
+    { $count ->
+        [one] One recorded cycle that was good becomes bad by it.
+       *[other] { $count } recorded cycles that were good become bad by it.
+    }
+sign-untried =
+    { $count ->
+        [one] It was not tried on the recorded cycle that it concerns.
+       *[other] It was not tried on the { $count } recorded cycles that it concerns.
+    }
+sign-look = Look at them
+sign-try = Try it on them
+sign-what = If that is as it should be, say why: it is kept with the release, and in the audit with your name.
+sign-reason = Why it may be so
+sign = Sign: { $label }
 
 ## The virtual stage of edged demo --stage
 stage-title = Virtual stage: your hands in this demo

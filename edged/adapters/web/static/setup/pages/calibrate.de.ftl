@@ -104,7 +104,6 @@ solved-report = Bericht (neues Fenster)
 activate = Diese Kalibrierung benutzen
 activate-title = Diese Kalibrierung benutzen?
 activate-what = Sie wird eine eigene Freigabe. Was auch schiefgeht, die alte bleibt; zurück geht es mit einem Schritt in der Liste der Freigaben.
-activate-note = Warum (für alle, die es später ansehen)
 activated = In Gebrauch, als Freigabe { $number }.
 other-board = Die Bilder zeigen eine andere Tafel als die angegebene: { $board }. Zählen Sie, wo vier Felder sich treffen, nicht die Felder; beginnen Sie mit der richtigen neu.
 problem-calibration-few-views = Die Tafel ist in { $found } von { $pairs } Ansichten in beiden Bildern ganz zu sehen; { $least } braucht es, zwanzig sind gut.

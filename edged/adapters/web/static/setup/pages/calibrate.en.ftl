@@ -104,7 +104,6 @@ solved-report = Report (new tab)
 activate = Use this calibration
 activate-title = Use this calibration?
 activate-what = It becomes a release of its own. Whatever fails, the old one stays; going back is one step in the list of releases.
-activate-note = Why (for whoever looks at it later)
 activated = In use, as release { $number }.
 other-board = The pictures show another board than the stated one: { $board }. Count where four squares meet, not the squares; begin again with the right one.
 problem-calibration-few-views = The board is whole in both pictures of { $found } of { $pairs } views; { $least } are needed, and twenty are good.

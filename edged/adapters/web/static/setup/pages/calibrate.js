@@ -5,7 +5,8 @@ import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { draft, holds, look, mayTake, offers, sign, task, token } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
-import { Dialog, NumberField, say, Shape } from "../pieces.js";
+import { NumberField, say, Shape } from "../pieces.js";
+import { Releasing } from "../releasing.js";
 import { inWords, number, t } from "../texts.js";
 import { styled } from "./styles.js";
 
@@ -208,14 +209,11 @@ function Solve() {
 
 function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
   const [isAsked, setAsked] = useState(false);
-  const [note, setNote] = useState("");
   const [release, setRelease] = useState(null);
-  const activate = () =>
-    attempt(async () => {
-      setRelease(await ask("POST", `${place()}/activate`, { ...(holds.value ? { token: token.value } : {}), note }));
-      setAsked(false);
-      await look();
-    });
+  const done = async (made) => {
+    setRelease(made);
+    await look();
+  };
   return html`<p class="verdict"><${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} /> ${inWords("verdict", verdict)}</p>
     ${[...(figures?.verdict ?? []), ...(figures?.lens ? [figures.lens] : [])].map((sentence) => html`<p class="hint" translate=${false} lang="en">${sentence}</p>`)}
     <dl class="facts">
@@ -229,11 +227,10 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
       ${offers("calibrations/{id}/activate") && html`<button type="button" class=${verdict === "repeat" ? "" : "primary"} disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("activate")}</button>`}
     </div>
     ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("activated", { number: release.number })}</p>`}
-    <${Dialog} title=${t("activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
+    ${isAsked &&
+    html`<${Releasing} title=${t("activate-title")} label=${t("activate")} test=${{ calibration: draft.value.id }} send=${(body) => ask("POST", `${place()}/activate`, body)} onDone=${done} onClose=${() => setAsked(false)}>
       <p>${t("activate-what")}</p>
-      <label class="field"><span>${t("activate-note")}</span><input value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
-      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim()} onClick=${activate}>${t("activate")}</button></div>
-    <//>`;
+    <//>`}`;
 }
 
 export default function Calibrate() {

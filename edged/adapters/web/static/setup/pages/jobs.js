@@ -1,8 +1,9 @@
 // The jobs of the cell: what each is called, how it did, and what can be done with it.
 import { html, signal, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { cell, holds, look, mayTake, me, token } from "../live.js";
-import { Dialog, NumberField, say, Shape } from "../pieces.js";
+import { cell, look, mayTake, me } from "../live.js";
+import { NumberField, say, Shape } from "../pieces.js";
+import { Releasing } from "../releasing.js";
 import { moment, number, t } from "../texts.js";
 import { styled } from "./styles.js";
 
@@ -14,25 +15,20 @@ const find = () =>
     ({ jobs: jobs.value } = await ask("GET", "jobs"));
   });
 const at = ({ folder }) => `jobs/${encodeURIComponent(folder)}`;
-const leased = () => (holds.value ? { token: token.value } : {});
 const mayUse = () => me.value?.role === "engineer" || me.value?.role === "operator";
 const KEPT = "edged.teaching";
 
 // Everything that changes jobs: then both are looked at again.
-const isBusy = signal(false);
-async function doing(work, said) {
-  isBusy.value = true; // each change is a release: that takes its time
-  const done = await attempt(async () => {
-    await work();
-    return true;
-  });
-  isBusy.value = false;
-  if (!done) return false;
+async function changed(said) {
   say(said);
   await find();
-  await attempt(look);
-  return true;
+  await look();
 }
+const use = (job) =>
+  attempt(async () => {
+    await ask("POST", `${at(job)}/use`, {});
+    await changed(t("jobs-used", { name: job.name }));
+  });
 
 const edit = ({ folder }) =>
   attempt(async () => {
@@ -62,7 +58,7 @@ function Job({ job, onAsk }) {
       ${retired_at && html`<dt>${t("jobs-retired")}</dt><dd translate=${false}>${moment(retired_at)} · ${retired_by}</dd>`}
     </dl>
     <div class="actions">
-      ${!retired && button("use", () => doing(() => ask("POST", `${at(job)}/use`, {}), t("jobs-used", { name })), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())}
+      ${!retired && button("use", () => use(job), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())}
       ${!retired && button("edit", () => edit(job), !mayTake.value || !job.editable)}
       ${!retired && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
       ${button("rename", () => onAsk("rename", job), !mayTake.value)}
@@ -97,26 +93,19 @@ function Question({ what, job, onClose }) {
   const isNamed = isNew || what === "rename";
   const [name, setName] = useState(isNew ? freeName(job) : job.name);
   const [count, setCount] = useState(isNew ? freeNumber() : job.number);
-  const [note, setNote] = useState("");
   const isWrong = !/^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/.test(name);
   const isSame = name === job.name && count === job.number;
   const WORK = {
-    duplicate: () => ask("POST", `${at(job)}/duplicate`, { ...leased(), new_name: name, number: count, note }),
-    rename: () => ask("PUT", at(job), { ...leased(), ...(name !== job.name ? { new_name: name } : {}), ...(count !== job.number ? { number: count } : {}), note }),
-    retire: () => ask("PUT", at(job), { ...leased(), retired: true, note }),
-    restore: () => ask("PUT", at(job), { ...leased(), retired: false, note }),
+    duplicate: (body) => ask("POST", `${at(job)}/duplicate`, { ...body, new_name: name, number: count }),
+    rename: (body) => ask("PUT", at(job), { ...body, ...(name !== job.name ? { new_name: name } : {}), ...(count !== job.number ? { number: count } : {}) }),
+    retire: (body) => ask("PUT", at(job), { ...body, retired: true }),
+    restore: (body) => ask("PUT", at(job), { ...body, retired: false }),
   };
-  const act = async () => {
-    onClose();
-    await doing(WORK[what], t(`jobs-${what}-done`, { name }));
-  };
-  return html`<${Dialog} title=${t(`jobs-${what}-title`, { name: job.name })} isOpen=${true} onClose=${onClose}>
+  return html`<${Releasing} title=${t(`jobs-${what}-title`, { name: job.name })} label=${t(`jobs-${what}`)} isReady=${!isNamed || (!isWrong && !isSame)} send=${WORK[what]} onDone=${() => changed(t(`jobs-${what}-done`, { name }))} onClose=${onClose}>
     <p>${t(`jobs-${what}-what`)}</p>
     ${isNamed &&
     html`<div class="row"><label class="field"><span>${t("jobs-name")}</span><input name="job" maxlength="64" value=${name} aria-invalid=${isWrong} onInput=${(event) => setName(event.currentTarget.value)} />${isWrong && html`<span class="wrong" role="alert"><${Shape} is="doubt" /> ${t("jobs-name-wrong")}</span>`}</label>
       <${NumberField} name="number" label=${t("jobs-number")} unit="" digits=${0} low=${1} high=${65535} value=${count} onValue=${(value) => setCount(Math.round(value))} /></div>`}
-    <label class="field"><span>${t("jobs-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
-    <div class="actions"><button type="button" onClick=${onClose}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim() || (isNamed && (isWrong || isSame))} onClick=${act}>${t(`jobs-${what}`)}</button></div>
   <//>`;
 }
 
@@ -131,7 +120,6 @@ export default function Jobs() {
     ${cell.value.state === "SETUP" && html`<p><${Shape} is="hand" /> ${t("jobs-in-setup")}</p>`}
     ${cell.value.plc.owner && html`<p><${Shape} is="plant" /> ${t("jobs-owned")} <span translate=${false}>${cell.value.plc.owner}</span></p>`}
     ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
-    ${isBusy.value && html`<p role="status"><${Shape} is="busy" /> ${t("jobs-busy")}</p>`}
     <ul class="tiles jobs">${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}</ul>
     <div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>
     ${asked && html`<${Question} key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)} />`}`;

@@ -1,8 +1,9 @@
 // A new job or rig tried on all recorded cycles before it is used: what gets worse, worst first, with its pictures.
 import { html, signal, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { holds, look, mayTake, offers, task, token } from "../live.js";
+import { look, mayTake, offers, task } from "../live.js";
 import { say, Shape } from "../pieces.js";
+import { Releasing } from "../releasing.js";
 import { moment, number, sign, t } from "../texts.js";
 import { open, reasonsOf, statusOf } from "./recorded.js";
 
@@ -102,27 +103,17 @@ function Group({ name, list, count }) {
 
 const PLACES = { teaching: "teachings", calibration: "calibrations" };
 function Use() {
-  const { what, passes, counts } = result.value;
-  const [note, setNote] = useState("");
-  const [reason, setReason] = useState("");
+  const { what, passes, cycles, counts } = result.value;
+  const [isAsked, setAsked] = useState(false);
   if (!PLACES[what.kind] || !mayTake.value) return null;
-  const use = async () => {
-    const body = { note, ...(passes ? {} : { signed: reason }), ...(holds.value ? { token: token.value } : {}) };
-    const release = await attempt(() => ask("POST", `${PLACES[what.kind]}/${what.id}/activate`, body));
-    if (!release) return;
-    say(t("cycles-used", { number: release.number }));
+  const done = async ({ number: made }) => {
+    say(t("cycles-used", { number: made }));
     result.value = null;
-    await attempt(look);
+    await look();
     await search();
   };
-  return html`<div class="use">
-    ${!passes && html`<p><${Shape} is="doubt" /> ${t("cycles-sign-what", { count: counts.good_to_bad })}</p>`}
-    <div class="row">
-      <label class="field"><span>${t("cycles-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
-      ${!passes && html`<label class="field"><span>${t("cycles-sign")}</span><input name="signed" value=${reason} maxlength="200" onInput=${(event) => setReason(event.currentTarget.value)} /></label>`}
-    </div>
-    <div class="actions"><button type="button" class="primary" disabled=${!note.trim() || (!passes && !reason.trim())} onClick=${use}>${t(passes ? "cycles-use" : "cycles-sign-use")}</button></div>
-  </div>`;
+  return html`<div class="actions use"><button type="button" class=${passes ? "primary" : ""} onClick=${() => setAsked(true)}>${t("cycles-use")}</button></div>
+    ${isAsked && html`<${Releasing} title=${t(`cycles-of-${what.kind}`, { id: what.id })} label=${t("cycles-use")} barred=${passes ? null : { cycles, good_to_bad: counts.good_to_bad }} send=${(body) => ask("POST", `${PLACES[what.kind]}/${what.id}/activate`, body)} onDone=${done} onClose=${() => setAsked(false)} />`}`;
 }
 
 function Result() {

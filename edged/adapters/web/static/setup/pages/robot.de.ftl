@@ -169,7 +169,5 @@ robot-off-more = Das ist viel: tasten Sie mehr Stellen an, oder sehen Sie nach, 
 robot-activate = Diese Registrierung verwenden
 robot-activate-title = Diese Registrierung verwenden?
 robot-activate-what = Von da an gibt die Zelle alle Ergebnisse in den Koordinaten des Roboters. Es wird ein eigenes Release; zurück geht es mit einem Tippen auf der Seite System.
-robot-activate-note = Warum (für die, die später nachsehen)
-robot-sign = Oder warum sie trotzdem verwendet werden darf
 robot-activated = In Gebrauch, als Release { $number }.
 robot-active = In Gebrauch.

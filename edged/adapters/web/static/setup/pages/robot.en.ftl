@@ -169,7 +169,5 @@ robot-off-more = That is much: touch more places, or look whether the TCP is rig
 robot-activate = Use this registration
 robot-activate-title = Use this registration?
 robot-activate-what = The cell gives all results in the robot's coordinates from then on. It becomes a release of its own; going back is one tap on the System page.
-robot-activate-note = Why (for whoever looks at it later)
-robot-sign = Or why it may be used nevertheless
 robot-activated = In use, as release { $number }.
 robot-active = In use.

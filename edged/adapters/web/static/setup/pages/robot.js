@@ -2,7 +2,8 @@
 import { effect, html, useEffect, useState } from "../../vendor/ui.js";
 import { attempt, ask } from "../api.js";
 import { cell, checked, holds, look, mayTake, sign, token } from "../live.js";
-import { Dialog, NumberField, say, Shape } from "../pieces.js";
+import { NumberField, say, Shape } from "../pieces.js";
+import { Releasing } from "../releasing.js";
 import { dashed, number, t } from "../texts.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { Pair } from "./picture.js";
@@ -154,22 +155,13 @@ function Conventions() {
 function Keep() {
   const { good, solved, active, judging } = current.draft.value;
   const [isAsked, setAsked] = useState(false);
-  const [note, setNote] = useState("");
   const [release, setRelease] = useState(null);
-  const [signed, setSigned] = useState(null); // a text once it is asked for
-  const activate = () =>
-    attempt(async () => {
-      try {
-        setRelease(await ask("POST", `registrations/${current.draft.value.id}/activate`, { ...(holds.value ? { token: token.value } : {}), note, ...(signed?.trim() ? { signed } : {}) }));
-      } catch (problem) {
-        if (problem.code === "regression") setSigned(signed ?? ""); // parts may lie beyond the bounds now: somebody signs for it
-        throw problem;
-      }
-      setSigned(null);
-      setAsked(false);
-      await find(current.draft.value.id);
-      await look();
-    });
+  const { id } = current.draft.value;
+  const done = async (made) => {
+    setRelease(made);
+    await find(id);
+    await look();
+  };
   if (!good && !solved) return null;
   return html`<section aria-labelledby="robot-keep">
     <h2 id="robot-keep">${t("robot-keep")}</h2>
@@ -179,12 +171,10 @@ function Keep() {
           ${active
             ? html`<p class="verdict" role="status"><${Shape} is="tick" /> ${release ? t("robot-activated", { number: release.number }) : t("robot-active")}</p>`
             : html`<div class="actions"><button type="button" class="primary" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("robot-activate")}</button></div>`}`}
-    <${Dialog} title=${t("robot-activate-title")} isOpen=${isAsked} onClose=${() => setAsked(false)}>
+    ${isAsked &&
+    html`<${Releasing} title=${t("robot-activate-title")} label=${t("robot-activate")} send=${(body) => ask("POST", `registrations/${id}/activate`, body)} onDone=${done} onClose=${() => setAsked(false)}>
       <p>${t("robot-activate-what")}</p>
-      <label class="field"><span>${t("robot-activate-note")}</span><input name="note" value=${note} maxlength="200" onInput=${(event) => setNote(event.currentTarget.value)} /></label>
-      ${signed !== null && html`<p><${Shape} is="doubt" /> ${t("problem-regression")}</p><label class="field"><span>${t("robot-sign")}</span><input name="signed" value=${signed} maxlength="200" onInput=${(event) => setSigned(event.currentTarget.value)} /></label>`}
-      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim() || signed?.trim() === ""} onClick=${activate}>${t("robot-activate")}</button></div>
-    <//>
+    <//>`}
   </section>`;
 }
 

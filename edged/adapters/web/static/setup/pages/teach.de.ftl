@@ -153,18 +153,7 @@ teach-activate = Diesen Auftrag benutzen
 teach-try = Erst ausprobieren
 teach-activate-title = { $name } benutzen?
 teach-activate-what = Er wird eine eigene Freigabe. Was auch schiefgeht, die alten bleiben; zurück geht es mit einem Schritt in der Liste der Freigaben.
-teach-note = Warum (für alle, die es später ansehen)
 teach-activated = { $name } ist in Gebrauch, als Freigabe { $number }.
-teach-sign-title = Aufgezeichnete gute Teile würden durchfallen
-teach-sign-count =
-    { $count ->
-        [one] Ein aufgezeichnetes Teil, das gut war, ist es mit diesem Auftrag nicht.
-       *[other] { $count } aufgezeichnete Teile, die gut waren, sind es mit diesem Auftrag nicht.
-    }
-teach-sign-some = Aufgezeichnete Teile, die gut waren, sind es mit diesem Auftrag nicht.
-teach-sign-what = Sehen Sie sie zuerst an. Wenn es so sein soll, sagen Sie warum: es steht mit Ihrem Namen im Protokoll.
-teach-sign-reason = Warum es trotzdem richtig ist
-teach-sign = Unterschreiben und benutzen
 
 ## Was nichts lehrt
 problem-teach-no-feature = Es ist kein Kreis, kein Langloch und keine gerade Kante zu sehen, die beide Kameras zeigen. Legen Sie das Teil vor beide, beleuchten Sie es, und tippen Sie es an.
@@ -174,9 +163,5 @@ problem-teach-crossing = Die Linien um das Teil kreuzen sich: setzen Sie die Eck
 problem-teach-few-edges = Das Gewählte zeigt zu wenige Kanten. Ist das Teil darin, beleuchtet und scharf?
 problem-teach-nothing-there = Dort ist nichts mit einem klaren Umriss. Umfahren Sie das Teil, oder beleuchten Sie es so, dass es sich vom Tisch abhebt.
 problem-teach-no-pair = Dieser Auftrag wurde anderswo eingelernt und hat kein Bildpaar bei sich: lernen Sie es an einem frischen neu ein.
-problem-teach-name = Das kann kein Name sein: Buchstaben, Ziffern, „_“, „.“ und „-“ sind möglich, zuerst ein Buchstabe oder eine Ziffer.
-problem-teach-name-taken = Den Auftrag { $name } gibt es schon: ändern Sie jenen, oder wählen Sie einen anderen Namen.
-problem-teach-number-taken = { $number } ist die Nummer von { $name }; { $free } ist frei.
 problem-teach-nothing-left = Es bleibt nichts, womit zu messen wäre: nehmen Sie mindestens einen Kreis, ein Langloch oder zwei Kanten.
-problem-teach-name-old = Was so endet, ist ein ersetzter Auftrag: wählen Sie einen anderen Namen.
 problem-teach-no-pictures = Dieser Zyklus hat keine Bilder: die Kameras gaben keine.

@@ -153,18 +153,7 @@ teach-activate = Use this job
 teach-try = Try it first
 teach-activate-title = Use { $name }?
 teach-activate-what = It becomes a release of its own. Whatever fails, the old ones stay; the way back is one step in the list of releases.
-teach-note = Why (for whoever looks at it later)
 teach-activated = { $name } is in use, as release { $number }.
-teach-sign-title = Recorded good parts would fail
-teach-sign-count =
-    { $count ->
-        [one] One recorded part that was good is not good with this job.
-       *[other] { $count } recorded parts that were good are not good with this job.
-    }
-teach-sign-some = Recorded parts that were good are not good with this job.
-teach-sign-what = Look at them first. If that is as it should be, say why: it is kept in the audit with your name.
-teach-sign-reason = Why it is right nevertheless
-teach-sign = Sign and use it
 
 ## What teaches nothing
 problem-teach-no-feature = There is no circle, no slot and no straight edge that both cameras see. Lay the part before both, light it, and tap it.
@@ -174,9 +163,5 @@ problem-teach-crossing = The lines around the part cross each other: set the cor
 problem-teach-few-edges = What is chosen shows too few edges. Is the part inside, lit and in focus?
 problem-teach-nothing-there = Nothing with a clear outline is there. Draw around the part, or light it so that it differs from the table.
 problem-teach-no-pair = This job was taught elsewhere and keeps no pair: teach it from a fresh one.
-problem-teach-name = This cannot be a name: letters, digits, “_”, “.” and “-” can, the first a letter or a digit.
-problem-teach-name-taken = There is a job { $name } already: change that one, or choose another name.
-problem-teach-number-taken = { $number } is the number of { $name }; { $free } is free.
 problem-teach-nothing-left = Nothing is left to measure by: take one circle, one slot or two edges at least.
-problem-teach-name-old = What ends so is a job that was replaced: choose another name.
 problem-teach-no-pictures = That cycle has no pictures: the cameras gave none.

@@ -4,6 +4,7 @@ import { ask, attempt, sentence } from "../api.js";
 import { cell, holds, look, mayTake, SIDES, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
 import { Dialog, say, Shape } from "../pieces.js";
+import { Releasing } from "../releasing.js";
 import { styled } from "./styles.js";
 import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
 import { change, drafts, find, jobs, lit, open, see, teaching } from "./teaching.js";
@@ -129,50 +130,25 @@ function Trouble() {
 // --- its release ---
 
 function Activate() {
-  const [asked, setAsked] = useState(""); // "", note, sign
-  const [note, setNote] = useState("");
-  const [reason, setReason] = useState("");
-  const [worse, setWorse] = useState(null);
+  const [isAsked, setAsked] = useState(false);
   const [release, setRelease] = useState(null);
   const { id, name, proposing, features, predicted } = teaching.value;
-  const [isBusy, setBusy] = useState(false); // recorded cycles are measured again first: that takes its time
-  const activate = (signed) =>
-    attempt(async () => {
-      setBusy(true);
-      try {
-        const made = await ask("POST", `teachings/${id}/activate`, { ...(holds.value ? { token: token.value } : {}), note, ...(signed ? { signed } : {}) });
-        setAsked("");
-        setRelease(made);
-        say(t("teach-activated", { name, number: made.number }));
-        await look();
-      } catch (problem) {
-        if (problem.code !== "regression") throw problem;
-        setWorse(problem);
-        setAsked("sign");
-      } finally {
-        setBusy(false);
-      }
-    });
-  const text = (id_, value, onValue) => html`<label class="field"><span>${t(id_)}</span><input value=${value} maxlength="200" onInput=${(event) => onValue(event.currentTarget.value)} /></label>`;
+  const done = async (made) => {
+    setRelease(made);
+    say(t("teach-activated", { name, number: made.number }));
+    await look();
+  };
   const isReady = features.some(({ taken }) => taken) && predicted && !proposing;
   return html`<section aria-labelledby="teach-job">
     <h2 id="teach-job">${t("teach-job")}</h2>
     <${Naming} />
-    <div class="actions"><button type="button" class="primary big" disabled=${!isReady || !mayTake.value} onClick=${() => setAsked("note")}>${t("teach-activate")}</button>
+    <div class="actions"><button type="button" class="primary big" disabled=${!isReady || !mayTake.value} onClick=${() => setAsked(true)}>${t("teach-activate")}</button>
       <a class="button" href="#/try">${t("teach-try")}</a></div>
     ${release && html`<p class="verdict" role="status"><${Shape} is="tick" /> ${t("teach-activated", { name, number: release.number })}</p>`}
-    <${Dialog} title=${t("teach-activate-title", { name })} isOpen=${asked === "note"} onClose=${() => setAsked("")}>
+    ${isAsked &&
+    html`<${Releasing} title=${t("teach-activate-title", { name })} label=${t("teach-activate")} test=${{ teaching: id }} send=${(body) => ask("POST", `teachings/${id}/activate`, body)} onDone=${done} onClose=${() => setAsked(false)}>
       <p>${t("teach-activate-what")}</p>
-      ${text("teach-note", note, setNote)}
-      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!note.trim() || isBusy} onClick=${() => activate()}>${t(isBusy ? "teach-taking" : "teach-activate")}</button></div>
-    <//>
-    <${Dialog} title=${t("teach-sign-title")} isOpen=${asked === "sign"} onClose=${() => setAsked("")}>
-      <p><${Shape} is="doubt" /> ${Number.isFinite(worse?.params?.good_to_bad) ? t("teach-sign-count", { count: worse.params.good_to_bad }) : t("teach-sign-some")}</p>
-      <p class="hint" translate=${false} lang="en">${worse?.detail}</p>
-      <p>${t("teach-sign-what")}</p>
-      ${text("teach-sign-reason", reason, setReason)}
-      <div class="actions"><button type="button" onClick=${() => setAsked("")}>${t("back")}</button><button type="button" class="primary" disabled=${!reason.trim() || isBusy} onClick=${() => activate(reason)}>${t(isBusy ? "teach-taking" : "teach-sign")}</button></div>
-    <//>
+    <//>`}
   </section>`;
 }
 
