@@ -1,5 +1,5 @@
 // What the robot's pendant shows: typed by its own labels, or pasted in any form that robots and tables have.
-import { html, useEffect, useState } from "../../vendor/ui.js";
+import { html, useLayoutEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, mayTake } from "../live.js";
 import { Shape } from "../pieces.js";
@@ -23,7 +23,8 @@ export function Shown({ draft, onShown, onLines, point, first }) {
     setTyped([]);
     setPasted("");
   };
-  useEffect(() => {
+  // before the next press: what is added is what stands in the fields
+  useLayoutEffect(() => {
     onShown({ body, isWrong: !isEmpty && !body, clear });
   }, [pasted, typed.join("|"), count]);
   const write = (i, text) => setTyped(Array.from({ length: count }, (_, k) => (k === i ? text : (typed[k] ?? ""))));
