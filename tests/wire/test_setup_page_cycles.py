@@ -21,6 +21,8 @@ from edged.cellfiles import read_cell
 from edged.commissioning.calibration.drafts import Drafts, Solution
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
+from edged.files.images import load_image
+from edged.files.recording import find, load_picture
 from edged.files.rig import rig_text
 
 pytestmark = [
@@ -123,7 +125,8 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
 ) -> None:
     """A failed cycle stands beside a good one at the same zoom, feature by feature; what would have helped is
     tried at once; a reload shows the same cycle. A rig is tested on all: which good cycles become bad, each
-    with its picture; it is used with a reason that is signed, and not before.
+    with its picture; it is used with a reason that is signed, and not before. After that no job is taught
+    from a cycle of the rig before.
     """
 
     async def test(page: Browser, cell: RecordingCell) -> None:
@@ -172,6 +175,35 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         await page.until(said("another board"))
         await press(page, "What differs")
         await page.until(said("Calibration demo → wide"))
+
+        await go(page, "cycles")
+        await look(page, "OK")
+        await page.until(said("another calibration than the present one measured it"))
+        button = (
+            '[...document.querySelectorAll("button")].find((e) => e.innerText === "Teach from this cycle")'
+        )
+        assert await page.value(f"{button}.disabled")
+
+    on_the_page(cell, test)
+
+
+def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], RecordingCell]) -> None:
+    """Its pair, every grey value, is that of a new draft; the page Teach opens it, also after a reload."""
+
+    async def test(page: Browser, cell: RecordingCell) -> None:
+        await look(page, "OK")
+        count = int(await page.value('document.querySelector("#cycle").textContent.match(/[0-9]+/)[0]'))
+        await press(page, "Teach from this cycle")
+        await page.until("""document.querySelector('main[data-page="teach"] .editor')""")
+        (folder,) = (cell.state / "teachings").iterdir()
+        assert folder.name == await page.value('localStorage.getItem("edged.teaching")')
+        taken = load_image(folder / "pictures" / "left.png")
+        recorded = find(cell.config.parent / "recordings", count)
+        assert recorded is not None
+        assert np.array_equal(load_picture(recorded.path, "left"), taken)
+        await page.value("window.isOld = true")
+        await page.ask("Page.reload")
+        await page.until("""!window.isOld && document.querySelector('main[data-page="teach"] .editor')""")
 
     on_the_page(cell, test)
 

@@ -1,13 +1,14 @@
 // Recorded cycles: what became of each, one beside the pair it should look like, and what would have helped.
-import { html, signal, useEffect } from "../../vendor/ui.js";
+import { html, signal, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, mayTake, offers } from "../live.js";
 import { Shape } from "../pieces.js";
-import { dashed, moment, number, t } from "../texts.js";
+import { dashed, learn, moment, number, t } from "../texts.js";
 import { Beside } from "./cyclepair.js";
 import { kept, open, REASONS, reasonsOf, SHAPES, shown, shut, statusOf } from "./recorded.js";
 import { Regressions } from "./regression.js";
 import { styled } from "./styles.js";
+import { open as edit } from "./teaching.js";
 import { WhatIf } from "./whatif.js";
 
 await styled("cycles");
@@ -81,6 +82,25 @@ function List() {
     </details>`}`;
 }
 
+// Its pair becomes that of a new draft, which the page Teach then opens. That page's texts also say why not.
+function TeachFrom({ count, calibration }) {
+  const [isTaking, setTaking] = useState(false);
+  const isOther = calibration !== cell.value.rig?.id;
+  const begin = () =>
+    attempt(async () => {
+      setTaking(true);
+      try {
+        await learn("setup/pages/teach");
+        edit(await ask("POST", "teachings", { cycle: count }));
+        location.hash = "#/teach";
+      } finally {
+        setTaking(false);
+      }
+    });
+  return html`<div class="actions"><button type="button" disabled=${isTaking || isOther} onClick=${begin}>${t("cycles-teach")}</button></div>
+    ${isOther && html`<p class="hint">${t("cycles-teach-other")}</p>`}`;
+}
+
 function Cycle() {
   const { number: count, at, status, reasons, job, error, trouble, trouble_text, calibration, now } = shown.value;
   return html`<section aria-labelledby="cycle">
@@ -93,6 +113,7 @@ function Cycle() {
     ${error && html`<p class="hint" translate=${false} lang="en">${error}</p>`}
     ${trouble && html`<p><${Shape} is="doubt" /> ${t(`cycles-trouble-${trouble}`)}</p><p class="hint" translate=${false} lang="en">${trouble_text}</p>`}
     ${now && html`<${Beside} key=${count} document=${shown.value} />`}
+    ${now?.pictures && mayTake.value && offers("teachings") && html`<${TeachFrom} key=${`teach ${count}`} count=${count} calibration=${calibration} />`}
     ${now?.pictures && mayTake.value && html`<${WhatIf} key=${`if ${count}`} document=${shown.value} />`}
   </section>`;
 }

@@ -165,3 +165,4 @@ problem-teach-nothing-there = Dort ist nichts mit einem klaren Umriss. Umfahren 
 problem-teach-no-pair = Dieser Auftrag wurde anderswo eingelernt und hat kein Bildpaar bei sich: lernen Sie es an einem frischen neu ein.
 problem-teach-nothing-left = Es bleibt nichts, womit zu messen wäre: nehmen Sie mindestens einen Kreis, ein Langloch oder zwei Kanten.
 problem-teach-no-pictures = Dieser Zyklus hat keine Bilder: die Kameras gaben keine.
+problem-teach-other-rig = Dieser Zyklus wurde mit einer anderen Kalibrierung gemessen: was seine Bilder zeigen, liegt inzwischen woanders. Nehmen Sie einen jüngeren.

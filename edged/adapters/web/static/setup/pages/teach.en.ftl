@@ -165,3 +165,4 @@ problem-teach-nothing-there = Nothing with a clear outline is there. Draw around
 problem-teach-no-pair = This job was taught elsewhere and keeps no pair: teach it from a fresh one.
 problem-teach-nothing-left = Nothing is left to measure by: take one circle, one slot or two edges at least.
 problem-teach-no-pictures = That cycle has no pictures: the cameras gave none.
+problem-teach-other-rig = That cycle was measured by another calibration: what its pictures show is elsewhere by now. Take a younger one.
