@@ -130,6 +130,24 @@ def test_the_page_speaks_as_it_is_told() -> None:
     on_the_page(test)
 
 
+def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
+    """The one that it would begin with does not take its place."""
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.ask(
+            "Page.addScriptToEvaluateOnNewDocument",
+            source="""{ const asked = fetch;
+            window.fetch = (path, request) => {
+              if (path === "/api/v1/cell") location.hash = "#/system";
+              return asked(path, request); }; }""",
+        )
+        await page.ask("Page.navigate", url=f"{cell.origin}/setup")
+        await page.until('document.querySelector("main[data-page=system] h1")')
+        assert "#/system" == await page.value("location.hash")
+
+    on_the_page(test)
+
+
 def test_no_word_is_written_into_the_page() -> None:
     """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits."""
 

@@ -8,6 +8,7 @@ import { BESIDE, enter, isBuilt, pageOf, PAGES, State, STEPS } from "./steps.js"
 import { choose, language, LANGUAGES, t } from "./texts.js";
 
 const hash = () => location.hash.replace(/^#\//, "");
+const stepAt = (place) => PAGES.find((one) => isBuilt(one) && one.id === place);
 const here = signal(hash());
 const follow = () => {
   here.value = hash();
@@ -123,13 +124,14 @@ export function Shell() {
     addEventListener("hashchange", follow);
     return () => removeEventListener("hashchange", follow);
   }, []);
-  const step = PAGES.find((one) => isBuilt(one) && one.id === here.value) ?? STEPS[0];
+  const step = stepAt(here.value) ?? STEPS[0];
   const page = pageOf(step);
   useEffect(() => {
     attempt(() => enter(step));
   }, [step.id]);
   useEffect(() => {
-    if (step.id !== here.value) history.replaceState(null, "", `#/${step.id}`);
+    // where one is now: another step may have been chosen while this one was drawn
+    if (!stepAt(hash())) history.replaceState(null, "", `#/${step.id}`);
     follow();
     document.title = `${cell.value.name}: ${t(STEPS.includes(step) ? `step-${step.id}` : `nav-${step.id}`)}`;
   }, [step.id, language.value]);
