@@ -148,6 +148,26 @@ def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
     on_the_page(test)
 
 
+def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
+    """A message that overtakes an answer is newer: of the same document, and no older revision."""
+    race = """Promise.all([import("/static/setup/live.js"), import("/static/vendor/ui.js")])
+    .then(async ([{ newest }, { signal }]) => {
+      const heard = signal({ id: "a", revision: 9 });
+      const raced = async (message) => {
+        const answer = newest(heard, new Promise((done) => setTimeout(() => done({ id: "a", revision: 2 }))));
+        if (message) heard.value = message;
+        return (await answer) === message; };
+      const messages = [null, ["a", 1], ["b", 2], ["a", 2], ["a", 3]];
+      const held = [];
+      for (const one of messages) held.push(await raced(one && { id: one[0], revision: one[1] }));
+      return held; })"""
+
+    async def test(page: Browser, _cell: Cell) -> None:
+        assert [False, False, False, True, True] == await page.value(race)
+
+    on_the_page(test)
+
+
 def test_no_word_is_written_into_the_page() -> None:
     """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits."""
 

@@ -134,6 +134,14 @@ export function told(type) {
   return others.get(type);
 }
 
+// The answer to a request about what is also told: a message may overtake it, and is the newer one then.
+export async function newest(heard, request) {
+  const before = heard.peek();
+  const answer = await request;
+  const now = heard.peek();
+  return now !== before && now?.id === answer.id && now.revision >= answer.revision ? now : answer;
+}
+
 function hear({ type, ...message }) {
   if (type === "cell") {
     const isOther = message.rig?.id !== cell.value?.rig?.id;

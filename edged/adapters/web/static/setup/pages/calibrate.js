@@ -2,7 +2,7 @@
 import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
 import { ask, attempt, sentence } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
-import { draft, holds, look, mayTake, offers, sign, task, token } from "../live.js";
+import { draft, holds, look, mayTake, newest, offers, sign, task, token } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
 import { NumberField, say, Shape } from "../pieces.js";
@@ -19,7 +19,7 @@ const micrometres = (value) => number(value, value < 9.5 ? 1 : 0);
 const place = () => `calibrations/${draft.value.id}`;
 const change = (method, path, body = {}) =>
   attempt(async () => {
-    draft.value = await ask(method, `${place()}${path}`, body);
+    draft.value = await newest(draft, ask(method, `${place()}${path}`, body));
     return true;
   });
 
@@ -27,7 +27,7 @@ const change = (method, path, body = {}) =>
 async function find() {
   const { calibrations } = await ask("GET", "calibrations");
   const begun = calibrations.find(({ active, trouble }) => !active && !trouble);
-  draft.value = begun ? await ask("GET", `calibrations/${begun.id}`) : null;
+  draft.value = begun ? await newest(draft, ask("GET", `calibrations/${begun.id}`)) : null;
 }
 
 // --- which board ---
@@ -39,7 +39,7 @@ function Board() {
   const [size, setSize] = useState(SIZE);
   const begin = () =>
     attempt(async () => {
-      draft.value = await ask("POST", "calibrations", { ...(isStated ? { boards: [specOf(size, mm)] } : { recognise: true, mm }), goal_um: goal });
+      draft.value = await newest(draft, ask("POST", "calibrations", { ...(isStated ? { boards: [specOf(size, mm)] } : { recognise: true, mm }), goal_um: goal }));
     });
   return html`<section aria-labelledby="board">
     <h2 id="board">${t("board-title")}</h2>
@@ -191,7 +191,7 @@ function Solve() {
   const done = async (state) => {
     setEnded(state);
     await attempt(async () => {
-      draft.value = await ask("GET", place());
+      draft.value = await newest(draft, ask("GET", place()));
     });
     say(t(`solve-${state.state}`));
   };

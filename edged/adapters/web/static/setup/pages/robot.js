@@ -1,7 +1,7 @@
 // The robot: where the rig stands to it, by touched places or by poses of the flange; said after each, kept at the end.
 import { effect, html, useEffect, useState } from "../../vendor/ui.js";
 import { attempt, ask } from "../api.js";
-import { cell, checked, holds, look, mayTake, sign, token } from "../live.js";
+import { cell, checked, holds, look, mayTake, newest, sign, token } from "../live.js";
 import { NumberField, say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { dashed, number, t } from "../texts.js";
@@ -10,7 +10,7 @@ import { Pair } from "./picture.js";
 import { More, Places, title } from "./robotplaces.js";
 import { Samples } from "./robotsamples.js";
 import { Sky } from "./robotsky.js";
-import { BRANDS, change, current, find, hear, placeName, sampleName } from "./robotdraft.js";
+import { BRANDS, change, current, find, hear, heard, placeName, sampleName } from "./robotdraft.js";
 import { Shown } from "./robotnumbers.js";
 import { styled } from "./styles.js";
 
@@ -39,7 +39,7 @@ function Begin() {
   const begin = () =>
     attempt(async () => {
       current.job.value = choice.startsWith(PART) ? choice.slice(PART.length) : null;
-      current.draft.value = await ask("POST", "registrations", { mount, kind, brand: brand || null, board: board || "" });
+      current.draft.value = await newest(heard, ask("POST", "registrations", { mount, kind, brand: brand || null, board: board || "" }));
     });
   return html`<section aria-labelledby="robot-how">
     <h2 id="robot-how">${t("robot-how")}</h2>

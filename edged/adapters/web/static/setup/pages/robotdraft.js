@@ -1,7 +1,7 @@
 // The registration that somebody is at: the newest state of its draft, and what is said of its things.
 import { signal } from "../../vendor/ui.js";
 import { ask, attempt, Problem } from "../api.js";
-import { told } from "../live.js";
+import { newest, told } from "../live.js";
 import { t } from "../texts.js";
 
 export const BRANDS = {
@@ -11,15 +11,16 @@ export const BRANDS = {
 // job: whose part is touched, null for the board of the draft.
 export const current = { draft: signal(null), brands: signal([]), job: signal(null) };
 
+export const heard = told("registration");
+
 // This one, or the newest that is not in use yet: what somebody began goes on, here or on another screen.
 export async function find(id) {
   const { registrations, brands } = await ask("GET", "registrations");
   current.brands.value = brands;
   const begun = registrations.find((one) => (id ? one.id === id : !one.active && !one.trouble));
-  current.draft.value = begun ? await ask("GET", `registrations/${begun.id}`) : null;
+  current.draft.value = begun ? await newest(heard, ask("GET", `registrations/${begun.id}`)) : null;
 }
 
-const heard = told("registration");
 export function hear() {
   const [now, newer] = [current.draft.peek(), heard.value];
   if (now ? newer?.id === now.id && newer.revision >= now.revision : newer?.by_program) current.draft.value = newer;
@@ -31,7 +32,7 @@ export const change = (method, path, body = {}) =>
     const { id, revision } = current.draft.value;
     try {
       const needsToken = "token" in body && !path.startsWith("/samples");
-      current.draft.value = await ask(method, `registrations/${id}${path}`, needsToken ? body : { ...body, revision });
+      current.draft.value = await newest(heard, ask(method, `registrations/${id}${path}`, needsToken ? body : { ...body, revision }));
     } catch (problem) {
       if (problem instanceof Problem && problem.status === 412) await find(id);
       throw problem;

@@ -1,13 +1,13 @@
 // Teaching a job: a pair of the part, what of it is measured by, what that promises, and its release.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt, sentence } from "../api.js";
-import { cell, holds, look, mayTake, SIDES, sign, token } from "../live.js";
+import { cell, holds, look, mayTake, newest, SIDES, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { styled } from "./styles.js";
 import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
-import { change, drafts, find, jobs, lit, open, see, teaching } from "./teaching.js";
+import { change, drafts, find, jobs, lit, open, pushed, see, teaching } from "./teaching.js";
 import { draws, Region, RegionTools, stroked, tapped, tool, TOOLS } from "./teachregion.js";
 import { Naming, Reference, Sizes } from "./teachsizes.js";
 import { box, lookAt, ZoomButtons, Zoomed } from "./zoom.js";
@@ -25,14 +25,14 @@ function Begin() {
       sign();
       setTaking(true);
       try {
-        open(await ask("POST", "teachings", body));
+        open(await newest(pushed, ask("POST", "teachings", body)));
         tool.value = "tap";
         box.value = null;
       } finally {
         setTaking(false);
       }
     });
-  const goOn = (id) => attempt(async () => open(await ask("GET", `teachings/${id}`)));
+  const goOn = (id) => attempt(async () => open(await newest(pushed, ask("GET", `teachings/${id}`))));
   const begun = (drafts.value ?? []).filter(({ active }) => !active);
   const known = (jobs.value ?? []).filter(({ retired }) => !retired);
   const fresh = { token: token.value };
@@ -118,7 +118,7 @@ function Trouble() {
     if (!proposing) return undefined;
     // pushed as well; asked for where a message was missed
     const timer = setInterval(async () => {
-      const fresh = await attempt(() => ask("GET", `teachings/${teaching.value.id}`));
+      const fresh = await attempt(() => newest(pushed, ask("GET", `teachings/${teaching.value.id}`)));
       if (fresh) see(fresh);
     }, 2000);
     return () => clearInterval(timer);

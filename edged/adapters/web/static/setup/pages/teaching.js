@@ -1,7 +1,7 @@
 // The draft of a job that is taught: what the cell keeps of it, and every change by way of the cell.
 import { effect, signal } from "../../vendor/ui.js";
 import { ask, attempt, Problem } from "../api.js";
-import { told } from "../live.js";
+import { newest, told } from "../live.js";
 
 const KEPT = "edged.teaching";
 export const teaching = signal(null);
@@ -9,7 +9,7 @@ export const drafts = signal(null);
 export const jobs = signal(null);
 export const lit = signal(null); // the feature under mouse or focus, in pictures and list alike
 
-const pushed = told("teaching");
+export const pushed = told("teaching");
 effect(() => {
   if (!pushed.value || pushed.value.id !== teaching.peek()?.id) return;
   if (pushed.value.gone) open(null);
@@ -32,7 +32,7 @@ export function open(document) {
 export async function find() {
   [{ teachings: drafts.value }, { jobs: jobs.value }] = await Promise.all([ask("GET", "teachings"), ask("GET", "jobs")]);
   const last = drafts.value.find(({ id, active }) => id === localStorage.getItem(KEPT) && !active);
-  if (last) open(await ask("GET", `teachings/${last.id}`));
+  if (last) open(await newest(pushed, ask("GET", `teachings/${last.id}`)));
 }
 
 // One change after the other, each to what the one before made: whoever taps quickly is not late by their own doing.
@@ -46,11 +46,11 @@ export function change(method, path, body = {}) {
 async function send(method, path, body) {
   const { id, revision } = teaching.value;
   try {
-    see(await ask(method, `teachings/${id}${path}`, { ...body, revision }));
+    see(await newest(pushed, ask(method, `teachings/${id}${path}`, { ...body, revision })));
     return true;
   } catch (problem) {
     if (problem.status !== 412) throw problem;
-    see(problem.params?.document ?? (await ask("GET", `teachings/${id}`)));
+    see(problem.params?.document ?? (await newest(pushed, ask("GET", `teachings/${id}`))));
     throw new Problem({ status: 412, code: "stale", detail: problem.detail });
   }
 }
