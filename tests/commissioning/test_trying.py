@@ -60,7 +60,7 @@ def test_an_honest_sigma_is_called_so() -> None:
 def test_a_sigma_that_is_wrong_by_a_factor_of_two_is_not(factor: float, verdict: str) -> None:
     """Half of what it is: the scatter is larger; twice: smaller."""
     found = judged(stands(drawn(3), factor * SIGMA_MM))
-    assert verdict == found.verdict
+    assert (verdict, verdict == "smaller") == (found.verdict, found.covers)
     assert found.scatter_mm is not None
     np.testing.assert_allclose(found.scatter_mm, SIGMA_MM, rtol=0.35)
 
@@ -73,7 +73,7 @@ def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
     seen = stands(drawn(6))
     seen[20] = Stand(drawn(6)[20] + 15 * SIGMA_MM, np.diag(SIGMA_MM**2))
     for one in (stands(pushed), stands(sinking), seen):
-        assert ("moving", None) == (judged(one).verdict, judged(one).chi2)
+        assert ("moving", None, None) == (judged(one).verdict, judged(one).chi2, judged(one).covers)
     gone = [*stands(drawn(7))[:29], None]
     assert ("vanished", None) == (judged(gone).verdict, judged(gone).scatter_mm)
 
@@ -103,7 +103,7 @@ def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
 
 
 def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
-    """By a micrometre in every direction, which its sigma would cover: no edge by itself is so unsteady."""
+    """By a micrometre in every direction, which its sigma covers: no edge by itself is so unsteady."""
     rng, poses = np.random.default_rng(4), []
     for shake in 1e-3 * rng.normal(size=(10, 3)):
         poses.append(cells.pose((3.0, -4.0, 207.0), 70.0, 6.0))
@@ -111,7 +111,7 @@ def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
     found = of_pictures(poses, 1)
     assert found.scatter_mm is not None
     assert found.edges_mm is not None
-    assert "larger" == found.verdict
+    assert ("larger", True) == (found.verdict, found.covers)
     assert (found.scatter_mm < found.edges_mm).all()
 
 

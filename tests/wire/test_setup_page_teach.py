@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 import shutil
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
+from edged.files.statefolder import state_folder
 from edged.sim.cell import demo_rig
 
 pytestmark = [
@@ -35,17 +38,23 @@ CHECKED = '[...document.querySelectorAll(".features-list input")].map((box) => b
 FIGURES = '[...document.querySelectorAll(".figures-of dd")]'
 QUIET = '!document.querySelector("progress")'
 """The cell looks for nothing any more."""
+STILL = 'document.querySelector("[aria-labelledby=try-still] tbody")'
+STILL_ROWS = f"""[...{STILL}.rows].map((row) => [...row.cells].map((cell) => cell.innerText))"""
 CTRL, SHIFT, ALT = 2, 8, 1
 
 
 @dataclass(frozen=True)
 class Stand:
-    """A stage with a rig and its part on the table, one browser, and a draft that is proposed."""
+    """A stage with a rig and its part on the table, one browser, and a draft that is proposed.
+
+    still : file of the last still test.
+    """
 
     runner: asyncio.Runner
     newcomer: Newcomer
     page: Browser
     draft: str
+    still: Path
 
     def run(self, test: Callable[[], Awaitable[None]]) -> None:
         """A test's coroutine, bounded; nothing may fail unseen."""
@@ -108,7 +117,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     with asyncio.Runner() as runner:
         stack = AsyncExitStack()
         newcomer, page, draft = runner.run(ready(stack))
-        yield Stand(runner, newcomer, page, draft)
+        yield Stand(runner, newcomer, page, draft, state_folder(folder / "cell.toml") / "still.json")
         runner.run(stack.aclose())
 
 
@@ -321,6 +330,25 @@ def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(s
         assert [] == await page.value(SMALL_TARGETS)
         await go(page, "jobs")
         await stand.newcomer.until("trials", lambda now: not now["on"])
+        # as a part that shakes leaves it: more than its noise, and within its sigma
+        um = {
+            name: dict.fromkeys("xyz", um) for name, um in (("scatter", 0.5), ("noise", 0.2), ("edges", 0.75))
+        }
+        found: dict[str, Any] = {f"{name}_um": values for name, values in um.items()}
+        found |= {
+            "at": "2026-01-31T12:00:00+00:00",
+            "by": "me",
+            "name": "flange",
+            "calibration": "demo",
+            "n": 30,
+        }
+        found |= {"chi2": 6.25, "expected": [0.72, 1.72], "verdict": "larger", "covers": True}
+        stand.still.write_text(json.dumps(found))
+        await stand.open(step="try", there=STILL)
+        assert ["X", "0.50 µm", "0.20 µm", "0.75 µm"] == (await page.value(STILL_ROWS))[0]
+        assert await page.value(
+            said("more than the noise of the edges explains: 6.25, expected 0.72 to 1.72")
+        )
         await stand.open(360, 740, "?pseudo", "try", 'document.querySelector(".sigma-map text")')
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import numpy as np
+import pytest
 from cells import flange
 from partcell import PartCell, turned
 
 from edged.files.jobs import save_job
 from edged.pipeline import prepare
 from edged.vision.teaching.pair import teach
+from edged.workshop.worker import Worker
 
 
 class TaughtCell(PartCell):
@@ -52,7 +54,19 @@ async def told(
     raise AssertionError("the socket has ended")
 
 
-def test_a_job_is_tried_on_live_pairs(tmp_path: Path) -> None:
+def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
+    """A worker's `run` that is given the pictures of smaller cameras to try."""
+
+    async def cropped(worker: Worker, name: str, *arguments: Any) -> Any:
+        if name == "try_pair":
+            setup, images = arguments
+            arguments = setup, tuple(image[:-8] for image in images)
+        return await run(worker, name, *arguments)
+
+    return cropped
+
+
+def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
     longer; a draft is tried as a job is. What cannot be tried is said."""
     cell = TaughtCell(tmp_path)
@@ -60,7 +74,7 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path) -> None:
     async def test() -> None:
         token = await cell.take()
         for what, code in (
-            ({"job": "gear"}, (422, "input")),
+            ({"job": "gear"}, (422, "input_no_job")),
             ({"teaching": "20260101-120000-0000"}, (404, "unknown")),
             ({}, (422, "input")),
             ({"job": "gear", "teaching": "20260101-120000-0000"}, (400, "invalid")),
@@ -98,6 +112,15 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path) -> None:
             gone = await told(socket, lambda one: one["status"] != "OK")
             assert ("NO_TARGET", "NOT_FOUND", []) == (gone["status"], gone["words_code"], gone["targets"])
 
+            with monkeypatch.context() as patch:
+                patch.setattr(Worker, "run", cropping(Worker.run))
+                trouble = (await told(socket, lambda one: one["trouble"]))["trouble"]
+            height, width = flange().left.shape
+            sizes = {"found": f"{width}x{height - 8}", "wanted": f"{width}x{height}"}
+            assert ("image_size", {"side": "left", **sizes}) == (trouble["code"], trouble["params"])
+            assert sizes["wanted"] in trouble["text"]
+            assert None is (await told(socket, lambda one: one["status"]))["trouble"]
+
             status, off = await cell.ask("PUT", "/trials", {**token, "on": False})
             assert (200, False, len(gone["covered"])) == (status, off["on"], len(off["covered"]))
             cell.world.shown = turned(70.0)
@@ -131,7 +154,7 @@ def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
         assert (200, {"last": None}) == await cell.ask("GET", "/trials/still", None)
         assert "done" == (await cell.done(await still(token, 6)))["state"]
         found = await last()
-        assert ("smaller", 6, "Anna") == (found["verdict"], found["n"], found["by"])
+        assert ("smaller", True, 6, "Anna") == (found["verdict"], found["covers"], found["n"], found["by"])
         assert 0 < found["edges_um"]["z"] < 20
         assert found["expected"][0] < 1 < found["expected"][1]
 

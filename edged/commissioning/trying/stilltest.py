@@ -56,7 +56,7 @@ class Stillness:
 
     edges_mm : what is stated; noise_mm : what the noise of the single edges leaves of it, None: not known.
     chi2 : scatter over the variance that the noise explains, else over the stated one, mean of all axes;
-    expected : where 19 of 20 honest ones lie.
+    expected : where 19 of 20 honest ones lie. covers : the stated sigma the scatter; None: nothing is judged.
     """
 
     verdict: StillVerdict
@@ -66,6 +66,7 @@ class Stillness:
     noise_mm: FloatArray | None
     chi2: float | None
     expected: tuple[float, float]
+    covers: bool | None = None
 
 
 def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
@@ -100,9 +101,10 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
     if _has_moved(places, stated, explained):
         return Stillness("moving", count, scatter_mm, edges_mm, noise_mm, None, honest)
     covered, chi2 = (_mean_square(gaps, one) * count / (count - 1) for one in (stated, explained))
-    larger = covered > high or chi2 > honest[1]
+    covers = covered <= high
+    larger = not covers or chi2 > honest[1]
     verdict: StillVerdict = "larger" if larger else "smaller" if chi2 < low else "honest"
-    return Stillness(verdict, count, scatter_mm, edges_mm, noise_mm, chi2, honest)
+    return Stillness(verdict, count, scatter_mm, edges_mm, noise_mm, chi2, honest, covers)
 
 
 def interval(freedom: int) -> tuple[float, float]:

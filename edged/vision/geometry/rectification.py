@@ -135,7 +135,9 @@ def check_size(camera: CameraModel, image: Image, side: Side) -> None:
         raise ImageError(f"{side} image: {image.dtype} pixels, expected 8-bit grey")
     if image.shape != (camera.height, camera.width):
         found = "x".join(str(n) for n in reversed(image.shape))
-        raise ImageError(f"{side} image: {found}, the rig was calibrated for {camera.width}x{camera.height}")
+        wanted = f"{camera.width}x{camera.height}"
+        text = f"{side} image: {found}, the rig was calibrated for {wanted}"
+        raise ImageError(text, "size", side=side, found=found, wanted=wanted)
 
 
 def make_rectification(rig: StereoRig) -> Rectification:

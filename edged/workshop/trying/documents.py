@@ -10,13 +10,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from edged.commissioning.trying.sigmamap import SigmaMap
 from edged.commissioning.trying.stilltest import Stillness, StillVerdict
 from edged.commissioning.trying.tried import Sigma, TriedPart, sigma_of
+from edged.workshop.calibration.documents import Trouble
 
 
 class TrialDocument(BaseModel):
     """The trial as it stands. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null: none yet.
 
-    words_code : the first of the reasons, or OK. covered : places in the rig's frame, mm, where a part was
-    good, as x, y, z; covered_share : of the working volume, null while its map is not known.
+    words_code : the first of the reasons, or OK. trouble : why the pair could not be measured at all.
+    covered : places in the rig's frame, mm, where a part was good, as x, y, z; covered_share : of the working
+    volume, null while its map is not known.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -32,7 +34,7 @@ class TrialDocument(BaseModel):
     limit_um: float | None
     covered: list[list[float]]
     covered_share: float | None
-    trouble: str | None
+    trouble: Trouble | None
 
 
 class StillDocument(BaseModel):
@@ -40,7 +42,7 @@ class StillDocument(BaseModel):
 
     chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
     known; expected : where it should lie. larger, smaller : the scatter than that, or than what is stated.
-    moving, vanished : the part did, and nothing is judged.
+    covers : what is stated the scatter; null where nothing is judged. moving, vanished : the part did.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -55,6 +57,7 @@ class StillDocument(BaseModel):
     chi2: float | None
     expected: tuple[float, float]
     verdict: StillVerdict
+    covers: bool | None = None
 
 
 class Stills(BaseModel):
@@ -129,4 +132,5 @@ def still_document(found: Stillness, name: str, calibration: str, at: str, by: s
         chi2=None if found.chi2 is None or not math.isfinite(found.chi2) else round(found.chi2, 3),
         expected=(round(low, 3), round(high, 3)),
         verdict=found.verdict,
+        covers=found.covers,
     )

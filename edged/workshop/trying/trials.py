@@ -33,6 +33,7 @@ from edged.session.notices import Notices
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
 from edged.workshop.calibration.checks import RigInUse
+from edged.workshop.calibration.documents import trouble_in
 from edged.workshop.tasks import Tasks
 from edged.workshop.trying.documents import (
     MapDocument,
@@ -81,7 +82,7 @@ class _Trial:
     calibration: str
     number: int = 0
     tried: Tried | None = None
-    trouble: str = ""
+    trouble: EdgedError | OSError | None = None
     scatters: Scatters = field(default_factory=dict)
     places: list[FloatArray] = field(default_factory=list)
     visited: set[int] = field(default_factory=set)
@@ -111,12 +112,12 @@ class _Trial:
             limit_um=1e3 * self.job.limits.max_sigma_mm,
             covered=[[round(float(one), 2) for one in place] for place in self.places],
             covered_share=self.covered_share,
-            trouble=self.trouble or None,
+            trouble=trouble_in(self.trouble),
         )
 
     def note(self, number: int, tried: Tried) -> None:
         """A pair was measured."""
-        self.number, self.tried, self.trouble = number, tried, ""
+        self.number, self.tried, self.trouble = number, tried, None
         self.scatters = tried.scatters or self.scatters
         for place in tried.places_mm:
             self._visit(place)
@@ -262,9 +263,9 @@ class Trials:
             self._token = None
         except (EdgedError, OSError) as error:
             if trial is not None:
-                if trial.trouble != str(error):  # once, not with every pair
+                if str(trial.trouble) != str(error):  # once, not with every pair
                     log.warning("a live pair cannot be tried: %s", error)
-                trial.number, trial.tried, trial.trouble = number, None, str(error)
+                trial.number, trial.tried, trial.trouble = number, None, error
         finally:
             self._trying = None
         if what == self._tried:
@@ -293,7 +294,7 @@ class Trials:
             raise UserError("which job is to be tried?")
         job = self._jobs().get(what.job)
         if job is None:
-            raise UserError(f"there is no job {what.job}")
+            raise UserError(f"there is no job {what.job}", "no_job", name=what.job)
         return job
 
     def _in_use(self) -> RigInUse:

@@ -102,6 +102,12 @@ problem-teach-name = Das kann kein Name sein: Buchstaben, Ziffern, „_“, „.
 problem-teach-name-taken = Den Auftrag { $name } gibt es schon: ändern Sie jenen, oder wählen Sie einen anderen Namen.
 problem-teach-number-taken = { $number } ist die Nummer von { $name }; { $free } ist frei.
 problem-teach-name-old = Was so endet, ist ein ersetzter Auftrag: wählen Sie einen anderen Namen.
+problem-image-size =
+    Das { $side ->
+        [left] linke
+       *[right] rechte
+    } Bild hat { $found } Pixel, und die Kalibrierung ist von { $wanted }: Stellen Sie die Kameras wieder darauf ein, oder kalibrieren Sie sie, wie sie jetzt sind.
+problem-task-failed = Die Arbeit der Zelle daran endete ohne Ergebnis. Wenn das wieder geschieht, sehen Sie in ihr Protokoll (journalctl -u edged).
 problem-gone = Dieses Bild ist nicht mehr da. Nehmen Sie ein neues auf.
 problem-status-404 = Diese Zelle bietet das nicht an. Bringen Sie edged auf dem Zellen-PC auf den neuen Stand und laden Sie die Seite neu.
 problem-status-500 = Die Zelle hat selbst einen Fehler gemacht: sehen Sie in ihr Protokoll (journalctl -u edged).

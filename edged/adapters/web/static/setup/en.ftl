@@ -102,6 +102,12 @@ problem-teach-name = This cannot be a name: letters, digits, “_”, “.” an
 problem-teach-name-taken = There is a job { $name } already: change that one, or choose another name.
 problem-teach-number-taken = { $number } is the number of { $name }; { $free } is free.
 problem-teach-name-old = What ends so is a job that was replaced: choose another name.
+problem-image-size =
+    The { $side ->
+        [left] left
+       *[right] right
+    } picture has { $found } pixels, and the calibration is of { $wanted }: let the cameras give that again, or calibrate them as they are now.
+problem-task-failed = The cell's own work on it ended without a result. If that happens again, look at its log (journalctl -u edged).
 problem-gone = This picture is no longer kept. Take a new one.
 problem-status-404 = This cell does not offer that. Update edged on the cell PC, and load this page again.
 problem-status-500 = The cell made a mistake of its own: look at its log (journalctl -u edged).

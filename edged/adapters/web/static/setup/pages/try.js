@@ -1,6 +1,6 @@
 // Trying a job: live, while the part is pushed around; where it will be how precise; and whether sigma is honest.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, attempt, sentence } from "../api.js";
 import { cell, holds, rawSize, SIDES, sign, task, told, token } from "../live.js";
 import { say, Shape } from "../pieces.js";
 import { dashed, inWords, moment, number, t } from "../texts.js";
@@ -52,8 +52,8 @@ function Verdict() {
   const { status, reasons, trouble } = trial.value;
   const isGood = status === "OK";
   return html`<div class="big figure" role="status">
-    <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${t(`try-status-${dashed(status ?? "no_target")}`)}</strong></p>
-    ${trouble && html`<p class="small" translate=${false} lang="en">${trouble}</p>`}
+    <p><${Shape} is=${isGood ? "tick" : "gap"} /> <strong>${trouble ? t("try-trouble") : t(`try-status-${dashed(status)}`)}</strong></p>
+    ${trouble && html`<p class="small">${sentence({ ...trouble, detail: trouble.text })}</p>`}
     ${!isGood && reasons.map((one) => html`<p key=${one} class="small">${inWords("try-why", one)}</p>`)}
   </div>`;
 }
@@ -105,22 +105,23 @@ function Still() {
     <p class="hint">${t("try-still-what")}</p>
     <div class="actions"><button type="button" disabled=${!holds.value || !isOn.value || Boolean(id)} onClick=${begin}>${t("try-still-start", { count: STILL })}</button></div>
     ${id && html`<div role="status"><label class="meter"><span>${t("try-still-running")}</span><progress max="1" value=${state?.done ?? undefined}></progress></label></div>`}
-    ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("try-still-failed")} <span translate=${false} lang="en">${failed.problem?.detail ?? failed.problem ?? ""}</span></p>`}
+    ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${t("try-still-failed")} ${failed.problem && sentence(failed.problem)}</p>`}
     ${last.value && !id && html`<${StillResult} ...${last.value} />`}
   </section>`;
 }
 
-const sentenceOf = ({ verdict, chi2, expected: [low, high], n }) => t(`try-verdict-${verdict}`, { chi2: number(chi2, 2), low: number(low, 2), high: number(high, 2), count: n });
+// Of too much scatter it is told whether it is what shakes and flickers alone, or the sigma, too, that says too little.
+const sentenceOf = ({ verdict, covers, chi2, expected: [low, high], n }) => t(`try-verdict-${verdict}${verdict === "larger" && covers ? "-covered" : ""}`, { chi2: number(chi2, 2), low: number(low, 2), high: number(high, 2), count: n });
 const FINE = ["honest", "smaller"]; // on the safe side is no fault
 
 function StillResult(result) {
-  const { at, by, name, scatter_um, edges_um, verdict } = result;
+  const { at, by, name, scatter_um, noise_um, edges_um, verdict } = result;
   return html`<p class="verdict" role="status"><${Shape} is=${FINE.includes(verdict) ? "tick" : "doubt"} /> ${sentenceOf(result)}</p>
     <p class="muted" translate=${false}>${name} · ${moment(at)} · ${by}</p>
     ${scatter_um &&
     edges_um &&
-    html`<table class="pose"><thead><tr><th scope="col"><span class="unseen">${t("try-axis")}</span></th><th scope="col">${t("try-scatter")}</th><th scope="col">${t("try-edges")}</th></tr></thead>
-      <tbody>${AXES.map((axis) => html`<tr key=${axis}><th scope="row" translate=${false}>${axis.toUpperCase()}</th>${[scatter_um, edges_um].map((one) => html`<td translate=${false}>${number(one[axis], 2)} µm</td>`)}</tr>`)}</tbody></table>`}`;
+    html`<div class="scroll" tabindex="0" role="region" aria-label=${t("try-still")}><table class="pose"><thead><tr><th scope="col"><span class="unseen">${t("try-axis")}</span></th><th scope="col">${t("try-scatter")}</th><th scope="col">${t("try-noise")}</th><th scope="col">${t("try-edges")}</th></tr></thead>
+      <tbody>${AXES.map((axis) => html`<tr key=${axis}><th scope="row" translate=${false}>${axis.toUpperCase()}</th>${[scatter_um, noise_um, edges_um].map((one) => html`<td translate=${false}>${one ? `${number(one[axis], 2)} µm` : "–"}</td>`)}</tr>`)}</tbody></table></div>`}`;
 }
 
 // --- what is tried ---
