@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import io
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -99,7 +100,7 @@ async def refuse_bodies(browser: BrowserSession, method: str, path: str, limit_b
     async with browser.session.request(method, path, data={"a": "b"}, headers=own) as answer:
         assert 415 == answer.status, path
     large = b'{"a": "' + b"x" * limit_bytes + b'"}'
-    bodies = ((large, 413, "too_large"), (pieces(large), 413, "too_large"), (b"[]", 400, "json"))
+    bodies = ((io.BytesIO(large), 413, "too_large"), (pieces(large), 413, "too_large"), (b"[]", 400, "json"))
     for data, status, code in (*bodies, (b"{", 400, "json"), (b'{"colour": 1}', 400, "invalid")):
         headers = {**own, "Content-Type": "application/json"}
         async with browser.session.request(method, path, data=data, headers=headers) as answer:

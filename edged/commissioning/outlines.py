@@ -54,11 +54,19 @@ def thinned(outline: FloatArray, count: int) -> FloatArray:
     return np.asarray(outline[np.unique(np.linspace(0, len(outline) - 1, count).astype(np.int64))])
 
 
-def contours_of(job: Job, rectification: Rectification) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
-    """The model's points as lines, in both raw pictures; in the right one as far as they lie in the face."""
+def contours_of(
+    job: Job, rectification: Rectification, moved: FloatArray | None = None
+) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+    """The model's points as lines, in both raw pictures; in the right one as far as they lie in the face.
+
+    moved : (4, 4) in the rig's frame, from where the part was taught to where it lies; None: it lies there.
+    """
     rig = rectification.rig
     left_px = rectification.raw_points("left", job.shape.origin_px + job.shape.levels[0].points)
-    right_px = seen_by(on_face(job, rig, left_px), rig)[1]
+    points_mm = on_face(job, rig, left_px)
+    right_px = seen_by(points_mm, rig)[1]
+    if moved is not None:
+        left_px, right_px = seen_by(apply(moved, points_mm), rig)
     chains = _chains(job.shape.levels[0].points)
     left, right = (tuple(line(points[chain]) for chain in chains) for points in (left_px, right_px))
     return left, right

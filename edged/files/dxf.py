@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -65,35 +66,41 @@ class Chain:
     closed: bool
 
 
-def read_dxf(path: Path, layers: Sequence[str] = (), units: str | None = None) -> list[FloatArray]:
+def read_dxf(
+    path: Path, layers: Sequence[str] = (), units: str | None = None, most_points: int = MAX_POINTS
+) -> list[FloatArray]:
     """Closed outlines of a DXF drawing in mm.
 
     layers : only these; empty: all that are switched on.  units : of `UNITS`, where the drawing does not say.
+    most_points : of all curves, at most; what would take more memory is refused before it is drawn.
     Raises `FileFormatError` for what is no DXF, has no unit, is not flat, is not closed, or is empty.
     """
     path = Path(path)
     read_bytes(path, "a drawing")  # exists, and has a sane size
     try:
-        chains = _read_chains(path, layers, units)
+        chains = _read_chains(path, layers, units, most_points)
     except _DAMAGE as error:
-        raise FileFormatError(f"{path}: not a DXF drawing that can be read: {error}") from error
+        raise FileFormatError(f"{path}: not a DXF drawing that can be read: {error}", "no_dxf") from error
     return _outlines(chains, str(path))
 
 
-def _read_chains(path: Path, layers: Sequence[str], units: str | None) -> list[Chain]:
+def _read_chains(path: Path, layers: Sequence[str], units: str | None, most_points: int) -> list[Chain]:
     document = readfile(path)
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
-        raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {', '.join(map(repr, known))}")
+        there = ", ".join(map(repr, known))
+        raise FileFormatError(
+            f"{path}: no layer {missing[0]!r}, there are {there}", "layer", there=there[:500]
+        )
     scale = _scale(document, path, units)
     chains: list[Chain] = []
     points = 0
     for entity in _entities(document, layers, path):
-        more = _chains(entity, scale, path)
+        more = _chains(entity, scale, path, most_points)
         chains += more
         points += sum(len(chain.points) for chain in more)
-        if points > MAX_POINTS:
-            raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the drawing of one part")
+        if points > most_points:
+            raise _too_many(path, most_points, "points")
     return chains
 
 
@@ -128,7 +135,8 @@ def _scale(document: DxfDocument, path: Path, units: str | None) -> float:
         return UNITS[units]
     if document.units == 0:
         raise FileFormatError(
-            f"{path}: the drawing does not say its unit ($INSUNITS is 0); state it ({', '.join(UNITS)})"
+            f"{path}: the drawing does not say its unit ($INSUNITS is 0); state it ({', '.join(UNITS)})",
+            "unit",
         )
     return float(conversion_factor(InsertUnits(document.units), InsertUnits.Millimeters))
 
@@ -147,61 +155,75 @@ def _entities(document: DxfDocument, layers: Sequence[str], path: Path) -> list[
         entity, depth = waiting.popleft()
         if isinstance(entity, Insert):
             if depth > 8:
-                raise FileFormatError(f"{path}: blocks inside blocks, more than 8 deep")
+                raise FileFormatError(f"{path}: blocks inside blocks, more than 8 deep", "large")
             waiting += [(part, depth + 1) for part in entity.virtual_entities()]
         elif entity.dxftype() in SHAPES and wanted(entity):
             found.append(entity)
         if len(found) + len(waiting) > MAX_ENTITIES:
-            raise FileFormatError(f"{path}: more than {MAX_ENTITIES} shapes: not the drawing of one part")
+            raise _too_many(path, MAX_ENTITIES, "shapes")
     return found
 
 
-def _chains(entity: DXFGraphic, scale: float, path: Path) -> list[Chain]:
+def _too_many(path: Path, most: int, what: str) -> FileFormatError:
+    return FileFormatError(f"{path}: more than {most} {what}: not the drawing of one part", "large")
+
+
+def _chains(entity: DXFGraphic, scale: float, path: Path, most_points: int) -> list[Chain]:
     chains = []
-    for points in _flattened(entity, FLATTENING_MM / scale):
+    for points in _flattened(entity, FLATTENING_MM / scale, most_points):
         if len(points) < 2:
             continue
+        if len(points) > most_points:
+            raise _too_many(path, most_points, "points")
         points = points * scale
         if not np.isfinite(points).all():
             raise FileFormatError(f"{path}: {entity}: coordinates that are not finite")
         if np.ptp(points[:, 2]) > GAP_MM:
-            raise FileFormatError(f"{path}: {entity}: not flat; expected a drawing in the x-y plane")
+            raise FileFormatError(f"{path}: {entity}: not flat; expected a drawing in the x-y plane", "flat")
         chains.append(_chain(points[:, :2]))
     return chains
 
 
-def _flattened(entity: DXFGraphic, distance: float) -> list[FloatArray]:
+def _flattened(entity: DXFGraphic, distance: float, most: int) -> list[FloatArray]:
     """Points (N, 3) of each curve of an entity, every one of them on the drawn curve itself.
 
-    distance : largest one of the curve from its chords. ezdxf's paths are Bézier curves, 0.03 % too large
-    where they stand for arcs: the radius of a job would be off by four times what is measured.
+    distance : largest one of the curve from its chords. most : points; one more says that there are.
+
+    ezdxf's paths are Bézier curves, 0.03 % too large where they stand for arcs: the radius of a job would be
+    off by four times what is measured.
     """
     vertices: Iterable[Vec3]
     if isinstance(entity, Circle):  # an arc, too
-        vertices = entity.flattening(min(distance, 0.1 * abs(entity.dxf.radius)))
+        radius = abs(entity.dxf.radius)
+        if not math.pi * math.sqrt(0.5 * radius / distance) < most:  # all of them are made at once
+            raise FileFormatError(f"{entity}: an arc of more than {most} points", "large")
+        vertices = entity.flattening(min(distance, 0.1 * radius))
     elif isinstance(entity, Ellipse | Spline):
         vertices = entity.flattening(distance)
     elif isinstance(entity, LWPolyline):
         corners = np.array(entity.get_points("xyb"), np.float64)
-        vertices = _bulged(corners, entity.closed, entity.dxf.elevation, entity.ocs(), distance)
+        vertices = _bulged(corners, entity.closed, entity.dxf.elevation, entity.ocs(), distance, most)
     elif isinstance(entity, Polyline) and entity.is_2d_polyline:
         corners = np.array([vertex.format("xyb") for vertex in entity.vertices], np.float64)
         height = Vec3(entity.dxf.elevation).z if entity.dxf.hasattr("elevation") else 0.0
-        vertices = _bulged(corners, entity.is_closed, height, entity.ocs(), distance)
+        vertices = _bulged(corners, entity.is_closed, height, entity.ocs(), distance, most)
     else:
-        return [_as_points(part.flattening(distance)) for part in dxfpath.make_path(entity).sub_paths()]
-    return [_as_points(vertices)]
+        parts = dxfpath.make_path(entity).sub_paths()
+        return [_as_points(part.flattening(distance), most) for part in parts]
+    return [_as_points(vertices, most)]
 
 
-def _as_points(vertices: Iterable[Vec3]) -> FloatArray:
-    return np.array([tuple(vertex) for vertex in vertices], np.float64).reshape(-1, 3)
+def _as_points(vertices: Iterable[Vec3], most: int) -> FloatArray:
+    return np.array([tuple(vertex) for vertex in islice(vertices, most + 1)], np.float64).reshape(-1, 3)
 
 
-def _bulged(corners: FloatArray, closed: bool, height: float, ocs: OCS, distance: float) -> Iterable[Vec3]:
+def _bulged(
+    corners: FloatArray, closed: bool, height: float, ocs: OCS, distance: float, most: int
+) -> Iterable[Vec3]:
     """Vertices of a polyline; corners (N, 3) : x, y, bulge (tangent of a quarter of the arc to the next)."""
     following = np.roll(corners, -1, axis=0)
     sides = len(corners) if closed else len(corners) - 1
-    places = [corners[:1, :2]]
+    places, drawn = [corners[:1, :2]], 0
     for (x, y, bulge), (x2, y2, _) in zip(corners[:sides], following[:sides], strict=True):
         start, end = np.array([x, y]), np.array([x2, y2])
         chord = end - start
@@ -214,8 +236,9 @@ def _bulged(corners: FloatArray, closed: bool, height: float, ocs: OCS, distance
         radius, turn = length * (1 + bulge**2) / (4 * abs(bulge)), 4 * math.atan(bulge)
         step = 2 * math.acos(1 - min(distance / radius, 0.1))
         count = math.ceil(abs(turn) / step)
-        if count > MAX_POINTS:
-            raise FileFormatError(f"an arc of more than {MAX_POINTS} points")
+        drawn += count
+        if drawn > most:
+            raise FileFormatError(f"an arc of more than {most} points", "large")
         angles = turn * np.arange(1, count) / count
         out = start - centre
         cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -239,7 +262,8 @@ def _outlines(chains: Sequence[Chain], place: str) -> list[FloatArray]:
     )
     outlines = [outline for outline in outlines if abs(area(outline)) > GAP_MM**2]
     if not outlines:
-        raise FileFormatError(f"{place}: no closed outline in it; expected lines, arcs, circles or polylines")
+        expected = "expected lines, arcs, circles or polylines"
+        raise FileFormatError(f"{place}: no closed outline in it; {expected}", "empty")
     return outlines
 
 
@@ -263,7 +287,7 @@ def _joined(lines: Sequence[FloatArray], place: str) -> list[FloatArray]:
         used.add(first)
         while (following := _next(chain, used, ends)) is not first:
             if following is None:
-                raise FileFormatError(f"{place}: {_why_open(chain, ends)}")
+                raise _why_open(place, chain, ends)
             chain.append(following)
             used.add(following)
         points = [edge.payload[::-1] if edge.is_reverse else edge.payload for edge in chain]
@@ -287,15 +311,17 @@ def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
     )
 
 
-def _why_open(chain: Sequence[Edge], ends: Deposit) -> str:
+def _why_open(place: str, chain: Sequence[Edge], ends: Deposit) -> FileFormatError:
     """What is wrong with a chain that nothing closes: an end that is alone, else one where too many meet."""
     hint = "expected closed outlines (leave out construction lines by choosing layers)"
     last, first = chain[-1].end, chain[0].start
     for end in (last, first):
         if len(set(ends.edges_linked_to(end))) == 1:
-            return f"an outline is open: nothing goes on at ({end.x:.3f}, {end.y:.3f}) mm; {hint}"
+            why = f"an outline is open: nothing goes on at ({end.x:.3f}, {end.y:.3f}) mm; {hint}"
+            return FileFormatError(f"{place}: {why}", "open", x=f"{end.x:.3f}", y=f"{end.y:.3f}")
     where = f"({last.x:.3f}, {last.y:.3f}) mm, where {ends.degree(last)} ends meet"
-    return f"no outline closes at {where}: a branch or a line drawn twice; {hint}"
+    why = f"no outline closes at {where}: a branch or a line drawn twice; {hint}"
+    return FileFormatError(f"{place}: {why}", "branch", x=f"{last.x:.3f}", y=f"{last.y:.3f}")
 
 
 def area(outline: FloatArray) -> float:

@@ -214,6 +214,41 @@ def test_a_line_drawn_twice_is_named(
         read_dxf(path)
 
 
+def bomb(kind: str) -> Drawing:
+    """A small file that would fill the memory, drawn."""
+    document = ezdxf.new(units=MM)
+    space = document.modelspace()
+    match kind:
+        case "circle":
+            space.add_circle((0, 0), 1e15)
+        case "arc":
+            space.add_arc((0, 0), 1e15, 0, 90)
+        case "ellipse":
+            space.add_ellipse((0, 0), major_axis=(1e12, 0), ratio=0.5)
+        case "bulge":
+            space.add_lwpolyline([(1e12 * (i % 2), i, 1.0) for i in range(50)], format="xyb", close=True)
+        case "spline":
+            space.add_open_spline([(i, 1e6 * (i % 2)) for i in range(5000)])
+        case _:
+            for depth in range(8):
+                block = document.blocks.new(f"B{depth}")
+                for _ in range(20):
+                    if depth == 0:
+                        block.add_line((0, 0), (1, 0))
+                    else:
+                        block.add_blockref(f"B{depth - 1}", (0, 0))
+            space.add_blockref("B7", (0, 0))
+    return document
+
+
+@pytest.mark.parametrize("kind", ["circle", "arc", "ellipse", "bulge", "spline", "blocks"])
+def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Path) -> None:
+    """Before it is drawn in full, with a sentence, and a code for the page."""
+    with pytest.raises(FileFormatError, match=r"more than \d+ (points|shapes)|8 deep") as caught:
+        read_dxf(saved(bomb(kind), tmp_path), most_points=20_000)
+    assert "large" == caught.value.code
+
+
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("first", [False, True])
 def test_a_line_that_leads_nowhere_is_named_by_its_loose_end(

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from browser import Browser, browser
 from browsersession import PASSWORD
+from flangedrawing import flange_drawing
 from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
 from stagecell import Newcomer, staged
 
@@ -265,6 +267,52 @@ def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
         await page.until(said("beginning with a letter or digit"))
         await page.type("[name=job]", "flange-2")
         await page.until('document.querySelector(".draft-bar strong").textContent === "flange-2"')
+
+    stand.run(test)
+
+
+def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Path) -> None:
+    """A chosen DXF file gives the drawing's own sizes, on the part in the pictures; what is wrong with one is
+    said with its place; one step back is what the pair taught.
+    """
+    is_drawn = 'document.querySelector("#teach-drawing ~ .verdict")'
+    is_open = flange_drawing(tmp_path, is_open=True).read_text()
+    whole = flange_drawing(tmp_path).read_text()
+
+    async def choose(page: Browser, name: str, text: str) -> None:
+        await page.value(
+            f"""(() => {{ const input = document.querySelector("[name=dxf]"), given = new DataTransfer();
+            given.items.add(new File([{json.dumps(text)}], {json.dumps(name)}));
+            input.files = given.files;
+            input.dispatchEvent(new Event("change", {{bubbles: true}})); }})()"""
+        )
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        before = await stand.until(lambda now: now["proposing"] is None)
+        await choose(page, "open.dxf", is_open)
+        await page.until(said("An outline is open: nothing goes on at x 40.000, y 5.000 mm."))
+        page.complaints.clear()  # of the refusal
+        await press(page, "Understood")
+        await choose(page, "flange.dxf", whole)
+        await page.until(is_drawn)
+        drawn = await stand.until(lambda now: now["drawing"] is not None and now["proposing"] is None)
+        assert None is drawn["trouble"]
+        await page.until(QUIET)
+        assert await page.value(said("Learnt from flange.dxf, its face "))
+        await page.until(PROPOSED.replace("7", "6"))
+        outline = np.concatenate([np.array(one) for one in drawn["outlines"]["left"]])
+        taught = np.concatenate([np.array(one) for one in before["outlines"]["left"]])
+        assert np.ptp(outline, axis=0) == pytest.approx(np.ptp(taught, axis=0), abs=8)
+        assert outline.min(axis=0) == pytest.approx(taught.min(axis=0), abs=8)
+        await page.value('document.querySelectorAll("main details").forEach((one) => (one.open = true))')
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        await press(page, "Undo")
+        await page.until(f"!{is_drawn}")
+        back = await stand.until(lambda now: now["proposing"] is None)
+        assert before["features"] == back["features"]
 
     stand.run(test)
 

@@ -78,7 +78,7 @@ class TeachingDraft:
         self._file.write(self.state.changed(start=self.state.start.with_({"shapes": shapes})))
 
     def operate(
-        self, what: Literal["region", "tap", "features", "about"], sets: Mapping[str, JsonValue]
+        self, what: Literal["region", "tap", "features", "about", "drawing"], sets: Mapping[str, JsonValue]
     ) -> None:
         """One step. Raises `TeachError` for what cannot be."""
         try:

@@ -41,6 +41,9 @@ Length = Annotated[float, Field(gt=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Pixels, Pixels]
 Row = tuple[float, float, float]
+MOST_DRAWN_POINTS = 20_000
+MOST_OUTLINES = 500
+"""Of a drawing: a face of one part."""
 FeatureKind = Literal["circle", "slot", "edge", "corner"]
 
 
@@ -133,9 +136,30 @@ class Gripping(Kept):
     symmetry: Annotated[int, Field(ge=0, le=360)] = 1
 
 
+class Drawing(Kept):
+    """The face of the part as it is drawn. outlines : closed, x to the right, y up, mm, as cameras see it.
+
+    depth_mm : nominal distance of the face from the left camera.
+    """
+
+    name: Text
+    depth_mm: Length
+    outlines: Annotated[
+        tuple[Annotated[tuple[tuple[float, float], ...], Field(min_length=3)], ...],
+        Field(min_length=1, max_length=MOST_OUTLINES),
+    ]
+
+    @model_validator(mode="after")
+    def _is_of_one_part(self) -> Self:
+        if sum(len(one) for one in self.outlines) > MOST_DRAWN_POINTS:
+            raise ValueError(f"more than {MOST_DRAWN_POINTS} points")
+        return self
+
+
 class Content(Kept):
     """What the job is to be. shapes : the region; None: not proposed yet; (): the whole picture.
 
+    drawing : what it is learnt from instead; the pair then shows where its part lies.
     sizes, gripping : None: as taught, and as in the job that it replaces.
     """
 
@@ -147,6 +171,7 @@ class Content(Kept):
     gripping: Gripping | None = None
     sizes: Annotated[tuple[Size, ...], Field(max_length=200)] | None = None
     tilt_deg: Annotated[float, Field(gt=0, le=MAX_TILT_DEG)] | None = None
+    drawing: Drawing | None = None
 
     def with_(self, sets: Mapping[str, JsonValue]) -> Content:
         """With other fields, as JSON has them."""
@@ -156,7 +181,7 @@ class Content(Kept):
 class TeachOperation(Kept):
     """Something that can be undone. sets : fields of the content."""
 
-    what: Literal["region", "tap", "features", "about"]
+    what: Literal["region", "tap", "features", "about", "drawing"]
     sets: dict[str, JsonValue]
 
     @model_validator(mode="after")

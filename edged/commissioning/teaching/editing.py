@@ -22,9 +22,16 @@ NOTHING_LEFT = (
 )
 
 
-def edited(taught: Job, content: Content, marks: Mapping[str, Mark], pixel_mm: float) -> Job:
+def edited(
+    taught: Job,
+    content: Content,
+    marks: Mapping[str, Mark],
+    pixel_mm: float,
+    moved: FloatArray | None = None,
+) -> Job:
     """The job that is wanted. marks : of the taught job's features, by name.  pixel_mm : at its depth.
 
+    moved : as `lying` has it.
     What nobody asked for stays as taught. Raises `TeachError` for what no job can be.
     """
     left_out = {name for mark in content.left_out if (name := nearest(mark, marks)) is not None}
@@ -35,7 +42,7 @@ def edited(taught: Job, content: Content, marks: Mapping[str, Mark], pixel_mm: f
     if content.sizes is not None:
         job = _with_sizes(job, content.sizes, marks)
     if content.gripping is not None:
-        grasps = (grasp_of(content.gripping, job), *job.picking.grasps[1:])
+        grasps = (grasp_of(content.gripping, job, moved), *job.picking.grasps[1:])
         job = replace(job, picking=replace(job.picking, grasps=grasps))
     if job is not taught:
         try:
@@ -145,14 +152,23 @@ def _spec(job: Job, size: Size, of: tuple[str, ...]) -> MeasurementSpec:
     return MeasurementSpec(size.name or "_".join((size.kind, *of)), size.kind, of, nominal, tolerance)
 
 
-def grasp_of(gripping: Gripping, job: Job) -> Grasp:
-    """How the tool takes the part of a job that lies as in the pair."""
+def lying(job: Job, moved: FloatArray | None) -> Job:
+    """The job of a part as it lies in the pair. moved : (4, 4) in the rig's frame, from where it was taught;
+    None: it was taught there.
+    """
+    return job if moved is None else replace(job, rig_from_part=moved @ job.rig_from_part)
+
+
+def grasp_of(gripping: Gripping, job: Job, moved: FloatArray | None = None) -> Grasp:
+    """How the tool takes the part of a job. gripping : as the part lies in the pair; moved : of `lying`."""
     rig_from_tcp = np.eye(4)
     rig_from_tcp[:3, :3] = gripping.rotation
     rig_from_tcp[:3, 3] = gripping.position_mm
-    part_from_tcp = invert(job.rig_from_part) @ rig_from_tcp
+    part_from_tcp = invert(lying(job, moved).rig_from_part) @ rig_from_tcp
     # what a person has typed is not to come back with a tail
     part_from_tcp = np.round(part_from_tcp, 9)
+    if moved is not None:
+        rig_from_tcp = job.rig_from_part @ part_from_tcp
     retreat_mm = gripping.approach_mm if gripping.retreat_mm is None else gripping.retreat_mm
     return Grasp(
         gripping.name, part_from_tcp, rig_from_tcp, gripping.approach_mm, retreat_mm, gripping.symmetry

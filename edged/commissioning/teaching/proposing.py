@@ -21,15 +21,27 @@ from edged.commissioning.outlines import (
     thinned,
 )
 from edged.commissioning.pairs import Progress, silent
-from edged.commissioning.teaching.draftstate import Content, FeatureKind, Mark, Shapes, region_of
-from edged.commissioning.teaching.editing import edited
-from edged.commissioning.teaching.proposal import Proposal, Wanted, propose_from_pair
+from edged.commissioning.teaching.draftstate import (
+    Content,
+    Drawing,
+    FeatureKind,
+    Mark,
+    Shapes,
+    region_of,
+)
+from edged.commissioning.teaching.editing import edited, lying
+from edged.commissioning.teaching.former import FormerFiles, picking_of, with_tolerances
+from edged.commissioning.teaching.proposal import (
+    Proposal,
+    Wanted,
+    propose_from_drawing,
+    propose_from_pair,
+)
 from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Reject, Target
-from edged.domain.picking import Picking
+from edged.errors import TeachError
 from edged.files.images import load_image
-from edged.files.jobs import SHAPE, TEXT, job_of
 from edged.files.rig import rig_of
 from edged.pictures.captions import reasons
 from edged.pictures.evidence import features_of, missing_outlines, taught_outlines
@@ -40,19 +52,10 @@ from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec
 from edged.vision.part.measured import Measured
 from edged.vision.teaching.foreground import likely_part
 
-
-@dataclass(frozen=True, slots=True)
-class FormerFiles:
-    """A job as its folder has it. is_same_pair : it was learnt from the pair that is before us."""
-
-    text: bytes
-    shape: bytes
-    folder: Path
-    is_same_pair: bool
-
-    def job(self) -> Job:
-        """Raises `FileFormatError`."""
-        return job_of({TEXT: self.text, SHAPE: self.shape}, self.folder)
+NOT_AS_DRAWN = (
+    "nothing in this pair is like the drawing: is it the face that the cameras see, in its unit, at that "
+    "distance, and does all of it lie in both pictures?"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +122,8 @@ class Seen:
 
     taught : with every feature.  job : as wanted.  marks : of the taught job's features.  contours : of the
     model, left and right.  sigma : (6,) of the pose in this pair, mm and rad; NaN where it is not known.
+    moved : (4, 4) in the rig's frame, from where the job has the part to where it lies in this pair; None: it
+    was taught there.
     """
 
     taught: Job
@@ -132,6 +137,7 @@ class Seen:
     rivals: tuple[tuple[float, float], ...]
     warnings: tuple[Said, ...]
     sigma: tuple[float, ...] | None
+    moved: FloatArray | None = None
 
 
 def propose_region(pictures: Path) -> Line | None:
@@ -144,17 +150,26 @@ def see(order: Order, progress: Progress = silent) -> Seen:
     """Learn the job that is wanted, and look at it. Raises `TeachError`, `ImageError`, `FileFormatError`."""
     content, former = order.content, order.former
     progress("learn", 0, 2)
-    known = _learnt(order.pictures, content.shapes or (), content.tilt_deg, order.rig, order.rig_path, former)
+    known = _learnt(
+        order.pictures,
+        content.shapes or (),
+        content.drawing,
+        content.tilt_deg,
+        order.rig,
+        order.rig_path,
+        former,
+    )
     taught = replace(known.proposal.job, name=content.name, number=content.number)
     if former is not None:
-        taught = replace(taught, picking=_picking(former, taught))
+        taught = replace(taught, picking=picking_of(former, taught, known.moved))
     progress("measure", 1, 2)
-    job = edited(taught, content, known.marks, known.pixel_mm)
+    job = edited(taught, content, known.marks, known.pixel_mm, known.moved)
     if content.reference is not None and former is not None:
-        job = _with_tolerances(job, former.job())
+        job = with_tolerances(job, former.job())
     prepared = _prepared(order.rig, order.rig_path)
     found = known.found if _is_measured_alike(job, taught) else _measured(known.pair, job, prepared)
     target = None if found is None else found.target
+    there = lying(job, known.moved).rig_from_part
     return Seen(
         taught=taught,
         job=job,
@@ -162,36 +177,13 @@ def see(order: Order, progress: Progress = silent) -> Seen:
         pixel_mm=known.pixel_mm,
         features=known.features,
         contours=known.contours,
-        reference=seen_at(apply(job.rig_from_part, job.place_of(job.reference)), prepared.rig),
+        reference=seen_at(apply(there, job.place_of(job.reference)), prepared.rig),
         sizes=_sizes(job, target),
         rivals=tuple((math.degrees(angle), 100 * alike) for angle, alike in known.proposal.inspection.rivals),
         warnings=(*known.warnings, *_doubts(found)),
         sigma=None if target is None else _sigma(target),
+        moved=known.moved,
     )
-
-
-def _with_tolerances(job: Job, was: Job) -> Job:
-    """With those of the job that is replaced, which people may have edited, for the same reference."""
-    if was.reference != job.reference:
-        return job
-    limits = replace(
-        job.limits,
-        radius_tolerance_mm=was.limits.radius_tolerance_mm,
-        form_tolerance_mm=was.limits.form_tolerance_mm,
-    )
-    return replace(job, limits=limits)
-
-
-def _picking(former: FormerFiles, taught: Job) -> Picking:
-    """As in the job that is replaced; how a tool takes it only where the part lies as it did then."""
-    was = former.job()
-    if not former.is_same_pair:
-        return replace(was.picking, grasps=())
-    there = invert(taught.rig_from_part) @ was.rig_from_part
-    grasps = tuple(
-        replace(one, part_from_tcp=np.round(there @ one.part_from_tcp, 9)) for one in was.picking.grasps
-    )
-    return replace(was.picking, grasps=grasps)
 
 
 def _is_measured_alike(one: Job, other: Job) -> bool:
@@ -208,7 +200,10 @@ def _is_measured_alike(one: Job, other: Job) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Learnt:
-    """What does not depend on what people take of it. found : the part with all its features."""
+    """What does not depend on what people take of it. found : the part with all its features.
+
+    moved : as `Seen` has it.
+    """
 
     pair: FramePair
     proposal: Proposal
@@ -218,6 +213,7 @@ class _Learnt:
     marks: Mapping[str, Mark]
     contours: tuple[tuple[Line, ...], tuple[Line, ...]]
     warnings: tuple[Said, ...]
+    moved: FloatArray | None
 
 
 @lru_cache(maxsize=1)
@@ -229,6 +225,7 @@ def _prepared(rig: bytes, path: Path) -> PreparedRig:
 def _learnt(
     pictures: Path,
     shapes: Shapes,
+    drawing: Drawing | None,
     tilt_deg: float | None,
     rig: bytes,
     rig_path: Path,
@@ -238,16 +235,24 @@ def _learnt(
     prepared = _prepared(rig, rig_path)
     rectification = prepared.rectification
     left, right = (load_image(pictures / f"{side}.png") for side in SIDES)
-    region, exclude = region_of(shapes, left.shape[1], left.shape[0])
     replaced = None if former is None else former.job()
     wanted = Wanted("draft", 1, tilt_deg=tilt_deg, former=replaced)
-    proposal = propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+    if drawing is not None:
+        outlines_mm = [np.array(one) for one in drawing.outlines]
+        proposal = propose_from_drawing(outlines_mm, rectification, drawing.depth_mm, wanted)
+    else:
+        region, exclude = region_of(shapes, left.shape[1], left.shape[0])
+        proposal = propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
     pair = FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
     job = proposal.job
-    found = _measured(pair, job, prepared)
+    found, moved = _measured(pair, job, prepared), None
+    if drawing is not None:
+        if found is None:
+            raise TeachError(NOT_AS_DRAWN, "not_as_drawn")
+        moved = found.target.rig_from_part @ invert(job.rig_from_part)
     asked = _asked_for_all(job)
     shown = found if asked is job else _measured(pair, asked, prepared)
-    features = _features(job, shown, prepared.rig)
+    features = _features(lying(job, moved), shown, prepared.rig)
     return _Learnt(
         pair=pair,
         proposal=proposal,
@@ -255,8 +260,9 @@ def _learnt(
         found=found,
         features=features,
         marks={one.name: _mark(one) for one in features},
-        contours=contours_of(job, rectification),
+        contours=contours_of(job, rectification, moved),
         warnings=_warnings(proposal),
+        moved=moved,
     )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from edged.commissioning.outlines import Line, seen_at
 from edged.commissioning.teaching.drafts import TeachingDraft
-from edged.commissioning.teaching.draftstate import Gripping, Shape, nearest
-from edged.commissioning.teaching.editing import grasp_of
+from edged.commissioning.teaching.draftstate import Drawing, Gripping, Shape, nearest
+from edged.commissioning.teaching.editing import grasp_of, lying
 from edged.commissioning.teaching.proposing import Seen
 from edged.errors import EdgedError
 from edged.robot.orientations import fixed_xyz
@@ -133,6 +133,14 @@ class PredictedDocument(Document):
     sigma_deg: SigmaAbc
 
 
+class DrawingDocument(Document):
+    """What the job is learnt from instead of a region. depth_mm : of the face from the left camera."""
+
+    name: str
+    depth_mm: float
+    outlines: int
+
+
 class TeachingDocument(Document):
     """A draft of a job. shapes : the region; those with `add` in region, the others in exclude; none: the
     whole picture. proposing : the task that learns it. job : the one that it replaces.
@@ -151,6 +159,7 @@ class TeachingDocument(Document):
     shapes: list[Shape]
     region: list[Shape]
     exclude: list[Shape]
+    drawing: DrawingDocument | None
     proposing: str | None
     trouble: Trouble | None
     features: list[FeatureDocument]
@@ -221,6 +230,7 @@ def teaching_document(
         shapes=shapes,
         region=[one for one in shapes if one.add],
         exclude=[one for one in shapes if not one.add],
+        drawing=_drawing(content.drawing),
         proposing=task,
         trouble=trouble_in(trouble),
         tilt_deg=content.tilt_deg,
@@ -229,6 +239,12 @@ def teaching_document(
         active=active,
         **_seen(draft, seen, rig),
     )
+
+
+def _drawing(drawing: Drawing | None) -> DrawingDocument | None:
+    if drawing is None:
+        return None
+    return DrawingDocument(name=drawing.name, depth_mm=drawing.depth_mm, outlines=len(drawing.outlines))
 
 
 def _seen(draft: TeachingDraft, seen: Seen | None, rig: StereoRig | None) -> dict[str, Any]:
@@ -288,12 +304,19 @@ def _seen(draft: TeachingDraft, seen: Seen | None, rig: StereoRig | None) -> dic
 def _gripping(wanted: Gripping | None, seen: Seen, rig: StereoRig) -> GrippingDocument | None:
     """As people want it, else as the job that is replaced has it."""
     grasps = seen.job.picking.grasps
-    grasp = grasps[0] if wanted is None and grasps else None if wanted is None else grasp_of(wanted, seen.job)
+    grasp = (
+        grasps[0]
+        if wanted is None and grasps
+        else None
+        if wanted is None
+        else grasp_of(wanted, seen.job, seen.moved)
+    )
     if grasp is None:
         return None
     x, y, z = (round(float(value), 6) for value in grasp.part_from_tcp[:3, 3])
     a, b, c = (round(value, 6) for value in fixed_xyz(grasp.part_from_tcp[:3, :3]))
-    left, right = seen_at((seen.job.rig_from_part @ grasp.part_from_tcp)[:3, 3], rig)
+    there = lying(seen.job, seen.moved).rig_from_part
+    left, right = seen_at((there @ grasp.part_from_tcp)[:3, 3], rig)
     return GrippingDocument(
         name=grasp.name,
         x_mm=x,

@@ -18,12 +18,14 @@ from pydantic import JsonValue
 from edged.commissioning.pairs import Progress
 from edged.commissioning.teaching.drafts import TeachingDraft, TeachingDrafts
 from edged.commissioning.teaching.draftstate import (
+    Drawing,
     Shape,
     TeachState,
     nearest,
 )
 from edged.commissioning.teaching.editing import edited
-from edged.commissioning.teaching.proposing import FormerFiles, Order, Seen
+from edged.commissioning.teaching.former import FormerFiles
+from edged.commissioning.teaching.proposing import Order, Seen
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
@@ -43,6 +45,7 @@ from edged.workshop.teaching.documents import (
 )
 from edged.workshop.teaching.sources import Sources
 from edged.workshop.teaching.wishes import (
+    Drawn,
     Grip,
     Tapped,
     WantedSize,
@@ -56,7 +59,8 @@ from edged.workshop.teaching.wishes import (
 from edged.workshop.worker import Worker
 
 FUNCTIONS = {
-    name: f"edged.workshop.teaching.work:{name}" for name in ("propose_region", "regions_at", "see_part")
+    name: f"edged.workshop.teaching.work:{name}"
+    for name in ("propose_region", "regions_at", "read_drawing", "see_part")
 }
 PLACE = "/api/v1/teachings"
 
@@ -159,7 +163,30 @@ class Teachings:
         state = one.draft.state
         await asyncio.to_thread(check_region, shapes, state.width, state.height)
         sets: JsonValue = [shape.model_dump(mode="json") for shape in shapes]
-        return await self._operate(one, revision, "region", {"shapes": sets})
+        return await self._operate(one, revision, "region", {"shapes": sets, "drawing": None})
+
+    async def draw(self, identity: str, revision: int | None, drawn: Drawn) -> TeachingDocument:
+        """Learn from a drawing instead. Raises `TeachError` that says what is wrong with it, `Stale`."""
+        one = await self._opened(identity)
+        self._check_revision(one, revision)
+        depth_mm = await self._depth_mm(one) if drawn.depth_mm is None else drawn.depth_mm
+        outlines = await self._worker.run("read_drawing", drawn.data, drawn.name, drawn.unit, drawn.layers)
+        drawing = Drawing(name=drawn.name, depth_mm=depth_mm, outlines=outlines).model_dump(mode="json")
+        return await self._operate(one, revision, "drawing", {"drawing": drawing})
+
+    async def _depth_mm(self, one: _Open) -> float:
+        """As it was stated before, else as the pair shows it. Raises `TeachError` where neither is known."""
+        known = one.draft.state.content.drawing
+        if known is not None:
+            return known.depth_mm
+        try:
+            seen = await self._seen(one)
+        except TeachError as error:
+            raise TeachError(
+                "depth: state the distance of the face from the left camera: the pair does not tell it",
+                "drawing_depth",
+            ) from error
+        return round(float(seen.job.rig_from_part[2, 3]), 1)
 
     async def tap(self, identity: str, revision: int | None, place: Tapped) -> TeachingDocument:
         """Let the region be what is there: the largest thing, at the next tap the next smaller one.
@@ -174,7 +201,8 @@ class Teachings:
         state = one.draft.state
         is_again = state.done > 0 and state.operations[state.done - 1].what == "tap"
         following = (shapes.index(now) + 1) % len(shapes) if is_again and now in shapes else 0
-        return await self._operate(one, revision, "tap", {"shapes": shapes[following]})
+        sets = {"shapes": shapes[following], "drawing": None}
+        return await self._operate(one, revision, "tap", sets)
 
     async def take(self, identity: str, revision: int | None, taken: Mapping[str, bool]) -> TeachingDocument:
         """Take features, or leave them. Raises `TeachError` when nothing is left, `KeyError`."""
@@ -250,14 +278,14 @@ class Teachings:
         """Where the job is learnt already, what cannot be is refused now."""
         if one.seen is not None:
             wanted = one.draft.state.content.with_(sets)
-            edited(one.seen.taught, wanted, one.seen.marks, one.seen.pixel_mm)
+            edited(one.seen.taught, wanted, one.seen.marks, one.seen.pixel_mm, one.seen.moved)
         return await self._operate(one, revision, what, sets)
 
     async def _operate(
         self,
         one: _Open,
         revision: int | None,
-        what: Literal["region", "tap", "features", "about"],
+        what: Literal["region", "tap", "features", "about", "drawing"],
         sets: Mapping[str, JsonValue],
     ) -> TeachingDocument:
         return await self._change(one, revision, partial(one.draft.operate, what, sets))

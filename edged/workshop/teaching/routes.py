@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from base64 import b64decode
 from collections.abc import Awaitable
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from aiohttp import web
 from pydantic import Field, JsonValue, model_validator
 
-from edged.adapters.web.routes import Body, Call, Problem, RouteTable, Token
+from edged.adapters.web.routes import Body, Call, Name, Problem, RouteTable, Token
 from edged.adapters.web.visitors import Role
 from edged.commissioning.teaching.draftstate import (
     FeatureName,
@@ -29,10 +30,12 @@ from edged.workshop.releases.activating import Activation
 from edged.workshop.releases.routes import Activating, ReleaseDocument, document_of_release, signature
 from edged.workshop.teaching.documents import Stale, TeachingDocument, TeachingList
 from edged.workshop.teaching.drafts import Teachings
-from edged.workshop.teaching.wishes import Grip, Tapped, WantedSize
+from edged.workshop.teaching.wishes import Drawn, Grip, Tapped, WantedSize
 
 TEACHING = "/teachings/{id:[0-9]{8}-[0-9]{6}-[0-9a-f]{4}}"
 REGION_BYTES = 512 * 1024
+DRAWING_BYTES = 2 * 1024 * 1024
+"""Of a DXF file: a face of one part."""
 Angle = Annotated[float, Field(ge=-360, le=360)]
 T = TypeVar("T")
 Way = Annotated[float, Field(ge=0, le=2000)]
@@ -80,6 +83,27 @@ class Taking(Revised):
     """Features by their key: taken or left."""
 
     features: Annotated[dict[FeatureName, bool], Field(min_length=1, max_length=1000)]
+
+
+class Drawing(Revised):
+    """A DXF drawing, in base64, from which the job is learnt instead of a region. depth_mm : of its face from
+    the left camera; left out: as the pair shows it. unit : where the drawing does not say it. layers : only
+    these; none: all that are switched on.
+    """
+
+    name: Name
+    data: Annotated[str, Field(min_length=1, max_length=4 * (DRAWING_BYTES // 3 + 1))]
+    depth_mm: Length | None = None
+    unit: Literal["mm", "cm", "m", "in"] | None = None
+    layers: Annotated[tuple[Name, ...], Field(max_length=20)] = ()
+
+    def drawn(self) -> Drawn:
+        """As the workshop takes it. Raises `Problem` for what is no base64."""
+        try:
+            data = b64decode(self.data, validate=True)
+        except ValueError as error:
+            raise Problem(400, "invalid", "data: expected base64", field="data") from error
+        return Drawn(data, self.name, self.depth_mm, self.unit, self.layers)
 
 
 class TapPlace(Body):
@@ -188,6 +212,15 @@ class TeachingRoutes:
             answer=one,
             limit_bytes=REGION_BYTES,
         )
+        table.route(
+            "POST",
+            f"{TEACHING}/dxf",
+            self._draw,
+            "Learn from a drawing",
+            body=Drawing,
+            answer=one,
+            limit_bytes=2 * DRAWING_BYTES,
+        )
         table.route("POST", f"{TEACHING}/tap", self._tap, "What was tapped is the part", body=Tap, answer=one)
         table.route(
             "PUT",
@@ -238,6 +271,10 @@ class TeachingRoutes:
     async def _tap(self, call: Call[Tap]) -> TeachingDocument:
         body = call.body
         return await changed(self._teachings.tap(call.part("id"), body.revision, Tapped(body.x, body.y)))
+
+    async def _draw(self, call: Call[Drawing]) -> TeachingDocument:
+        body = call.body
+        return await changed(self._teachings.draw(call.part("id"), body.revision, body.drawn()))
 
     async def _take(self, call: Call[Taking]) -> TeachingDocument:
         body = call.body

@@ -11,7 +11,7 @@ from pydantic import JsonValue
 
 from edged.commissioning.outlines import Line, on_face
 from edged.commissioning.teaching.draftstate import Gripping, Mark, Shape, Size, region_of
-from edged.commissioning.teaching.editing import gripping_at
+from edged.commissioning.teaching.editing import gripping_at, lying
 from edged.commissioning.teaching.proposing import Seen
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import matrix_fixed_xyz
@@ -26,6 +26,20 @@ class Tapped:
 
     x: float
     y: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A DXF drawing. depth_mm : of its face from the left camera; None: as the pair shows it.
+
+    unit : where the drawing does not say it. layers : only these; empty: all that are switched on.
+    """
+
+    data: bytes
+    name: str
+    depth_mm: float | None = None
+    unit: str | None = None
+    layers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +113,10 @@ def kept_grip(seen: Seen, rig: StereoRig, wanted: Grip) -> Gripping:
         retreat_mm=wanted.retreat_mm,
         symmetry=wanted.symmetry,
     )
+    job = lying(seen.job, seen.moved)
     position_mm: FloatArray = np.array(wanted.position_mm)
     if wanted.at is not None:
-        there = on_face(seen.job, rig, np.array([[wanted.at.x, wanted.at.y]]))[0]
-        position_mm = seen.job.rig_from_part[:3, :3].T @ (there - seen.job.rig_from_part[:3, 3])
+        there = on_face(job, rig, np.array([[wanted.at.x, wanted.at.y]]))[0]
+        position_mm = job.rig_from_part[:3, :3].T @ (there - job.rig_from_part[:3, 3])
     w, p, r = (math.radians(angle) for angle in wanted.rotation_deg)
-    return gripping_at(seen.job, position_mm, matrix_fixed_xyz(w, p, r), base)
+    return gripping_at(job, position_mm, matrix_fixed_xyz(w, p, r), base)

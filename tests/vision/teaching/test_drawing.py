@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import cells
-import ezdxf
 import numpy as np
 import pytest
+from flangedrawing import flange_drawing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import teaching as naive
@@ -26,24 +26,6 @@ from edged.vision.teaching.coverage import coverage
 from edged.vision.teaching.drawing import teach_drawing
 
 DEPTH_MM = 205.0
-
-
-def flange_drawing(folder: Path) -> Path:
-    """The demo's flange as a DXF: y up, so that what the image shows below is drawn below."""
-    document = ezdxf.new(units=4)
-    space = document.modelspace()
-    space.add_circle((100, 50), 14)
-    half = math.degrees(math.asin(1.1 / 4.0))
-    space.add_arc((100, 50), 4, half, 360 - half)
-    at = 4 * math.cos(math.radians(half))
-    for start, end in (((at, 1.1), (6.2, 1.1)), ((6.2, 1.1), (6.2, -1.1)), ((6.2, -1.1), (at, -1.1))):
-        space.add_line((100 + start[0], 50 + start[1]), (100 + end[0], 50 + end[1]))
-    for name, disc in cells.demo_part().circles:
-        if name.startswith("bolt"):
-            space.add_circle((100 + disc.x_mm, 50 - disc.y_mm), disc.radius_mm)
-    path = folder / "flange.dxf"
-    document.saveas(path)
-    return path
 
 
 def square(size_mm: float) -> FloatArray:

@@ -7,6 +7,7 @@ import { Dialog, say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { styled } from "./styles.js";
 import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
+import { Drawing } from "./teachdrawing.js";
 import { change, drafts, find, jobs, lit, open, pushed, see, teaching } from "./teaching.js";
 import { draws, Region, RegionTools, stroked, tapped, tool, TOOLS } from "./teachregion.js";
 import { Naming, Reference, Sizes } from "./teachsizes.js";
@@ -94,7 +95,8 @@ function parallax({ reference, features }) {
 
 function Pictures({ size }) {
   const shift = parallax(teaching.value);
-  const over = (side) => (scale) => html`${side === "left" && html`<${Region} scale=${scale} isEdited=${TOOLS.includes(tool.value) && tool.value !== "tap"} />`}
+  const isEdited = TOOLS.includes(tool.value) && tool.value !== "tap";
+  const over = (side) => (scale) => html`${side === "left" && (isEdited || !teaching.value.drawing) && html`<${Region} scale=${scale} isEdited=${isEdited} />`}
     <${Outlines} side=${side} /><${Features} side=${side} scale=${scale} /><${Places} side=${side} scale=${scale} />`;
   return html`<div class="editor">
     <div class="tools" role="group" aria-label=${t("teach-tools")}>
@@ -223,6 +225,7 @@ export default function Teach() {
       <${Warnings} size=${size} />
       <${Reference} />
       <${Sizes} />
+      <${Drawing} />
       <${Activate} />
     </div>`;
 }
