@@ -17,12 +17,13 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
     Raises `FileFormatError` when it cannot be read.
     """
     folder = state_folder(config)
-    verdict = AuditFile(folder).verify()
-    records = verdict.records[-last:] if last else ()
+    verdict = AuditFile(folder).verify(last=last)
+    records = verdict.records
     if as_json:
         document = {
             "records": list(records),
-            "count": len(verdict.records),
+            "first": verdict.first,
+            "count": verdict.count,
             "problem": verdict.problem or None,
             "torn_bytes": verdict.torn_bytes,
         }
@@ -42,6 +43,7 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
     if verdict.problem:
         console.print(f"{folder / LINES}: {verdict.problem}", markup=False, highlight=False)
         return 1
-    digest = verdict.records[-1]["hash"] if verdict.records else "none"
-    console.print(f"{len(verdict.records)} records, the chain holds; last hash {digest}", highlight=False)
+    kept = f"records {verdict.first} to {verdict.count}" if verdict.first > 1 else f"{verdict.count} records"
+    digest = verdict.hash if verdict.count else "none"
+    console.print(f"{kept}, the chain holds; last hash {digest}", highlight=False)
     return 0

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from edged.files import audit as audit_module
 from edged.files.audit import HEAD, LINES, AuditFile, Deed
 
 DEED = Deed("Anna", "engineer", "10.0.0.7", "POST", "setup", "ok", reason="Jörg „hat“ sie\n")
@@ -137,10 +138,121 @@ def test_a_rewritten_history_is_another(tmp_path: Path) -> None:
     assert told != json.loads((tmp_path / "other" / HEAD).read_text())["hash"]
 
 
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files are full with two records."""
+    monkeypatch.setattr(audit_module, "FULL_BYTES", 600)
+
+
+def files(folder: Path) -> list[Path]:
+    """All that hold records, the oldest first."""
+    return [*sorted(folder.glob("audit.0*.jsonl")), folder / LINES]
+
+
+@pytest.mark.usefixtures("small")
+def test_the_chain_goes_on_in_the_next_file(tmp_path: Path) -> None:
+    """All of it is verified: one changed byte in a full file, too, and a file that is gone."""
+    audit = kept(tmp_path, 7)
+    full = files(tmp_path)
+    assert ["audit.000000002.jsonl", "audit.000000004.jsonl", "audit.000000006.jsonl", LINES] == [
+        file.name for file in full
+    ]
+    assert {0o600} == {file.stat().st_mode & 0o777 for file in full}
+    verdict = audit.verify()
+    assert ("", 1, 7) == (verdict.problem, verdict.first, verdict.count)
+    assert list(range(1, 8)) == [record["number"] for record in verdict.records]
+    assert verdict.hash == verdict.records[-1]["hash"]
+    for file in full:
+        data = file.read_bytes()
+        for place in range(0, len(data), 31):
+            changed = bytearray(data)
+            changed[place] ^= 1
+            file.write_bytes(changed)
+            assert audit.verify().problem, (file.name, place)
+        file.write_bytes(data)
+    assert "" == audit.verify().problem
+    for file, problem in zip(
+        full,
+        ("records 1 to 2 are", "records 3 to 4 are", "records 5 to 6 are", "with 1 records"),
+        strict=True,
+    ):
+        file.rename(tmp_path / "elsewhere")
+        assert problem in audit.verify().problem
+        (tmp_path / "elsewhere").rename(file)
+    full[1].write_bytes(full[0].read_bytes())
+    assert "record 3 was changed" in audit.verify().problem
+
+
+@pytest.mark.usefixtures("small")
+def test_some_of_the_records_are_asked_for_and_all_are_verified(tmp_path: Path) -> None:
+    """The last ones, or those that fit: with a changed byte before them, none."""
+    audit = kept(tmp_path, 7)
+    assert [6, 7] == [record["number"] for record in audit.verify(last=2).records]
+    some = audit.verify(lambda record: record["number"] in (2, 3))
+    assert ([2, 3], 7) == ([record["number"] for record in some.records], some.count)
+    first = files(tmp_path)[0]
+    first.write_bytes(first.read_bytes().replace(b"Anna", b"Anne", 1))
+    assert ("record 1 was changed: its hash does not fit", ()) == (
+        (found := audit.verify(last=2)).problem,
+        found.records,
+    )
+
+
+@pytest.mark.usefixtures("small")
+def test_a_crash_while_the_next_file_is_begun_loses_nothing(tmp_path: Path) -> None:
+    """Between the full file's new name and the first line of the next; also with an older head."""
+    audit = kept(tmp_path, 1)
+    head = (tmp_path / HEAD).read_bytes()
+    audit.add(DEED)
+    (tmp_path / HEAD).write_bytes(head)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(audit_module, "sync", broken)
+        with pytest.raises(OSError, match="power cut"):
+            audit.add(DEED)
+    assert ["audit.000000002.jsonl"] == [file.name for file in files(tmp_path) if file.exists()]
+    assert ("", 2) == ((verdict := audit.verify()).problem, verdict.count)
+    audit.add(DEED)
+    assert ("", 3) == ((verdict := audit.verify()).problem, verdict.count)
+
+
+def broken(_folder: Path) -> None:
+    """A disc that is gone."""
+    raise OSError("power cut")
+
+
+@pytest.mark.usefixtures("small")
+def test_the_oldest_are_let_go_and_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disc does not fill; a record says which, and the head where the chain begins; what goes beyond that
+    is missed. A crash before the file is removed leaves it to the next deed.
+    """
+    monkeypatch.setattr(audit_module, "KEPT", 2)
+    audit = kept(tmp_path, 40)
+    verdict = audit.verify()
+    assert "" == verdict.problem
+    assert verdict.count - 6 <= verdict.first <= verdict.count - 4
+    assert [verdict.first, verdict.count] == [verdict.records[at]["number"] for at in (0, -1)]
+    told = [one["reason"] for one in verdict.records if one["verb"] == "let go"]
+    assert f" to {verdict.first - 1}: " in told[-1]
+    oldest, *others = files(tmp_path)
+    assert 2 == len(others)
+    oldest.rename(tmp_path / "elsewhere")
+    assert "are missing" in audit.verify().problem
+    (tmp_path / "elsewhere").rename(oldest)
+
+    crashed = tmp_path / "audit.000000002.jsonl"
+    crashed.write_bytes(b"of a crash")
+    assert "" == audit.verify().problem
+    audit.add(DEED)
+    assert not crashed.exists()
+    assert "" == audit.verify().problem
+    assert sum(file.stat().st_size for file in files(tmp_path)) < 4 * 1000
+
+
 def test_processes_that_add_at_once_make_one_chain(tmp_path: Path) -> None:
-    """The daemon, and a command in a shell."""
+    """The daemon, and a command in a shell; also while files are full."""
     work = (
-        "import sys; from pathlib import Path; from edged.files.audit import AuditFile, Deed\n"
+        "import sys; from pathlib import Path; from edged.files import audit\n"
+        "from edged.files.audit import AuditFile, Deed; audit.FULL_BYTES = 2000\n"
         "for _ in range(20): AuditFile(Path(sys.argv[1])).add(Deed('root', '', '', 'make', 'x', 'ok'))"
     )
     others = [subprocess.Popen([sys.executable, "-c", work, str(tmp_path)]) for _ in range(2)]

@@ -19,8 +19,9 @@ from edged.logs import LogLimit, fields
 
 log = logging.getLogger(__name__)
 
-REFUSED_PER_S, REFUSED_BURST = 0.1, 20.0
-"""What is refused more often is in the journal alone: who only may look must not fill the disc."""
+REFUSED_PER_S, REFUSED_BURST = 1 / 60, 20.0
+"""What is refused more often is in the journal alone: who only may look must not fill the audit, whose oldest
+records are let go for it: so it takes months."""
 MAX_RECORDS = 500
 RUN = "run"
 """The cell runs by other files than before, whoever has changed them."""
@@ -52,9 +53,13 @@ class Record(Answer):
 
 
 class AuditNow(Answer):
-    """problem : null for a chain that holds; else why it does not, and nothing after that is told."""
+    """first : number of the oldest that is kept; count : of the newest.
+
+    problem : null for a chain that holds; else why it does not, and nothing after that is told.
+    """
 
     records: list[Record]
+    first: int
     count: int
     problem: str | None
     torn_bytes: int
@@ -141,7 +146,7 @@ class Auditor:
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
         before: str | None = None
         with suppress(FileFormatError):  # who reads the audit is told
-            runs = (one for one in reversed(file.verify().records) if one["verb"] == RUN)
+            runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
             before = next((one["after"] for one in runs), None)
         if before != fingerprint:
             self._keep(Deed("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
@@ -149,11 +154,14 @@ class Auditor:
     async def _read(self, call: Call[Asked]) -> AuditNow:
         if self._file is None:
             raise LookupError("the route is not there without a file")
-        verdict = await asyncio.to_thread(self._file.verify)
         after, most = call.body.after, call.body.most
+        verdict = await asyncio.to_thread(
+            self._file.verify, lambda record: bool(after < record["number"] <= after + most)
+        )
         return AuditNow(
-            records=[Record.model_validate(record) for record in verdict.records[after : after + most]],
-            count=len(verdict.records),
+            records=[Record.model_validate(record) for record in verdict.records],
+            first=verdict.first,
+            count=verdict.count,
             problem=verdict.problem or None,
             torn_bytes=verdict.torn_bytes,
         )

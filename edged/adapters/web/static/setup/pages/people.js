@@ -110,10 +110,10 @@ export function Audit() {
   useEffect(() => {
     findDeeds();
   }, []);
-  const { records, problem, count } = deeds.value ?? { records: [], problem: null, count: 0 };
+  const { records, problem, first, count } = deeds.value ?? { records: [], problem: null, first: 1, count: 0 };
   return html`<section aria-labelledby="audit">
     <h2 id="audit">${t("audit-title")}</h2>
-    <p><${Shape} is=${problem ? "doubt" : "tick"} /> ${problem ? html`${t("audit-broken")} <span translate=${false}>${problem}</span>` : t("audit-whole", { count })}</p>
+    <p><${Shape} is=${problem ? "doubt" : "tick"} /> ${problem ? html`${t("audit-broken")} <span translate=${false}>${problem}</span>` : t(first > 1 ? "audit-kept" : "audit-whole", { first, count })}</p>
     <div class="scroll" tabindex="0" role="region" aria-label=${t("audit-records")}>
       <table>
         <thead><tr>${["time", "user", "what", "outcome", "reason"].map((column) => html`<th scope="col">${t(`audit-${column}`)}</th>`)}</tr></thead>

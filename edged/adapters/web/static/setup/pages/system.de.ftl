@@ -68,6 +68,7 @@ user-remove-name = { $name } entfernen
 user-remove-what = Die Anmeldungen enden sofort. Was getan wurde, bleibt im Protokoll.
 audit-title = Protokoll
 audit-whole = { $count } Taten; die Kette hält: nichts wurde geändert oder weggelassen.
+audit-kept = Taten { $first } bis { $count }, für die älteren war kein Platz mehr; die Kette hält: nichts wurde geändert oder weggelassen.
 audit-broken = Die Kette hält nicht:
 audit-time = Wann
 audit-user = Wer

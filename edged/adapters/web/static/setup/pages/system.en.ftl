@@ -68,6 +68,7 @@ user-remove-name = Take out { $name }
 user-remove-what = Their sessions end at once. What they did stays in the audit.
 audit-title = Audit
 audit-whole = { $count } deeds; the chain holds: nothing was changed or left out.
+audit-kept = Deeds { $first } to { $count }, the older ones were let go; the chain holds: nothing was changed or left out.
 audit-broken = The chain does not hold:
 audit-time = When
 audit-user = Who

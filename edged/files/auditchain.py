@@ -1,0 +1,100 @@
+"""The chain of the audit: records as lines of JSON, each with the hash of the one before; what breaks it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+START = "0" * 64
+"""What the first line has as the hash before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """Number and hash of the last record; and of the first that is kept, with the hash before it."""
+
+    number: int
+    hash: str
+    first: int = 1
+    previous: str = START
+
+    def to_bytes(self) -> bytes:
+        """As it is kept."""
+        return json.dumps({name: getattr(self, name) for name in self.__slots__}).encode()
+
+
+def head_in(data: bytes) -> Head | None:
+    """None for what is none."""
+    try:
+        head = json.loads(data)
+        first, previous = int(head.get("first", 1)), str(head.get("previous", START))
+        return Head(int(head["number"]), str(head["hash"]), first, previous)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def line_of(body: dict[str, Any]) -> tuple[bytes, str]:
+    """A record without its hash as a line, with its hash; and the hash."""
+    digest = _hash(body)
+    return _canonical({**body, "hash": digest}) + b"\n", digest
+
+
+def end_of(line: bytes) -> tuple[int, str] | None:
+    """Number and hash that a line says of itself; None for what is no record."""
+    record = _record(line)
+    if record is None or not isinstance(record.get("number"), int):
+        return None
+    return record["number"], str(record.get("hash"))
+
+
+class Chain:
+    """Follows lines. number, digest : of the last record that fits.  problem : of the first that does not."""
+
+    def __init__(self, begins: Head | None) -> None:
+        self.first = 1 if begins is None else begins.first
+        self.number = self.first - 1
+        self.digest = START if begins is None else begins.previous
+        self.problem = ""
+
+    def follow(self, lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
+        """The records, up to the first that does not fit."""
+        for line in lines:
+            record = _record(line)
+            self.problem = self._problem(line, record)
+            if self.problem or record is None:
+                return
+            self.number, self.digest = self.number + 1, str(record["hash"])
+            yield record
+
+    def _problem(self, line: bytes, record: dict[str, Any] | None) -> str:
+        number = self.number + 1
+        if record is None:
+            return f"record {number} cannot be read"
+        found = record.get("number")
+        if isinstance(found, int) and found > number:
+            return f"records {number} to {found - 1} are missing"
+        body = {name: value for name, value in record.items() if name != "hash"}
+        if found != number or record.get("hash") != _hash(body) or _canonical(record) != line:
+            return f"record {number} was changed: its hash does not fit"
+        if record.get("previous") != self.digest:
+            return f"record {number} does not follow the one before it"
+        return ""
+
+
+def _record(line: bytes) -> dict[str, Any] | None:
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def _canonical(record: dict[str, Any]) -> bytes:
+    return json.dumps(record, separators=(",", ":"), ensure_ascii=True).encode()
+
+
+def _hash(body: dict[str, Any]) -> str:
+    return hashlib.sha256(_canonical(body)).hexdigest()
