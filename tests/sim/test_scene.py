@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -235,6 +236,30 @@ def test_moments_of_a_disc_are_exact(sensor: Sensor) -> None:
     assert abs(image.sum() - abs(area)) / perimeter < 2e-4  # mean displacement of the edge in px
     found = ((image.sum(axis=0) @ (np.arange(1280) - 700)), (image.sum(axis=1) @ (np.arange(960) - 500)))
     np.testing.assert_allclose(np.array(found) / image.sum(), centroid, rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize(("psf_sigma_px", "within"), [(0.3, 0.01), (0.6, 0.003), (1.5, 0.0006)])
+@pytest.mark.parametrize("turn_rad", [0.0, 0.01, 0.4, math.pi / 2])
+def test_an_edge_is_blurred_before_pixels_sample_it(
+    psf_sigma_px: float, within: float, turn_rad: float
+) -> None:
+    """Each pixel at a straight edge, however it lies, holds the blurred edge's mean over its area."""
+    camera = CameraModel("division", 48, 40, 900.0, 900.0, 23.3, 19.6, (0.0,))
+    view = View(camera, np.eye(4), Sensor(psf_sigma_px=psf_sigma_px))
+    ahead = np.array([math.cos(turn_rad), math.sin(turn_rad)])
+    half_plane = Part("edge", Box(-20.0, 0.0, 40.0, 60.0), Surface(1.0))
+    place = pose(0.137, -0.071, 90, (0.0, 0.0, turn_rad))
+    image = view.radiance(on_black(half_plane, place))
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    x, y = np.meshgrid(np.arange(48.0), np.arange(40.0))
+    edge = view.project(place[:3, 3])
+    normal = NormalDist(sigma=psf_sigma_px)
+    exact = np.zeros((40, 48))
+    for v, across in zip(nodes / 2, weights / 2, strict=True):
+        for u, along in zip(nodes / 2, weights / 2, strict=True):
+            beyond = (x + u - edge[0]) * ahead[0] + (y + v - edge[1]) * ahead[1]
+            exact += across * along * np.vectorize(normal.cdf)(-beyond)
+    np.testing.assert_allclose(image, exact, rtol=0, atol=within)
 
 
 def test_the_blur_sees_beyond_the_border() -> None:

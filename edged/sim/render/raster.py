@@ -5,6 +5,9 @@ that lies wholly inside or outside of a shape is settled by one signed distance;
 edge crosses are divided into CELLS x CELLS cells, and each cell is covered by the half-plane that
 fits the distances at its corners, whose area is a closed form. What remains is the sagitta of an
 edge within a cell: 0.0003 px for a radius of 30 px.
+
+A lens blurs before pixels sample. Blurring what pixels have averaged moves edges that run along rows or
+columns by up to 0.02 px, all marks on one in the same way; so each cell is spread from where it lies.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ HOMOGRAPHY, IRRADIANCE, TEXTURE, TEXELS_U, TEXELS_V, FIRST, END = 0, 9, 12, 13, 
 LAYER_COLUMNS = 17
 
 MIXED, NOTHING = -1, -2
+BEHIND, PAINTED, DIVIDED = range(3)
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -223,8 +227,11 @@ def _paint_tile(
 def _paint_pixel(
     rays: F64, y: int, x: int, layers: F64, n: int, pixel_mm: float, shapes: F64, states: I64,
     vertices: F64, textures: F32, behind: float, corners: F64, cells: F64,
-) -> float:  # fmt: skip
-    """Radiance of one pixel after layer n was painted over what lies behind it."""
+) -> tuple[float, int]:  # fmt: skip
+    """Radiance of one pixel after layer n was painted over what lies behind it, and how it came about.
+
+    BEHIND as it was, PAINTED all over, or DIVIDED, with the radiance of its cells in `cells`.
+    """
     first, end = int(layers[n, FIRST]), int(layers[n, END])
     a, b = rays[y, x, 0], rays[y, x, 1]
     w = layers[n, 6] * a + layers[n, 7] * b + layers[n, 8]
@@ -240,7 +247,7 @@ def _paint_pixel(
             if abs(distance) > pixel_mm:
                 state = 1 if distance < 0.0 else 0
         if state == 0 and s == first:
-            return behind  # outside of its outline there is nothing of this layer
+            return behind, BEHIND  # outside of its outline there is nothing of this layer
         if state == 0:
             continue
         reflected = shapes[s, ALBEDO] * max(1.0 + shapes[s, CONTRAST] * grain, 0.0)
@@ -253,7 +260,28 @@ def _paint_pixel(
             _cell_corners(rays, y, x, layers, n, corners)
             divided = True
         _paint_cells(corners, shapes, s, vertices, paint, cells)
-    return cells.mean() if divided else value
+    if divided:
+        return cells.mean(), DIVIDED
+    return value, PAINTED
+
+
+@kernel(inline=True)
+def _spread_cells(cells: F64, mean: float, y: int, x: int, spread: F64, of_rows: F64, detail: F32) -> None:
+    """Add what the cells of one pixel, apart from their mean, bring to the pixels around it."""
+    reach = spread.shape[1] // 2
+    for j in range(CELLS):
+        for t in range(2 * reach + 1):
+            of_rows[j, t] = 0.0
+        for i in range(CELLS):
+            more = cells[j * CELLS + i] - mean
+            for t in range(2 * reach + 1):
+                of_rows[j, t] += more * spread[i, t]
+    for s in range(max(-reach, -y), min(reach, detail.shape[0] - 1 - y) + 1):
+        for t in range(max(-reach, -x), min(reach, detail.shape[1] - 1 - x) + 1):
+            more = 0.0
+            for j in range(CELLS):
+                more += spread[j, s + reach] * of_rows[j, t + reach]
+            detail[y + s, x + t] += more
 
 
 @kernel()
@@ -271,20 +299,29 @@ def _shown(layers: F64, n: int, states: I64) -> int:
     return top
 
 
-@kernel("void(f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f4[::1], f4[:, ::1])")
-def render_radiance(rays: F64, layers: F64, shapes: F64, vertices: F64, textures: F32, radiance: F32) -> None:
+@kernel(
+    "void(f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f4[::1], f8[:, ::1], f4[:, ::1], f4[:, ::1])"
+)
+def render_radiance(
+    rays: F64, layers: F64, shapes: F64, vertices: F64, textures: F32, spread: F64, radiance: F32, detail: F32
+) -> None:
     """Mean radiance of every pixel of a stack of planar layers, the first one lowest.
 
     rays (H, W, 2): (X/Z, Y/Z) of each pixel's centre. layers (L, LAYER_COLUMNS),
     shapes (S, SHAPE_COLUMNS), the first one of a layer is its outline and what the others paint must
     lie within it; vertices (V, 2), textures: T tiles of TEXTURE_SIZE x TEXTURE_SIZE, flat.
-    radiance (H, W) is written: outlines by exact area, texture at the pixel's centre.
+    spread (CELLS, 2 R + 1) : what a cell in each column (or row) of its pixel brings to the pixels from R
+    before to R behind; of no width where there is no blur.
+    radiance (H, W) is written: outlines by exact area, texture at the pixel's centre. detail (H, W) is added
+    to: what the blurred picture of the cells has more than that of their pixels' means.
     """
     height, width = radiance.shape
     states = np.empty(shapes.shape[0], np.int64)
     pixel_mm = np.empty(layers.shape[0])
     settled = np.empty(layers.shape[0], np.int64)  # the one shape a layer shows in a tile, or MIXED, NOTHING
     corners, cells = np.empty((3, (CELLS + 1) ** 2)), np.empty(CELLS**2)
+    tile_cells, is_divided = np.empty((TILE, TILE, CELLS**2)), np.zeros((TILE, TILE), np.bool_)
+    of_rows = np.empty((CELLS, spread.shape[1]))
     box = np.empty(4, np.int64)
     for y0 in range(0, height, TILE):
         for x0 in range(0, width, TILE):
@@ -298,16 +335,27 @@ def render_radiance(rays: F64, layers: F64, shapes: F64, vertices: F64, textures
                 if settled[n] >= 0 and shapes[settled[n], TRANSMISSION] == 0.0:
                     start = n
             radiance[top : box[1], left : box[3]] = 0.0
+            is_divided[:] = False
             for n in range(start, layers.shape[0]):
                 if settled[n] >= 0:
+                    is_divided[:] = False
                     _paint_tile(rays, box, layers, n, shapes, settled[n], textures, radiance)
                 elif settled[n] == MIXED:
                     for y in range(box[0], box[1]):
                         for x in range(box[2], box[3]):
-                            radiance[y, x] = _paint_pixel(
+                            radiance[y, x], painted = _paint_pixel(
                                 rays, y, x, layers, n, pixel_mm[n], shapes, states,
                                 vertices, textures, radiance[y, x], corners, cells,
                             )  # fmt: skip
+                            if painted != BEHIND:
+                                is_divided[y - top, x - left] = painted == DIVIDED
+                                tile_cells[y - top, x - left] = cells
+            if spread.shape[1]:
+                for y in range(y0, box[1]):
+                    for x in range(x0, box[3]):
+                        if is_divided[y - top, x - left]:
+                            cells[:] = tile_cells[y - top, x - left]
+                            _spread_cells(cells, radiance[y, x], y, x, spread, of_rows, detail)
 
 
 @kernel("void(f4[:, ::1], u2[:, ::1], f4[::1], f8, f8, f8, f8, u1[:, ::1])")

@@ -232,8 +232,9 @@ class View:
         self.camera = camera
         self.camera_from_rig = np.array(camera_from_rig, dtype=np.float64)
         self.sensor = sensor or Sensor()
+        self._spread = _spread(self.sensor.psf_sigma_px)
         # a margin as wide as the blur: pixels at the border see what lies beyond it
-        self._margin = math.ceil(4.0 * self.sensor.psf_sigma_px) if self.sensor.psf_sigma_px > 0 else 0
+        self._margin = self._spread.shape[1] // 2
         y, x = np.mgrid[
             -self._margin : camera.height + self._margin, -self._margin : camera.width + self._margin
         ]
@@ -248,14 +249,14 @@ class View:
     def radiance(self, scene: Scene) -> F32:
         """(H, W) radiance on the sensor: averaged over pixels and blurred, without noise."""
         layers, shapes, vertices, textures = _pack(scene, self.camera_from_rig)
-        raw = np.empty(self._rays.shape[:2], np.float32)
-        raster.render_radiance(self._rays, layers, shapes, vertices, textures, raw)
-        margin, sigma_px = self._margin, self.sensor.psf_sigma_px
+        raw, detail = np.empty(self._rays.shape[:2], np.float32), np.zeros(self._rays.shape[:2], np.float32)
+        raster.render_radiance(self._rays, layers, shapes, vertices, textures, self._spread, raw, detail)
+        margin = self._margin
         if not margin:
             return raw
-        size = 2 * margin + 1
-        cv2.GaussianBlur(raw, (size, size), sigma_px, dst=raw, borderType=cv2.BORDER_REPLICATE)
-        return raw[margin:-margin, margin:-margin]
+        of_pixels = self._spread.sum(axis=0)
+        cv2.sepFilter2D(raw, cv2.CV_32F, of_pixels, of_pixels, dst=raw, borderType=cv2.BORDER_REPLICATE)
+        return (raw + detail)[margin:-margin, margin:-margin]
 
     def render(
         self,
@@ -287,6 +288,23 @@ class View:
             image,
         )
         return image
+
+
+@functools.lru_cache(maxsize=16)
+def _spread(psf_sigma_px: float) -> FloatArray:
+    """(CELLS, 2 R + 1) what each cell of a pixel brings to the pixels around it, along rows or columns.
+
+    A Gaussian from the cell's centre, averaged over the pixel that it falls on. (CELLS, 0) without blur.
+    """
+    if psf_sigma_px <= 0.0:
+        return np.empty((raster.CELLS, 0))
+    reach = math.ceil(4.0 * psf_sigma_px) + 1
+    centres = (np.arange(raster.CELLS) + 0.5) / raster.CELLS - 0.5
+    borders = np.arange(-reach, reach + 2) - 0.5
+    # cells hold means over their width already: so much less is left to blur
+    normal = NormalDist(sigma=math.sqrt(max(psf_sigma_px**2 - raster.CELLS**-2 / 12, 1e-6)))
+    spread = np.diff([[normal.cdf(border - centre) for border in borders] for centre in centres])
+    return np.asarray(spread / spread.sum())
 
 
 @functools.cache
