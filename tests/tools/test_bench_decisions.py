@@ -49,11 +49,17 @@ def test_both_cameras_must_show_what_decides() -> None:
 
 
 def test_one_camera_decides_where_the_other_sees_nothing() -> None:
-    """What is hidden on the right, whichever half of the part, speaks for no rotation there."""
-    left, right = seen(20.0)
+    """What is hidden on the right, whichever half of the part, speaks for no rotation there.
+
+    Noise looks like anything now and then: one draw of eight may be in doubt.
+    """
     middle = round(float(taught().rig.rig.right.project(np.array([[0.0, 0.0, 205.0]]))[0, 1]))
-    noise = np.clip(np.random.default_rng(7).normal(128, 60, right.shape), 0, 255).astype(np.uint8)
-    for rows in (slice(None, middle), slice(middle, None)):
-        covered = right.copy()
-        covered[rows] = noise[rows]
-        assert Reject.AMBIGUOUS_ROTATION not in rejects(left, covered)
+    doubts = 0
+    for turn_deg in (20.0, 110.0, 200.0, 290.0):
+        left, right = seen(turn_deg)
+        noise = np.random.default_rng(round(turn_deg)).normal(128, 60, right.shape)
+        for rows in (slice(None, middle), slice(middle, None)):
+            covered = right.copy()
+            covered[rows] = np.clip(noise, 0, 255).astype(np.uint8)[rows]
+            doubts += Reject.AMBIGUOUS_ROTATION in rejects(left, covered)
+    assert doubts <= 1

@@ -254,9 +254,13 @@ class View:
         margin = self._margin
         if not margin:
             return raw
-        of_pixels = self._spread.sum(axis=0)
-        cv2.sepFilter2D(raw, cv2.CV_32F, of_pixels, of_pixels, dst=raw, borderType=cv2.BORDER_REPLICATE)
-        return (raw + detail)[margin:-margin, margin:-margin]
+        of_pixels, border = self._spread.sum(axis=0), cv2.BORDER_REPLICATE
+        at_edges = cv2.sepFilter2D(raw, cv2.CV_32F, of_pixels, of_pixels, borderType=border) + detail
+        size, sigma_px = 2 * margin + 1, self.sensor.psf_sigma_px
+        cv2.GaussianBlur(raw, (size, size), sigma_px, dst=raw, borderType=border)
+        # where there is no edge there is texture, which was not averaged over pixels but sampled
+        seen = np.where(detail != 0.0, at_edges, raw)
+        return seen[margin:-margin, margin:-margin]
 
     def render(
         self,

@@ -56,8 +56,8 @@ class Sharpness:
 def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8)) -> Sharpness:
     """The spread of edges in a picture (H, W) uint8 whose noise is known, in fields of rows x columns.
 
-    Within 4 % for spreads from 0.65 to 1.5 px, within 5 % up to 2.5 px; a lens that is sharper than its
-    pixels (0.5 px) is told up to 20 % too sharp.
+    Within 4 % for spreads from 0.65 to 1.5 px, within 5 % up to 2.5 px; within 8 % where the lens is sharper
+    than its pixels (0.5 px).
     """
     grey, usable = image.astype(np.float32), _usable(image)
     found = np.concatenate([_edges(grey, usable, axis, noise_grey) for axis in (0, 1)], axis=1)

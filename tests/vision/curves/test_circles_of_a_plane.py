@@ -144,7 +144,7 @@ def test_the_scatter_is_near_the_bound(plain_disc: tuple[FloatArray, FloatArray]
         contrast = profiles[:, -1] - profiles[:, 0]
         weight = arc_px * contrast**2 / ((noise**2 + 1 / 12) * 2 * math.sqrt(math.pi) * blur_px)
         information += curve.design.T @ (curve.design * weight[:, None])
-    for seed in range(32):
+    for seed in range(128):
         rng = np.random.default_rng(seed)
         left, right = (noisy(grey, noise, rng) for grey in plain_disc)
         fit = measured(SMALL, (left, right), ALMOST)

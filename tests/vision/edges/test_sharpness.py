@@ -34,7 +34,9 @@ PART = Scene(TABLE, (Placed(demo_part(), at(8, 0, 205)),))
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "psf_px, off", [(0.6, 0.04), (0.9, 0.04), (1.4, 0.04), (2.4, 0.05)], ids=lambda value: f"{value:g}"
+    "psf_px, off",
+    [(0.4, 0.08), (0.6, 0.04), (0.9, 0.04), (1.4, 0.04), (2.4, 0.05)],
+    ids=lambda value: f"{value:g}",
 )
 @pytest.mark.parametrize("scene", [BOARD, PART], ids=["board", "part"])
 def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: Scene) -> None:
@@ -46,13 +48,6 @@ def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: 
         seen = sharpness(image, noise_grey)
         assert seen.spread_px == pytest.approx(expected, rel=off)
         assert seen.edges > 700
-
-
-def test_a_lens_that_is_sharper_than_its_pixels_is_told_too_sharp_by_a_fifth_at_most() -> None:
-    """Three samples of a hill that is hardly wider than they are."""
-    view = View(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=0.4))
-    seen = sharpness(view.render(BOARD, np.random.default_rng(1)), 0.9)
-    assert 0.8 * math.hypot(0.4, PIXEL_PX) < seen.spread_px < math.hypot(0.4, PIXEL_PX)
 
 
 def test_each_field_has_its_own_spread() -> None:

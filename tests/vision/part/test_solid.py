@@ -120,7 +120,7 @@ def test_a_round_part_is_not_turned(turn_deg: float) -> None:
 def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None:
     """Half of one picture shows each edge as a break displaces it: most edges agree with the pose taken."""
     here = hub()
-    where = lying(here.rig.rig, 15.0, 40.0, 30.0)
+    where = lying(here.rig.rig, 15.0, 115.0, 75.0)
     left, right = pictures(here.rig.rig, hub_at(where), 7)
     _, broken = pictures(here.rig.rig, hub_at(where, break_mm=0.36), 7)
     true = where @ here.part_from_job

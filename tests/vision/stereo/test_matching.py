@@ -180,9 +180,9 @@ def test_a_negative_matches_if_asked_for() -> None:
     assert either.score.max() < -0.8
 
 
-def matches_on_a_flange(surface: Surface) -> tuple[NccMatches, FloatArray, FloatArray]:
+def matches_on_a_flange(surface: Surface, seed: int = 3) -> tuple[NccMatches, FloatArray, FloatArray]:
     """Points on a rendered, rectified flange: matches, errors of disparity in px and of depth in mm."""
-    cell = VirtualCell(demo_rig(), replace(demo_part(), surface=surface), seed=3)
+    cell = VirtualCell(demo_rig(), replace(demo_part(), surface=surface), seed=seed)
     left, right, truth = cell.teach_pair()
     rectification = make_rectification(cell.rig)
     angles, radii = np.meshgrid(np.linspace(0, 2 * np.pi, 60, endpoint=False), (6.5, 7.5, 12.0))
@@ -209,10 +209,13 @@ def test_points_of_a_part_are_where_they_are() -> None:
 
 def test_grain_along_the_rows_widens_sigma() -> None:
     """On metal brushed along the rows a row that is off by little moves the match: sigma knows it."""
-    matches, error_px, _ = matches_on_a_flange(Surface(0.62, 0.1, 0.35, 6.0, 1))
-    assert matches.accepted.sum() > 90
-    assert np.nanmedian(matches.sigma_px) > 0.1
-    assert 0.5 < np.nanmean((error_px / matches.sigma_px) ** 2) < 1.5
+    chi2 = []
+    for seed in range(3, 7):
+        matches, error_px, _ = matches_on_a_flange(Surface(0.62, 0.1, 0.35, 6.0, 1), seed)
+        assert matches.accepted.sum() > 90
+        assert np.nanmedian(matches.sigma_px) > 0.1
+        chi2.append(np.nanmean((error_px / matches.sigma_px) ** 2))
+    assert 0.5 < np.mean(chi2) < 1.5
 
 
 # --- refusals ----------------------------------------------------------------------------------------
