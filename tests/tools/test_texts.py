@@ -16,6 +16,7 @@ from edged.domain.cell import CellPhase
 from edged.domain.measurement import Reject, Status
 from edged.errors import CaptureError
 from edged.pictures.captions import REASONS, REMEDIES
+from edged.plc.registers import BLOCKS
 from edged.robot.orientations import Convention
 
 WEB = Path(__file__).resolve().parents[2] / "edged" / "adapters" / "web"
@@ -27,8 +28,8 @@ ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME])
 ENTRY = re.compile(r"^([a-z][a-z0-9-]*) =(.*(?:\n[ }].*)*)", re.MULTILINE)
 VALUE = re.compile(r"\$(\w+)")
 PAGES = sorted({path.name.split(".")[0] for path in (SETUP / "pages").glob("*.ftl")})
-PARTS = ["", "run", *PAGES]
-"""Files of texts: around the pages that set a cell up, of the Run page, and of each of them."""
+PARTS = ["", "run", "registers", *PAGES]
+"""Files of texts: around the pages that set a cell up, of the Run page, its map, and of each of them."""
 
 
 def families(script: str) -> set[str]:
@@ -83,7 +84,7 @@ def test_no_text_stands_twice(language: str) -> None:
 @pytest.mark.parametrize("page", ["run", *PAGES])
 def test_every_text_that_a_page_asks_for_comes_with_it(page: str) -> None:
     """Whole ids are in its file or that around the pages; of a family (step-NAME) at least two are."""
-    there = {**ENGLISH[""], **ENGLISH[page]}
+    there = {**ENGLISH[""], **ENGLISH[page], **(ENGLISH["registers"] if page == "run" else {})}
     for script in scripts_of(page):
         for name in re.findall(r"\bt\(\s*\"([^\"]+)\"", SCRIPTS[script]):
             assert name in there, script
@@ -142,6 +143,24 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
     assert {"version", "Zenoh", "Recorder"} <= names
     assert coded(names) | {"left", "right"} == spoken("run-fact-")
     assert codes == spoken("run-told-")
+
+
+def test_the_run_page_says_of_each_register_what_its_map_does() -> None:
+    """In English the map's own help, word by word; and in no other words of a register that there is not."""
+    english, said = {name: text.strip() for name, text in ENGLISH["registers"].items()}, set[str]()
+    for block in BLOCKS:
+        for register in block.registers:
+            alike = re.sub(r"^([TJ])\d+_", r"\1_", register.name)
+            alike = re.sub(r"_R[XYZ]$", "_ROTATION", re.sub(r"_NAME_\d+$", "_NAME", alike))
+            (name,) = coded(["register-" + re.sub(r"(^|_)[XYZABC]$", r"\1AXIS", alike)])
+            name = next((one for one in (f"{name}-{register.address // 100}", name) if one in english), "")
+            name = name or "register-n-reject"
+            codes = re.search(r"\d+ [A-Z][A-Z0-9_]+(?:, \d+ [A-Z][A-Z0-9_]+)*", register.help)
+            text = english[name].replace("{ $codes }", codes[0] if codes else "")
+            assert register.help == text.replace("{ $code }", register.name[2:]), register.name
+            said.add(name)
+
+    assert {"register-no-value", "register-none", "register-unknown"} == set(english) - said
 
 
 def subclasses(kind: type[CaptureError]) -> list[type[CaptureError]]:

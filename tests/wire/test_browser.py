@@ -21,6 +21,7 @@ from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import ExposureDone
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
 from edged.payload import said
+from edged.plc.registers import BLOCKS
 from edged.vision.geometry.rectification import make_rectification
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
@@ -35,6 +36,13 @@ FACTS = {
     "Calibration": {"rows, mean": said("figure", "0.120 px", value="0.120", unit="px"), "id": "demo"},
     "Recorder": {"problem": said("own-words", "No space left on device")},
 }
+REGISTERS = [
+    (register, 1)
+    for block in BLOCKS
+    for register in block.registers
+    if not re.match(r"[TJ](?!0_)\d+_", register.name)
+]
+"""Of rows that are alike the first."""
 OPEN = 'document.querySelector("#viewer").open'
 
 
@@ -69,6 +77,7 @@ def on_the_page(
             rectification=lambda: rectification,
             limits=lambda: {1: limit_mm},
             facts=lambda: FACTS,
+            registers=lambda: REGISTERS,
         )
         web = WebPublisher("cell", WebSettings(port=0), asked)
         await web.start()
@@ -190,6 +199,13 @@ def words(text: str) -> set[str]:
     return set(re.findall(r"[^\W\d_]{3,}", text))
 
 
+CODES = {
+    code
+    for one, _ in REGISTERS
+    for names in re.findall(r"\d+ ([A-Z0-9_]+)", one.help)
+    for code in words(names)
+}
+"""Names of bits and values, which are no words."""
 READ = """(() => {
   const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const found = [...document.querySelectorAll("[aria-label]")].map((e) => e.getAttribute("aria-label"));
@@ -223,10 +239,15 @@ def test_it_speaks_german_throughout() -> None:
                     ' && document.querySelectorAll("#faults li").length > 5'
                 )
             assert tag == await page.value("document.documentElement.lang")
-            texts = "".join([await page.value(TEXTS % name) for name in (f"setup/{tag}", f"run/run.{tag}")])
+            if tag == "de":
+                await page.value('document.querySelector("#registers").open = true')
+            await page.until('document.querySelectorAll("#words tr").length > 200')
+            named = [one % tag for one in ("setup/%s", "run/run.%s", "run/registers.%s")]
+            texts = "".join([await page.value(TEXTS % name) for name in named])
             read = await page.value(READ)
             assert len(words(read)) > 80
-            assert set() == words(read) - words(texts)
+            assert set() == words(read) - words(texts) - CODES
+            assert ("cycle number" in read) == (tag == "en")
             assert count in read
 
     on_the_page(test)
@@ -245,6 +266,8 @@ def test_no_word_is_written_into_the_page(width: int) -> None:
         await page.value('document.querySelectorAll("details").forEach((one) => (one.open = true))')
         await page.until(f'document.querySelector("#words tr") && {STRETCHED}')
         assert [] == await page.value(UNTRANSLATED)
+        await page.type("#find", "result")  # of few rows axe says the same as of all
+        await page.until('document.querySelectorAll("#words tr").length < 20')
         fail(web)
         await page.until('document.querySelector("#faults").textContent.includes("200 ms")')
         assert [] == await page.value(UNTRANSLATED)
@@ -256,6 +279,17 @@ def test_no_word_is_written_into_the_page(width: int) -> None:
         assert [] == await page.violations()
 
     on_the_page(test, width, 844, query="?pseudo")
+
+
+def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
+    """Whichever of both ends first."""
+
+    async def test(page: Browser, _web: WebPublisher) -> None:
+        for tag, told in (("de", "Nummer des Zyklus"), ("en", "cycle number")):
+            await page.value(f"""{LANGUAGE % tag}; document.querySelector("#registers").open = true""")
+            await page.until(f'document.querySelector("#words").textContent.includes("{told}")')
+
+    on_the_page(test)
 
 
 def test_a_lost_cell_is_not_shown_as_present() -> None:

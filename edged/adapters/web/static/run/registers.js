@@ -1,18 +1,47 @@
-// The Modbus map, live while somebody looks at it.
+// The Modbus map, live while somebody looks at it. Its texts come with it.
 import { $, data, detail, element } from "./dom.js";
+import { figure } from "./sentences.js";
+import { dashed, has, learn, t } from "../setup/texts.js";
 
+const MEANINGS = { "no value": "register-no-value", none: "register-none", unknown: "register-unknown" };
+const NAMES = /^[\dA-Z_, ]+$/;
+const CODES = /\d+ [A-Z][A-Z0-9_]+(?:, \d+ [A-Z][A-Z0-9_]+)*/; // names, the same in every language
 let timer = 0;
+let texts = null;
+
 export async function loadRegisters() {
-  const answer = await fetch("/registers.json");
+  texts ??= learn("run/registers");
+  const [answer] = await Promise.all([fetch("/registers.json"), texts]);
   if (!answer.ok) return;
   const wanted = $("find").value.trim().toLowerCase();
   const rows = (await answer.json()).filter((r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted);
   $("words").replaceChildren(...rows.map(registerRow));
 }
 
+// What the map says of a register: rows of one table, and axes of one pose, have one text.
+function helpOf({ name, address, help }) {
+  const alike = name.replace(/^([TJ])\d+_/, "$1_").replace(/_NAME_\d+$/, "_NAME").replace(/_R[XYZ]$/, "_ROTATION").replace(/(^|_)[XYZABC]$/, "$1AXIS");
+  const id = `register-${dashed(alike)}`;
+  const known = [`${id}-${Math.floor(address / 100)}`, id].find(has); // of names in two blocks
+  const codes = help.match(CODES)?.[0] ?? "";
+  if (known) return t(known, { codes });
+  return name.startsWith("N_") ? t("register-n-reject", { code: name.slice(2) }) : null;
+}
+
 function registerRow(r) {
-  const value = element("td", { class: "value" }, r.text, ...(r.meaning ? [" ", detail(r.meaning)] : []));
-  return element("tr", {}, element("td", {}, String(r.address)), element("td", {}, data(r.name)), value, element("td", {}, data(r.unit)), element("td", {}, data(r.help, { lang: "en" })));
+  const help = helpOf(r);
+  const value = element("td", { class: "value" }, data(r.text), ...(r.meaning ? [" ", element("span", { class: "muted" }, meaningOf(r, help))] : []));
+  return element("tr", {}, element("td", {}, String(r.address)), element("td", {}, data(r.name)), value, element("td", {}, data(r.unit)), element("td", {}, help === null ? detail(r.help) : NAMES.test(help) ? data(help) : help));
+}
+
+// A word that the register's own text lists, a figure, or names of bits and codes.
+function meaningOf({ text, meaning, help: english }, help) {
+  if (/^[A-Z0-9_]+$/.test(meaning)) return data(meaning);
+  const listed = new RegExp(`(?:^|, )${text}:? (\\p{L}[\\p{L}_ -]*)`, "u");
+  if (english.match(listed)?.[1] === meaning) return data(help?.match(listed)?.[1] ?? meaning);
+  if (MEANINGS[meaning]) return t(MEANINGS[meaning]);
+  const [, amount, unit] = meaning.match(/^(-?\d+\.\d+)( mm|°)$/) ?? [];
+  return data(amount ? figure(amount) + unit : meaning);
 }
 
 $("registers").addEventListener("toggle", () => {

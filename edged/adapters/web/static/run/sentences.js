@@ -1,14 +1,13 @@
 // What the cell says by codes and by figures, as sentences.
 import { data, detail, element } from "./dom.js";
-import { has, language, number, t } from "../setup/texts.js";
+import { dashed, has, language, number, t } from "../setup/texts.js";
 
-const coded = (code) => code.toLowerCase().replaceAll(/[^a-z0-9]+/gi, "-");
-export const statusOf = (status) => t(`run-status-${coded(status)}`);
+export const statusOf = (status) => t(`run-status-${dashed(status)}`);
 export const kindOf = (status) => (status === "OK" ? "good" : status === "CAPTURE_FAULT" ? "bad" : "warn");
-const rejects = (codes) => codes.map((code) => t(`run-reject-${coded(code)}`)).join(", ");
+const rejects = (codes) => codes.map((code) => t(`run-reject-${dashed(code)}`)).join(", ");
 
 // Numbers that come as text have the digits that are shown.
-const figure = (text) => (/^[-+]?\d+(\.\d+)?$/.test(text) ? `${text.startsWith("+") ? "+" : ""}${number(Number(text), (text.split(".")[1] ?? "").length)}` : text);
+export const figure = (text) => (/^[-+]?\d+(\.\d+)?$/.test(text) ? `${text.startsWith("+") ? "+" : ""}${number(Number(text), (text.split(".")[1] ?? "").length)}` : text);
 const figures = (values) => Object.fromEntries(Object.entries(values).map(([name, value]) => [name, typeof value === "string" ? figure(value) : value]));
 
 // The hours as the browser's owner writes them, where that is the language of the page.
@@ -26,7 +25,7 @@ function cause({ code, number: count, text, reject, ...values }) {
   if (code === "NOTHING") return [t("run-why-nothing")];
   if (code === "NEAREST") return [t("run-why-nearest", figures(values))];
   if (code !== "SEEN") return [rejects([code])];
-  const remedies = reject.filter((one) => REMEDIED.includes(one)).map((one) => t(`run-try-${coded(one)}`));
+  const remedies = reject.filter((one) => REMEDIED.includes(one)).map((one) => t(`run-try-${dashed(one)}`));
   return [t("run-why-seen", { ...figures(values), reasons: rejects(reject), remedies: remedies.join(" ") || t("run-try-look") })];
 }
 export const causes = (why) => why.map((one) => element("div", {}, ...cause(one)));
@@ -41,4 +40,4 @@ export function told(fact) {
   if (code === "figure") return [data(`${figure(values.value)} ${values.unit}`)];
   return code === "own-words" ? [detail(text)] : [t(`run-told-${code}`, figures(values))];
 }
-export const nameOf = (name) => t(`run-fact-${coded(name)}`);
+export const nameOf = (name) => t(`run-fact-${dashed(name.replaceAll(",", ""))}`);

@@ -34,13 +34,16 @@ async function load(part, tag) {
 
 // The texts of a page, as "setup/pages/teach", before it is shown.
 export async function learn(part) {
-  await load(part, language.value);
   parts.add(part);
+  for (let tag = ""; tag !== language.value; await load(part, tag)) tag = language.value; // chosen meanwhile
   heard.value += 1;
 }
 
 export async function speak(tag) {
-  await Promise.all([...parts].map((part) => load(part, tag)));
+  for (let known = 0; known < parts.size; ) { // entered meanwhile
+    known = parts.size;
+    await Promise.all([...parts].map((part) => load(part, tag)));
+  }
   language.value = tag;
   document.documentElement.lang = tag;
 }
