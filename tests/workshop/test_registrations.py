@@ -12,6 +12,8 @@ import pytest
 from stagecell import Newcomer, run
 
 from edged.domain.arrays import FloatArray
+from edged.domain.events import Command, CommandKind
+from edged.errors import BeingSetUp
 from edged.files.rig import load_rig, save_rig
 from edged.sim.cell import demo_rig
 from edged.sim.robot import FLANGE_FROM_RIG
@@ -90,6 +92,22 @@ def on_stage(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
         await test(newcomer)
 
     run(folder, staged, gige=False)
+
+
+def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Path) -> None:
+    """What a PLC or a robot's program asks for while a person has the cell is refused, with a pose, too."""
+
+    async def test(newcomer: Newcomer) -> None:
+        person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka", "board": BOARD})
+        await person.begin()
+        for kind in CommandKind:
+            with pytest.raises(BeingSetUp):
+                newcomer.daemon._cycle.submit(  # noqa: SLF001  (as a client's)
+                    Command(kind, "a PLC", 1, robot_from_flange=np.eye(4))
+                )
+        assert [] == (await person.judged())["samples"]
+
+    on_stage(tmp_path, test)
 
 
 def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ robot-brand = Roboter
 robot-brand-unknown = Ich weiß nicht, wie er Posen schreibt
 robot-begin = Beginnen
 robot-program = Das eigene Programm des Roboters kann alles allein, mit ein paar Befehlen an die Zelle.
+robot-program-later = Solange jemand die Zelle hat, nimmt sie keinen Befehl von Roboter oder SPS an: Geben Sie sie zurück, und starten Sie dann jenes Programm. Seine Posen oder Punkte erscheinen hier, wie sie kommen.
 robot-program-how = Wie das geht
 robot-walks = Das eigene Programm des Roboters registriert die Zelle gerade: seine Posen oder Punkte erscheinen hier, wie sie kommen.
 robot-walked = Diese hat das eigene Programm des Roboters aufgenommen.

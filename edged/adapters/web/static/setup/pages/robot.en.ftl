@@ -23,6 +23,7 @@ robot-brand = Robot
 robot-brand-unknown = I do not know how it writes its poses
 robot-begin = Begin
 robot-program = The robot's own program can do all of it alone, with a few commands to the cell.
+robot-program-later = While a person has the cell it takes no command of robot or PLC: give it back, then start that program. Its poses or points appear here as they come.
 robot-program-how = How that is done
 robot-walks = The robot's own program registers the cell now: its poses or points appear here as they come.
 robot-walked = The robot's own program took these.

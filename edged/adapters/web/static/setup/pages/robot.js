@@ -62,7 +62,7 @@ function Begin() {
     </fieldset>
     <div class="row"><${BrandField} value=${brand} onValue=${setBrand} mayBeUnknown=${kind === "poses"} /></div>
     <div class="actions"><button type="button" class="primary" disabled=${!mayTake.value || board === null} onClick=${begin}>${t("robot-begin")}</button></div>
-    <p class="hint">${t("robot-program")}</p>
+    <p class="hint">${t("robot-program")} ${cell.value.setup?.source === "person" && t("robot-program-later")}</p>
     <div class="actions"><a class="button" href="/manual/how-to/robot-frame/#by-the-robots-own-program">${t("robot-program-how")}</a></div>
   </section>`;
 }
