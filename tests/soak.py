@@ -60,7 +60,9 @@ from edged.domain.picking import Grasp, Picking
 from edged.domain.registration import Method, Obstacle, Registration
 from edged.errors import CommandRefused, FrameTimeout
 from edged.loop.loaded import LoadedJob, Setup
+from edged.plc import answers
 from edged.plc import handshake as hs
+from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.clients import structured_text_source
 from edged.plc.lines import Answer
@@ -72,7 +74,12 @@ IMAGE = np.zeros((2, 2), np.uint8)
 GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
 PICKING = Picking(grasps=(Grasp("face", np.eye(4), np.eye(4), 50.0, 50.0),))
 """The tool's tip stands in the part's origin."""
-NEVER_OPEN = (hs.Reason.QUEUE_FULL, hs.Reason.UNKNOWN_COMMAND, hs.Reason.BASELINE, hs.Reason.NO_LIST)
+NEVER_OPEN = (
+    answers.Reason.QUEUE_FULL,
+    answers.Reason.UNKNOWN_COMMAND,
+    answers.Reason.BASELINE,
+    answers.Reason.NO_LIST,
+)
 WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
 WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
@@ -154,13 +161,13 @@ class WatchedRegisters(CellRegisters):
         self._writer = client
         super().write(client, address, words, shown=shown)
 
-    def _step(self, event: Any, now_s: float) -> tuple[hs.Effect, ...]:
+    def _step(self, event: Any, now_s: float) -> tuple[ev.Effect, ...]:
         effects = super()._step(event, now_s)
         if self.is_over:  # a connection of it ends: nobody is told any more
             return effects
         for effect in effects:
-            is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
-            if isinstance(effect, hs.Submit) or (is_next and effect.answer is hs.Answer.ACK):
+            is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
+            if isinstance(effect, ev.Submit) or (is_next and effect.answer is answers.Answer.ACK):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
                 self.written[sequence] = self._exposed_for_s
@@ -184,23 +191,23 @@ class Book:
     ended: set[tuple[int, int]] = field(default_factory=set)
     violations: list[str] = field(default_factory=list)
 
-    def note(self, cell: object, event: Any, effects: tuple[hs.Effect, ...], now_s: float) -> None:
+    def note(self, cell: object, event: Any, effects: tuple[ev.Effect, ...], now_s: float) -> None:
         """Count what was accepted and how it ended; what NEXT_PART asks for is never open."""
-        is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
+        is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
         for effect in effects:
             key = (id(cell), effect.ticket)
-            if isinstance(effect, hs.Submit):
+            if isinstance(effect, ev.Submit):
                 self.counts["accepted"] += 1
                 self.expect(key not in self.open and key not in self.ended, "a ticket is used twice")
                 self.open[key] = now_s
                 continue
             self.counts[f"{effect.answer.name} {effect.reason.name}"] += 1
-            if is_next and effect.answer is hs.Answer.ACK:
+            if is_next and effect.answer is answers.Answer.ACK:
                 self.counts["parts given by NEXT_PART"] += 1
             refused = effect.reason in NEVER_OPEN or is_next
             self.expect(key not in self.ended, f"a second answer for {effect}")
             # SETUP ends what is open, and refuses what is not
-            known = (key in self.open) != refused or effect.reason is hs.Reason.SETUP
+            known = (key in self.open) != refused or effect.reason is answers.Reason.SETUP
             self.expect(known, f"an answer without a command: {effect}")
             self.open.pop(key, None)
             self.ended.add(key)
@@ -706,7 +713,7 @@ class Soak:
                 self.world.cell.write(line.number, reg.ADDRESS["COMMAND"], memory)
                 if looks % 5 == 0:
                     status = line.read(reg.STATUS)
-                    if memory[2] in line.intent and status["NACK_REASON"] == hs.Reason.BASELINE:
+                    if memory[2] in line.intent and status["NACK_REASON"] == answers.Reason.BASELINE:
                         line.intent, memory[2] = {memory[2] % 65535 + 1}, memory[2] % 65535 + 1
                     if asked_s > 0 and status["START_EPOCH"] == epoch and status["DONE_SEQ"] == memory[2]:
                         result = line.read(reg.RESULT)

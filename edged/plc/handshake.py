@@ -38,70 +38,35 @@ be taken for the result of a new one with the same CMD_SEQ.
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
+
+from edged.plc.answers import Answer, Reason, Verdict
+from edged.plc.handshakeevents import (
+    AckWritten,
+    Answered,
+    Barred,
+    ClaimedBy,
+    CycleBegun,
+    Declined,
+    Effect,
+    Event,
+    Exposed,
+    Failed,
+    Finished,
+    HeartbeatWritten,
+    Released,
+    Reloaded,
+    Resumed,
+    SequenceWritten,
+    Submit,
+    Suspended,
+    Tick,
+)
 
 Payload = TypeVar("Payload")
 
 SEQUENCE_MASK = 0xFFFF
-
-
-class Answer(enum.Enum):
-    """How the last command ended."""
-
-    NONE = "none"
-    ACK = "ack"
-    NACK = "nack"
-
-
-class Reason(enum.IntEnum):
-    """Why a command ended in NACK; the value of a register."""
-
-    NONE = 0
-    """The last command ended in ACK, or there was none."""
-    UNKNOWN_COMMAND = 1
-    """COMMAND holds a number that is none."""
-    REFUSED = 2
-    """No such job, no pose of the flange for a rig that the robot carries, stopping."""
-    QUEUE_FULL = 3
-    """Eight commands were open."""
-    TIMEOUT = 4
-    """It took longer than TIMEOUT; what comes later is dropped."""
-    FAILED = 5
-    """Accepted, and then it could not be carried out: the log says why."""
-    CAPTURE_FAULT = 6
-    """The cameras gave no pair of images: ERROR says why."""
-    SETUP = 7
-    """Somebody has the cell for setting it up, or it lacks calibration or jobs: SETUP_SOURCE says which."""
-    BASELINE = 8
-    """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
-    NO_LIST = 9
-    """NEXT_PART, and there is no next part: the list is at its end, too old or gone, or never was."""
-    NO_REGISTRATION = 10
-    """REGISTER_ADD or REGISTER_SOLVE, and nothing was begun, or it ended meanwhile: begin again."""
-    NOT_SEEN = 11
-    """REGISTER_ADD: board or part not seen well in both pictures; nothing was added, take it again."""
-    SAME_PLACE = 12
-    """REGISTER_ADD: this pose or point is there already; nothing was added, go elsewhere."""
-    TOO_FEW = 13
-    """REGISTER_SOLVE: six poses are needed, or four points."""
-    TURN_MORE = 14
-    """REGISTER_SOLVE: the poses do not turn enough about two axes, or the points lie on one line."""
-    NOT_GOOD = 15
-    """REGISTER_SOLVE: they do not agree within the limit, or are mirrored: see block registration, log."""
-    OTHER_READING = 16
-    """REGISTER_SOLVE: the poses agree when read in another convention or unit: the log says which."""
-
-
-class Verdict(enum.Enum):
-    """What a finished command says about the part."""
-
-    GOOD = "good"  # found, within limits, can be expressed in the registers
-    PASSED = "passed"  # as good, but asked for without coordinates: nothing for a robot
-    BAD = "bad"  # measured, but nothing that a robot may use
-    DONE = "done"  # carried out, says nothing about a part (picture taken, job changed)
-    FAULT = "fault"  # could not be measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,175 +145,6 @@ class Handshake(Generic[Payload]):
     registers: bool = False
     owner: int | None = None
     owner_until_s: float = 0.0
-
-
-# --- events --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class SequenceWritten:
-    """CMD_SEQ was written. known : the command register holds a command that exists.
-
-    client : who wrote it. once : it is no part of a block that is written again and again: it runs although
-    nothing is known of what this client wrote before. timeout_s : for this command, None for none.
-    next_of : it is NEXT_PART, of a list of this job (0: whatever job); None: it is another command.
-    registers : it is one with which a robot's program registers the rig.
-    """
-
-    sequence: int
-    known: bool = True
-    timeout_s: float | None = None
-    client: int = 0
-    once: bool = False
-    next_of: int | None = None
-    registers: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class AckWritten:
-    """ACK_SEQ was written."""
-
-    sequence: int
-
-
-@dataclass(frozen=True, slots=True)
-class HeartbeatWritten:
-    """The client's heartbeat was written; 0 ends its supervision."""
-
-    value: int
-
-
-@dataclass(frozen=True, slots=True)
-class Declined:
-    """The cycle did not take the command that was submitted."""
-
-    ticket: int
-    reason: Reason = Reason.REFUSED
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """An accepted command could not be carried out."""
-
-    ticket: int
-
-
-@dataclass(frozen=True, slots=True)
-class CycleBegun:
-    """The cell begins to measure."""
-
-
-@dataclass(frozen=True, slots=True)
-class Exposed:
-    """Both images are in memory. ticket : the command's, None when nobody here asked."""
-
-    ticket: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class Finished(Generic[Payload]):
-    """A measurement, a picture or a job change is complete.
-
-    ticket : the command's, None when nobody here asked; cycle : its number (for free-running cells).
-    payload : what to display, None for nothing. rest : what to display of each further good part, for
-    NEXT_PART; job : the number of the job that was measured.
-    """
-
-    ticket: int | None
-    cycle: int
-    verdict: Verdict
-    exposed_s: float
-    payload: Payload | None
-    rest: tuple[Payload, ...] = ()
-    job: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class ClaimedBy:
-    """A client writes (after `may_write` said that it may)."""
-
-    client: int
-
-
-@dataclass(frozen=True, slots=True)
-class Released:
-    """A client has given up its right to write. gone : its connection has ended, too."""
-
-    client: int
-    gone: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Barred:
-    """A client wrote CMD_SEQ while another one held the right to write: it was not taken."""
-
-    client: int
-
-
-@dataclass(frozen=True, slots=True)
-class Reloaded:
-    """Jobs, rig or cameras have been exchanged: the parts of a list were measured with those before."""
-
-
-@dataclass(frozen=True, slots=True)
-class Suspended:
-    """The cell is set up from now on: its cameras, its rig or its jobs may change.
-
-    registers : by a robot's program, whose commands run.
-    """
-
-    registers: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Resumed:
-    """The cell works for clients again."""
-
-
-@dataclass(frozen=True, slots=True)
-class Tick:
-    """Only time has passed."""
-
-
-Event = (
-    SequenceWritten
-    | AckWritten
-    | HeartbeatWritten
-    | Declined
-    | Failed
-    | CycleBegun
-    | Exposed
-    | Finished[Payload]
-    | ClaimedBy
-    | Released
-    | Barred
-    | Reloaded
-    | Suspended
-    | Resumed
-    | Tick
-)
-
-
-# --- effects -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Submit:
-    """Hand this command to the cycle; answer with `Declined` if it does not take it."""
-
-    ticket: int
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """A command has ended. ticket : unique, its low 16 bits are the CMD_SEQ."""
-
-    ticket: int
-    answer: Answer
-    reason: Reason
-
-
-Effect = Submit | Answered
 
 
 # --- what may be read from a state -----------------------------------------------------------

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 from edged.domain.events import CommandKind
 from edged.plc import handshake as hs
+from edged.plc import handshakeevents as ev
+from edged.plc.answers import Answer
 from edged.plc.registers import UINT16_MAX, Measured
 
 KEPT = 50
@@ -80,36 +82,36 @@ class Ladder:
 
     def took(
         self,
-        event: hs.Event[Measured],
+        event: ev.Event[Measured],
         before: hs.Handshake[Measured],
         after: hs.Handshake[Measured],
-        effects: tuple[hs.Effect, ...],
+        effects: tuple[ev.Effect, ...],
         now_s: float,
     ) -> None:
         """A step of the handshake. Cheap where nothing was said: each read of a register is a step."""
         match event:
-            case hs.Tick() if not effects:
+            case ev.Tick() if not effects:
                 return
-            case hs.SequenceWritten():
+            case ev.SequenceWritten():
                 if after.ticket != before.ticket:
                     self._begin(event.client, after.ticket, now_s)
                 elif event.sequence == 0 != before.command_sequence:
                     self._add(before.ticket, now_s, "taken_down")
-            case hs.Barred(client):
+            case ev.Barred(client):
                 self._bar(client, before.ticket)
-            case hs.AckWritten(sequence):
+            case ev.AckWritten(sequence):
                 shown = before.result
                 if shown is not None and shown.sequence == sequence != before.acknowledged:
                     self._add(before.ticket, now_s, "acknowledged")
-            case hs.Exposed() if after.exposure_done and not before.exposure_done:
+            case ev.Exposed() if after.exposure_done and not before.exposure_done:
                 self._add(after.ticket, now_s, "exposure")
-            case hs.Finished() if after.result is not None and after.result is not before.result:
+            case ev.Finished() if after.result is not None and after.result is not before.result:
                 self._show(after, now_s)
-        if isinstance(event, hs.SequenceWritten) and after.result is not None and effects:
+        if isinstance(event, ev.SequenceWritten) and after.result is not None and effects:
             self._show(after, now_s)  # NEXT_PART
         for effect in effects:
-            if isinstance(effect, hs.Answered):
-                reason = "" if effect.answer is hs.Answer.ACK else effect.reason.name
+            if isinstance(effect, ev.Answered):
+                reason = "" if effect.answer is Answer.ACK else effect.reason.name
                 self._add(effect.ticket, now_s, "nack" if reason else "ack", reason)
 
     def _begin(self, client: int, ticket: int, now_s: float) -> None:

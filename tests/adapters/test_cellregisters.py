@@ -12,7 +12,7 @@ from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
 from edged.errors import BeingSetUp
 from edged.plc import registers as reg
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 
 
 class Queue:

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from edged.plc import handshake as hs
-from edged.plc.handshake import Answer, Handshake, Limits, Reason, Verdict, is_valid, may_write, step
+from edged.plc import handshakeevents as ev
+from edged.plc.answers import Answer, Reason, Verdict
+from edged.plc.handshake import Handshake, Limits, is_valid, may_write, step
 
 LIMITS = Limits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
 
@@ -21,9 +23,9 @@ class Run:
     def __init__(self, synchronised: int | None = 0) -> None:
         self.state: Handshake[str] = Handshake(LIMITS, synchronised=synchronised)
         self.now_s = 100.0
-        self.effects: list[hs.Effect] = []
+        self.effects: list[ev.Effect] = []
 
-    def tell(self, event: hs.Event[str]) -> tuple[hs.Effect, ...]:
+    def tell(self, event: ev.Event[str]) -> tuple[ev.Effect, ...]:
         self.state, effects = step(self.state, event, self.now_s)
         self.effects += effects
         return effects
@@ -31,12 +33,12 @@ class Run:
     def good(
         self, ticket: int | None, cycle: int = 1, payload: str = "part", *rest: str, job: int = 0
     ) -> None:
-        self.tell(hs.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job))
+        self.tell(ev.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job))
 
     def next_part(self, sequence: int, client: int = 0, job: int = 0, once: bool = False) -> str:
         """What NEXT_PART shows; "" for a NACK with the reason of its own. It always ends at once."""
-        (answered,) = self.tell(hs.SequenceWritten(sequence, client=client, once=once, next_of=job))
-        assert isinstance(answered, hs.Answered) and answered.ticket & 0xFFFF == sequence
+        (answered,) = self.tell(ev.SequenceWritten(sequence, client=client, once=once, next_of=job))
+        assert isinstance(answered, ev.Answered) and answered.ticket & 0xFFFF == sequence
         assert () == self.state.open
         if answered.answer is Answer.NACK:
             assert (Reason.NO_LIST, None) == (answered.reason, self.state.result)
@@ -53,91 +55,91 @@ class Run:
 def test_a_command_is_answered_and_its_result_is_valid_until_acknowledged() -> None:
     """SEQ 7 is written: nothing valid; result: ACK, valid with SEQ 7; ACK_SEQ 7: not valid any more."""
     run = Run()
-    assert (hs.Submit(7),) == run.tell(hs.SequenceWritten(7))
+    assert (ev.Submit(7),) == run.tell(ev.SequenceWritten(7))
     assert not run.valid
-    run.tell(hs.Exposed(7))
+    run.tell(ev.Exposed(7))
     assert run.state.exposure_done
     assert not run.valid
     run.good(7)
     assert run.valid
     assert (7, 7, Answer.ACK) == (run.state.result.sequence, run.state.done_sequence, run.state.answer)
-    run.tell(hs.AckWritten(6))
+    run.tell(ev.AckWritten(6))
     assert run.valid
-    run.tell(hs.AckWritten(7))
+    run.tell(ev.AckWritten(7))
     assert not run.valid
 
 
 def test_the_same_sequence_again_does_not_run_again() -> None:
     """A PLC that writes its block cyclically triggers once."""
     run = Run()
-    run.tell(hs.SequenceWritten(7))
-    assert () == run.tell(hs.SequenceWritten(7))
+    run.tell(ev.SequenceWritten(7))
+    assert () == run.tell(ev.SequenceWritten(7))
 
 
 def test_the_first_number_after_the_start_runs_nothing() -> None:
     """A PLC that goes on writing what it wrote to the daemon before this one: NACK 8, the next one runs."""
     run = Run(synchronised=None)
-    assert (hs.Answered(7, Answer.NACK, Reason.BASELINE),) == run.tell(hs.SequenceWritten(7))
+    assert (ev.Answered(7, Answer.NACK, Reason.BASELINE),) == run.tell(ev.SequenceWritten(7))
     assert (7, 7, Reason.BASELINE) == (run.state.command_sequence, run.state.done_sequence, run.state.reason)
-    assert () == run.tell(hs.SequenceWritten(7))
-    assert (hs.Submit(8),) == run.tell(hs.SequenceWritten(8))
+    assert () == run.tell(ev.SequenceWritten(7))
+    assert (ev.Submit(8),) == run.tell(ev.SequenceWritten(8))
 
 
 def test_zero_is_a_first_number_as_good_as_any() -> None:
     """A PLC that starts with cleared registers commands with its next write, and no result is taken down."""
     run = Run(synchronised=None)
     run.good(None, cycle=3)
-    assert () == run.tell(hs.SequenceWritten(0))
+    assert () == run.tell(ev.SequenceWritten(0))
     assert run.valid
-    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1))
+    assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1))
 
 
 def test_a_command_that_is_written_once_on_purpose_needs_no_number_before() -> None:
     """And it makes this connection's number known, so that a cyclic repetition runs nothing."""
     run = Run(synchronised=None)
-    assert (hs.Submit(7),) == run.tell(hs.SequenceWritten(7, client=5, once=True))
-    assert () == run.tell(hs.SequenceWritten(7, client=5))
-    assert (hs.Submit(8),) == run.tell(hs.SequenceWritten(8, client=5))
+    assert (ev.Submit(7),) == run.tell(ev.SequenceWritten(7, client=5, once=True))
+    assert () == run.tell(ev.SequenceWritten(7, client=5))
+    assert (ev.Submit(8),) == run.tell(ev.SequenceWritten(8, client=5))
 
 
 def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothing() -> None:
     """Whoever wrote CMD_SEQ last goes on; anybody else, and a connection made anew, begins."""
     run = Run()
-    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1))
+    assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1))
     run.good(1)
-    run.tell(hs.Released(0))
-    assert (hs.Submit(2),) == run.tell(hs.SequenceWritten(2)), "only the right to write was given up"
+    run.tell(ev.Released(0))
+    assert (ev.Submit(2),) == run.tell(ev.SequenceWritten(2)), "only the right to write was given up"
     run.good(2)
-    for event in (hs.SequenceWritten(9, client=4), hs.SequenceWritten(2)):
+    for event in (ev.SequenceWritten(9, client=4), ev.SequenceWritten(2)):
         (answered,) = run.tell(event)
-        assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+        assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
         assert not run.valid
-    run.tell(hs.Released(0, gone=True))
-    (answered,) = run.tell(hs.SequenceWritten(3))
-    assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+    run.tell(ev.Released(0, gone=True))
+    (answered,) = run.tell(ev.SequenceWritten(3))
+    assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
 
 
 def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
     """It may have been given up meanwhile, and a PLC goes on writing it."""
     run = Run()
-    run.tell(hs.Barred(3))
-    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1)), "another client's turn is nothing to this one"
+    run.tell(ev.Barred(3))
+    assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1)), "another client's turn is nothing to this one"
     run.good(1)
-    run.tell(hs.Barred(0))
-    (answered,) = run.tell(hs.SequenceWritten(2))
-    assert isinstance(answered, hs.Answered) and answered.reason is Reason.BASELINE
+    run.tell(ev.Barred(0))
+    (answered,) = run.tell(ev.SequenceWritten(2))
+    assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
 
 
 def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() -> None:
     """7 is shown, or still measured, for a client that is gone: a new one that writes 7 sees neither."""
     done, late = Run(), Run()
-    done.tell(hs.SequenceWritten(7))
+    done.tell(ev.SequenceWritten(7))
     done.good(7)
     assert done.valid
-    late.tell(hs.SequenceWritten(7))
+    late.tell(ev.SequenceWritten(7))
     for run in (done, late):
-        run.tell(hs.Released(0, gone=True))
-        run.tell(hs.SequenceWritten(7, client=1))
+        run.tell(ev.Released(0, gone=True))
+        run.tell(ev.SequenceWritten(7, client=1))
         run.good(7)
         assert run.state.result is None
         assert (7, Answer.NACK, Reason.BASELINE) == (
@@ -150,10 +152,10 @@ def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() ->
 def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -> None:
     """5 times out, 0 resets, 5 again: the first 5's result comes late and belongs to nobody."""
     run = Run()
-    run.tell(hs.SequenceWritten(5, timeout_s=0.5))
+    run.tell(ev.SequenceWritten(5, timeout_s=0.5))
     run.now_s += 1.0
-    run.tell(hs.SequenceWritten(0))
-    run.tell(hs.SequenceWritten(5))
+    run.tell(ev.SequenceWritten(0))
+    run.tell(ev.SequenceWritten(5))
     run.good(5, payload="old")
     assert run.state.result is None
     assert Answer.NONE is run.state.answer
@@ -165,9 +167,9 @@ def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -
 def test_the_sequence_wraps() -> None:
     """After 65535 comes 1, and its ticket is a new one."""
     run = Run()
-    run.tell(hs.SequenceWritten(65535))
+    run.tell(ev.SequenceWritten(65535))
     run.good(65535)
-    assert (hs.Submit(65536 + 1),) == run.tell(hs.SequenceWritten(1))
+    assert (ev.Submit(65536 + 1),) == run.tell(ev.SequenceWritten(1))
     run.good(65536 + 1)
     assert run.valid
     assert 1 == run.state.result.sequence
@@ -177,13 +179,13 @@ def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_
     """Eight wait at most; a refused command leaves nothing valid."""
     run = Run()
     for sequence in range(1, 9):
-        run.tell(hs.SequenceWritten(sequence))
-    assert (hs.Answered(9, Answer.NACK, Reason.QUEUE_FULL),) == run.tell(hs.SequenceWritten(9))
+        run.tell(ev.SequenceWritten(sequence))
+    assert (ev.Answered(9, Answer.NACK, Reason.QUEUE_FULL),) == run.tell(ev.SequenceWritten(9))
     assert run.state.overrun
     for ticket in range(1, 9):
         run.good(ticket)
     assert not run.valid
-    run.tell(hs.SequenceWritten(10))
+    run.tell(ev.SequenceWritten(10))
     assert not run.state.overrun
     run.good(10)
     assert run.valid
@@ -192,10 +194,10 @@ def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_
 def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
     """2 times out while 1 is still measured; 1 ends later: DONE_SEQ goes on to say 2, NACK."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
-    run.tell(hs.SequenceWritten(2, timeout_s=0.1))
+    run.tell(ev.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(2, timeout_s=0.1))
     run.now_s += 0.2
-    run.tell(hs.Tick())
+    run.tell(ev.Tick())
     run.good(1)
     assert (2, Answer.NACK, Reason.TIMEOUT) == (
         run.state.done_sequence,
@@ -203,7 +205,7 @@ def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
         run.state.reason,
     )
     assert {1: Answer.ACK, 2: Answer.NACK} == {
-        effect.ticket: effect.answer for effect in run.effects if isinstance(effect, hs.Answered)
+        effect.ticket: effect.answer for effect in run.effects if isinstance(effect, ev.Answered)
     }
 
 
@@ -212,19 +214,19 @@ def test_an_unknown_or_declined_command_is_a_nack_with_its_reason() -> None:
     run = Run()
     run.good(None, cycle=3)
     assert run.valid
-    run.tell(hs.SequenceWritten(1, known=False))
+    run.tell(ev.SequenceWritten(1, known=False))
     assert (Answer.NACK, Reason.UNKNOWN_COMMAND) == (run.state.answer, run.state.reason)
     assert not run.valid
-    run.tell(hs.SequenceWritten(2))
-    assert (hs.Answered(2, Answer.NACK, Reason.REFUSED),) == run.tell(hs.Declined(2))
-    assert () == run.tell(hs.Declined(2))
+    run.tell(ev.SequenceWritten(2))
+    assert (ev.Answered(2, Answer.NACK, Reason.REFUSED),) == run.tell(ev.Declined(2))
+    assert () == run.tell(ev.Declined(2))
 
 
 def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
     """The command could not be carried out; the fault itself may be displayed."""
     run = Run()
-    run.tell(hs.SequenceWritten(4))
-    run.tell(hs.Finished(4, 1, Verdict.FAULT, run.now_s, "fault"))
+    run.tell(ev.SequenceWritten(4))
+    run.tell(ev.Finished(4, 1, Verdict.FAULT, run.now_s, "fault"))
     assert (Answer.NACK, Reason.CAPTURE_FAULT) == (run.state.answer, run.state.reason)
     assert "fault" == run.state.result.payload
     assert not run.valid
@@ -233,11 +235,11 @@ def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
 def test_age_counts_from_the_exposure() -> None:
     """A result that took 1.5 s to compute is valid for another 0.5 s; one from the future never."""
     run = Run()
-    run.tell(hs.Finished(None, 1, Verdict.GOOD, run.now_s - 1.5, "slow"))
+    run.tell(ev.Finished(None, 1, Verdict.GOOD, run.now_s - 1.5, "slow"))
     assert run.valid
     run.now_s += 0.51
     assert not run.valid
-    run.tell(hs.Finished(None, 2, Verdict.GOOD, run.now_s + 0.1, "future"))
+    run.tell(ev.Finished(None, 2, Verdict.GOOD, run.now_s + 0.1, "future"))
     assert not run.valid
 
 
@@ -248,13 +250,13 @@ def test_a_free_running_cell_shows_the_newest_and_keeps_quiet_while_commanded() 
     assert 65535 == run.state.result.sequence
     run.good(None, cycle=65536)
     assert 1 == run.state.result.sequence
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(None, cycle=65537)
     assert run.state.result is None
     run.good(1, payload="mine")
     run.good(None, cycle=65538)
     assert "mine" == run.state.result.payload
-    run.tell(hs.SequenceWritten(0))
+    run.tell(ev.SequenceWritten(0))
     run.good(None, cycle=65539)
     assert 4 == run.state.result.sequence
 
@@ -262,52 +264,52 @@ def test_a_free_running_cell_shows_the_newest_and_keeps_quiet_while_commanded() 
 def test_a_client_whose_heartbeat_stops_loses_its_result_and_its_right_to_write() -> None:
     """Counting supervises, 0 ends it, silence withdraws."""
     run = Run()
-    run.tell(hs.ClaimedBy(1))
-    run.tell(hs.HeartbeatWritten(1))
+    run.tell(ev.ClaimedBy(1))
+    run.tell(ev.HeartbeatWritten(1))
     run.good(None)
     run.now_s += 0.9
-    run.tell(hs.HeartbeatWritten(2))
+    run.tell(ev.HeartbeatWritten(2))
     run.now_s += 0.9
-    run.tell(hs.Tick())
+    run.tell(ev.Tick())
     assert run.valid
-    run.tell(hs.HeartbeatWritten(2))  # the same value is no sign of life
+    run.tell(ev.HeartbeatWritten(2))  # the same value is no sign of life
     run.now_s += 0.2
-    run.tell(hs.Tick())
+    run.tell(ev.Tick())
     assert run.state.client_lost
     assert not run.valid
     assert may_write(run.state, 2, run.now_s)
-    run.tell(hs.HeartbeatWritten(0))
+    run.tell(ev.HeartbeatWritten(0))
     assert not run.state.client_lost
 
 
 def test_one_client_writes_at_a_time() -> None:
     """The right lapses with time, but not while a command is open; and it ends with the connection."""
     run = Run()
-    run.tell(hs.ClaimedBy(1))
+    run.tell(ev.ClaimedBy(1))
     assert may_write(run.state, 1, run.now_s)
     assert not may_write(run.state, 2, run.now_s)
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     assert not may_write(run.state, 2, run.now_s + 60)
     run.good(1)
     assert may_write(run.state, 2, run.now_s + 60)
     assert not may_write(run.state, 2, run.now_s)
-    run.tell(hs.Released(2))
+    run.tell(ev.Released(2))
     assert not may_write(run.state, 2, run.now_s)
-    run.tell(hs.Released(1))
+    run.tell(ev.Released(1))
     assert may_write(run.state, 2, run.now_s)
 
 
 def test_one_exposure_gives_part_after_part_each_held_until_it_is_acknowledged() -> None:
     """LOCATE shows the first of three, NEXT_PART the others under their own numbers; then there is none."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
     assert 2 == hs.remaining(run.state)
-    run.tell(hs.AckWritten(1))
+    run.tell(ev.AckWritten(1))
     assert not run.valid
     assert "b" == run.next_part(2)
     assert 1 == hs.remaining(run.state)
-    run.tell(hs.AckWritten(1))
+    run.tell(ev.AckWritten(1))
     assert run.valid
     assert "c" == run.next_part(3), "whoever asks for the next one has done with this one"
     assert 0 == hs.remaining(run.state)
@@ -318,10 +320,10 @@ def test_one_exposure_gives_part_after_part_each_held_until_it_is_acknowledged()
 def test_the_same_number_again_gives_no_other_part() -> None:
     """A PLC that writes NEXT_PART cyclically gets one part; a number that comes round again, the next one."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
     assert "b" == run.next_part(2)
-    assert () == run.tell(hs.SequenceWritten(2, next_of=0))
+    assert () == run.tell(ev.SequenceWritten(2, next_of=0))
     assert (True, "b", 1) == (run.valid, run.state.result.payload, hs.remaining(run.state))
     assert "c" == run.next_part(1)
 
@@ -329,25 +331,25 @@ def test_the_same_number_again_gives_no_other_part() -> None:
 def test_a_list_is_as_old_as_its_exposure() -> None:
     """NEXT_PART makes no part younger: all of a list end together, shown or not."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
     run.now_s += 1.9
     assert "b" == run.next_part(2)
     run.now_s += 0.2
-    run.tell(hs.Tick())
+    run.tell(ev.Tick())
     assert not run.valid
     assert 0 == hs.remaining(run.state)
     assert "" == run.next_part(3)
 
 
 OTHERS = {
-    "a trigger": hs.SequenceWritten(2),
-    "a refused one": hs.SequenceWritten(2, known=False),
-    "no command": hs.SequenceWritten(0),
-    "another client": hs.SequenceWritten(2, client=5, once=True),
-    "a reload": hs.Reloaded(),
-    "SETUP": hs.Suspended(),
-    "the connection's end": hs.Released(0, gone=True),
+    "a trigger": ev.SequenceWritten(2),
+    "a refused one": ev.SequenceWritten(2, known=False),
+    "no command": ev.SequenceWritten(0),
+    "another client": ev.SequenceWritten(2, client=5, once=True),
+    "a reload": ev.Reloaded(),
+    "SETUP": ev.Suspended(),
+    "the connection's end": ev.Released(0, gone=True),
 }
 
 
@@ -355,12 +357,12 @@ OTHERS = {
 def test_whatever_else_happens_ends_the_list(what: str) -> None:
     """A trigger, accepted or not, CMD_SEQ 0, another client, a reload, SETUP, a connection that ends."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
     run.tell(OTHERS[what])
     assert 0 == hs.remaining(run.state)
-    run.tell(hs.Resumed())
-    run.tell(hs.Finished(2, 2, Verdict.BAD, run.now_s, "bad"))
+    run.tell(ev.Resumed())
+    run.tell(ev.Finished(2, 2, Verdict.BAD, run.now_s, "bad"))
     assert "" == run.next_part(3, once=True)
 
 
@@ -368,13 +370,13 @@ def test_a_list_belongs_to_who_asked_for_it_and_to_its_job() -> None:
     """Another connection, a client that is lost, or another job's number: NACK, and the list is gone."""
     for client, job, given in ((0, 7, "b"), (0, 0, "b"), (0, 8, ""), (4, 7, "")):
         run = Run()
-        run.tell(hs.SequenceWritten(1))
+        run.tell(ev.SequenceWritten(1))
         run.good(1, 1, "a", "b", job=7)
         assert given == run.next_part(2, client, job, once=True)
         assert 0 == hs.remaining(run.state)
     run = Run()
-    run.tell(hs.HeartbeatWritten(1))
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.HeartbeatWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
     run.now_s += 1.1
     assert "" == run.next_part(2)
@@ -384,14 +386,14 @@ def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
     """Not a checked part, not a rejected one, not a free-running cycle, not one that came too late."""
     for verdict in Verdict:
         run = Run()
-        run.tell(hs.SequenceWritten(1))
-        run.tell(hs.Finished(1, 1, verdict, run.now_s, "a", ("b",)))
+        run.tell(ev.SequenceWritten(1))
+        run.tell(ev.Finished(1, 1, verdict, run.now_s, "a", ("b",)))
         assert ("b" if verdict is Verdict.GOOD else "") == run.next_part(2)
     run = Run()
     run.good(None, 1, "a", "b")
     assert "" == run.next_part(1)
     run = Run()
-    run.tell(hs.SequenceWritten(1, timeout_s=0.1))
+    run.tell(ev.SequenceWritten(1, timeout_s=0.1))
     run.now_s += 0.2
     run.good(1, 1, "a", "b")
     assert "" == run.next_part(2)
@@ -400,9 +402,9 @@ def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
 def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
     """The list of LOCATE 1, which ends after NEXT_PART 2, is nobody's."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
-    (answered,) = run.tell(hs.SequenceWritten(2, next_of=0))
-    assert hs.Answered(2, Answer.NACK, Reason.NO_LIST) == answered
+    run.tell(ev.SequenceWritten(1))
+    (answered,) = run.tell(ev.SequenceWritten(2, next_of=0))
+    assert ev.Answered(2, Answer.NACK, Reason.NO_LIST) == answered
     run.good(1, 1, "a", "b")
     assert (0, None) == (hs.remaining(run.state), run.state.result)
     assert "" == run.next_part(3)
@@ -411,13 +413,13 @@ def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
 def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
     """Two open commands: NACK, SETUP each; the newest answer is on display; the old result is gone."""
     run = Run()
-    run.tell(hs.SequenceWritten(1))
+    run.tell(ev.SequenceWritten(1))
     run.good(1)
     assert run.valid
-    run.tell(hs.SequenceWritten(2))
-    run.tell(hs.SequenceWritten(3))
-    run.tell(hs.Exposed(3))
-    ended = run.tell(hs.Suspended())
+    run.tell(ev.SequenceWritten(2))
+    run.tell(ev.SequenceWritten(3))
+    run.tell(ev.Exposed(3))
+    ended = run.tell(ev.Suspended())
     assert {2: Reason.SETUP, 3: Reason.SETUP} == {effect.ticket: effect.reason for effect in ended}
     assert (3, Answer.NACK, Reason.SETUP) == (run.state.done_sequence, run.state.answer, run.state.reason)
     run.good(3)
@@ -427,19 +429,19 @@ def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
 def test_in_setup_each_command_ends_so_and_free_cycles_are_not_shown() -> None:
     """First of a connection or not, known or not; after it the next number runs, the same one does not."""
     run = Run(synchronised=None)
-    run.tell(hs.Suspended())
-    assert () == run.tell(hs.Suspended()), "it is set up already"
+    run.tell(ev.Suspended())
+    assert () == run.tell(ev.Suspended()), "it is set up already"
     for sequence, known in ((7, True), (8, False), (9, True)):
-        (answered,) = run.tell(hs.SequenceWritten(sequence, known))
-        assert hs.Answered(sequence, Answer.NACK, Reason.SETUP) == answered
+        (answered,) = run.tell(ev.SequenceWritten(sequence, known))
+        assert ev.Answered(sequence, Answer.NACK, Reason.SETUP) == answered
         assert sequence == run.state.done_sequence
-    assert () == run.tell(hs.SequenceWritten(0))
+    assert () == run.tell(ev.SequenceWritten(0))
     run.good(None)
     assert run.state.result is None
-    run.tell(hs.SequenceWritten(10))
-    assert () == run.tell(hs.Resumed())
-    assert () == run.tell(hs.SequenceWritten(10)), "a PLC that repeats its number repeats no command"
-    assert (hs.Submit(11),) == run.tell(hs.SequenceWritten(11))
+    run.tell(ev.SequenceWritten(10))
+    assert () == run.tell(ev.Resumed())
+    assert () == run.tell(ev.SequenceWritten(10)), "a PLC that repeats its number repeats no command"
+    assert (ev.Submit(11),) == run.tell(ev.SequenceWritten(11))
     run.good(11)
     assert run.valid
 
@@ -448,8 +450,8 @@ def test_a_result_of_before_is_not_valid_after_setup() -> None:
     """Young enough by the clock, and measured by what may have been exchanged."""
     run = Run()
     run.good(None)
-    run.tell(hs.Suspended())
-    run.tell(hs.Resumed())
+    run.tell(ev.Suspended())
+    run.tell(ev.Resumed())
     assert not run.valid
     run.good(None, cycle=2)
     assert run.valid
@@ -458,24 +460,24 @@ def test_a_result_of_before_is_not_valid_after_setup() -> None:
 def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
     """Its commands are carried out and show nothing, even by mistake; a person ends what is open."""
     run = Run()
-    assert (hs.Submit(1),) == run.tell(hs.SequenceWritten(1, registers=True))
-    run.tell(hs.Finished(1, 0, Verdict.DONE, run.now_s, None))
+    assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1, registers=True))
+    run.tell(ev.Finished(1, 0, Verdict.DONE, run.now_s, None))
     assert (1, Answer.ACK) == (run.state.done_sequence, run.state.answer)
-    run.tell(hs.Suspended(registers=True))
-    (refused,) = run.tell(hs.SequenceWritten(2))
-    assert hs.Answered(2, Answer.NACK, Reason.SETUP) == refused
-    assert (hs.Submit(3),) == run.tell(hs.SequenceWritten(3, registers=True))
-    assert () == run.tell(hs.Suspended(registers=True)), "the same state, told again"
-    run.tell(hs.Exposed(3))
+    run.tell(ev.Suspended(registers=True))
+    (refused,) = run.tell(ev.SequenceWritten(2))
+    assert ev.Answered(2, Answer.NACK, Reason.SETUP) == refused
+    assert (ev.Submit(3),) == run.tell(ev.SequenceWritten(3, registers=True))
+    assert () == run.tell(ev.Suspended(registers=True)), "the same state, told again"
+    run.tell(ev.Exposed(3))
     assert run.state.exposure_done
     run.good(3)
     assert (3, Answer.ACK, None) == (run.state.done_sequence, run.state.answer, run.state.result)
-    run.tell(hs.SequenceWritten(4, registers=True))
-    assert (hs.Answered(4, Answer.NACK, Reason.SETUP),) == run.tell(hs.Suspended())
-    (refused,) = run.tell(hs.SequenceWritten(5, registers=True))
-    assert hs.Answered(5, Answer.NACK, Reason.SETUP) == refused
-    run.tell(hs.Resumed())
-    assert (hs.Submit(6),) == run.tell(hs.SequenceWritten(6, registers=True))
+    run.tell(ev.SequenceWritten(4, registers=True))
+    assert (ev.Answered(4, Answer.NACK, Reason.SETUP),) == run.tell(ev.Suspended())
+    (refused,) = run.tell(ev.SequenceWritten(5, registers=True))
+    assert ev.Answered(5, Answer.NACK, Reason.SETUP) == refused
+    run.tell(ev.Resumed())
+    assert (ev.Submit(6),) == run.tell(ev.SequenceWritten(6, registers=True))
 
 
 class AnyClientAnyCell(RuleBasedStateMachine):
@@ -527,19 +529,19 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         changed = sequence != self.run.state.command_sequence or (begins and sequence != 0)
         timeout_s = 0.5 if quick else None
         effects = self.run.tell(
-            hs.SequenceWritten(sequence, known, timeout_s, client, once, next_of, registers)
+            ev.SequenceWritten(sequence, known, timeout_s, client, once, next_of, registers)
         )
         if changed:
             self.check_next_part(
                 effects, sequence, client, next_of, asked=known and not begins and not refused
             )
         if next_of is not None:
-            assert not any(isinstance(effect, hs.Submit) for effect in effects), "NEXT_PART made an exposure"
-        submitted = [effect.ticket for effect in effects if isinstance(effect, hs.Submit)]
+            assert not any(isinstance(effect, ev.Submit) for effect in effects), "NEXT_PART made an exposure"
+        submitted = [effect.ticket for effect in effects if isinstance(effect, ev.Submit)]
         may_run = changed and sequence != 0 and known and not begins and not refused
         assert len(submitted) <= int(may_run)
         if changed and sequence != 0 and refused:
-            assert effects[-1:] == (hs.Answered(self.run.state.ticket, Answer.NACK, Reason.SETUP),)
+            assert effects[-1:] == (ev.Answered(self.run.state.ticket, Answer.NACK, Reason.SETUP),)
         self.accepted += submitted
         self.in_cell += submitted
         self.registering += submitted if registers else []
@@ -548,7 +550,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             self.written_at = self.run.state.ticket if sequence else None
 
     def check_next_part(
-        self, effects: tuple[hs.Effect, ...], sequence: int, client: int, next_of: int | None, *, asked: bool
+        self, effects: tuple[ev.Effect, ...], sequence: int, client: int, next_of: int | None, *, asked: bool
     ) -> None:
         """One command, one result: the next part to who may have it, else a NACK; others end it."""
         due, self.shown = self.due(), ""
@@ -558,7 +560,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         (answered,) = (
             effect
             for effect in effects
-            if isinstance(effect, hs.Answered) and effect.ticket == self.run.state.ticket
+            if isinstance(effect, ev.Answered) and effect.ticket == self.run.state.ticket
         )
         if asked and due and client == self.list_client and next_of in (0, self.list_job):
             assert (Answer.ACK, sequence) == (answered.answer, self.run.state.result.sequence)
@@ -577,13 +579,13 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule()
     def reload(self) -> None:
-        self.run.tell(hs.Reloaded())
+        self.run.tell(ev.Reloaded())
         self.list = []
 
     @rule()
     def decline(self) -> None:
         if self.in_cell:
-            self.run.tell(hs.Declined(self.in_cell.pop()))
+            self.run.tell(ev.Declined(self.in_cell.pop()))
 
     @rule(
         verdict=st.sampled_from([*Verdict, Verdict.GOOD, Verdict.GOOD]),
@@ -596,9 +598,9 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             ticket = self.in_cell.pop(position % len(self.in_cell))
             now_s = self.run.now_s
             rest = tuple(f"command {ticket}, part {number}" for number in range(1, parts))
-            self.run.tell(hs.Finished(ticket, 1, verdict, now_s - age_s, f"command {ticket}", rest, 7))
+            self.run.tell(ev.Finished(ticket, 1, verdict, now_s - age_s, f"command {ticket}", rest, 7))
             ended = any(
-                isinstance(e, hs.Answered) and e == hs.Answered(ticket, Answer.ACK, Reason.NONE)
+                isinstance(e, ev.Answered) and e == ev.Answered(ticket, Answer.ACK, Reason.NONE)
                 for e in self.run.effects
             )
             if ended and verdict is Verdict.GOOD and ticket == self.written_at and self.last_writer:
@@ -610,13 +612,13 @@ class AnyClientAnyCell(RuleBasedStateMachine):
     @rule()
     def fail(self) -> None:
         if self.in_cell:
-            self.run.tell(hs.Failed(self.in_cell.pop(0)))
+            self.run.tell(ev.Failed(self.in_cell.pop(0)))
 
     @rule(good=st.booleans())
     def free_cycle_ends(self, good: bool) -> None:
         self.free_cycle += 1
         verdict = Verdict.GOOD if good else Verdict.BAD
-        self.run.tell(hs.Finished(None, self.free_cycle, verdict, self.run.now_s, f"cycle {self.free_cycle}"))
+        self.run.tell(ev.Finished(None, self.free_cycle, verdict, self.run.now_s, f"cycle {self.free_cycle}"))
 
     @rule(ticket_back=st.integers(0, 3))
     def stray_event(self, ticket_back: int) -> None:
@@ -624,19 +626,19 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         stray = self.run.state.ticket - ticket_back
         if stray not in self.in_cell:
             before = len(self.run.effects)
-            self.run.tell(hs.Finished(stray, 1, Verdict.GOOD, self.run.now_s, "stray"))
+            self.run.tell(ev.Finished(stray, 1, Verdict.GOOD, self.run.now_s, "stray"))
             assert all(effect.reason is Reason.TIMEOUT for effect in self.run.effects[before:])
 
     @rule(seconds=st.sampled_from([0.0, 0.1, 0.6, 1.1, 2.5, 10.0]))
     def wait(self, seconds: float) -> None:
         self.run.now_s += seconds
-        self.run.tell(hs.Tick())
+        self.run.tell(ev.Tick())
 
     @rule(current=st.booleans(), other=st.integers(0, 65535))
     def acknowledge(self, current: bool, other: int) -> None:
         result = self.run.state.result
         sequence = result.sequence if current and result is not None else other
-        self.run.tell(hs.AckWritten(sequence))
+        self.run.tell(ev.AckWritten(sequence))
         if result is not None and sequence == result.sequence:
             assert not self.run.valid
 
@@ -648,8 +650,8 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         """
         still_open = {command.ticket for command in self.run.state.open}
         again = self.is_set_up and self.is_registering == registers
-        effects = self.run.tell(hs.Suspended(registers))
-        ended = {e.ticket: e.reason for e in effects if isinstance(e, hs.Answered)}
+        effects = self.run.tell(ev.Suspended(registers))
+        ended = {e.ticket: e.reason for e in effects if isinstance(e, ev.Answered)}
         if again:
             assert set(ended.values()) <= {Reason.TIMEOUT}
             return
@@ -665,30 +667,30 @@ class AnyClientAnyCell(RuleBasedStateMachine):
     def is_given_back(self) -> None:
         """Nothing appears by that alone, and nothing runs."""
         was_valid = self.run.valid
-        assert not any(isinstance(effect, hs.Submit) for effect in self.run.tell(hs.Resumed()))
+        assert not any(isinstance(effect, ev.Submit) for effect in self.run.tell(ev.Resumed()))
         assert was_valid or not self.run.valid
         self.is_set_up = self.is_registering = False
 
     @rule(ticket_back=st.integers(0, 3))
     def exposure(self, ticket_back: int) -> None:
         """Of a command, of none, or of one that has ended."""
-        self.run.tell(hs.Exposed(None if ticket_back == 0 else self.run.state.ticket - ticket_back + 1))
+        self.run.tell(ev.Exposed(None if ticket_back == 0 else self.run.state.ticket - ticket_back + 1))
         assert not (self.is_set_up and not self.is_registering and self.run.state.exposure_done)
 
     @rule(value=st.integers(0, 3))
     def beat(self, value: int) -> None:
-        self.run.tell(hs.HeartbeatWritten(value))
+        self.run.tell(ev.HeartbeatWritten(value))
 
     @rule(client=st.integers(1, 3), leaves=st.booleans(), gone=st.booleans())
     def client(self, client: int, leaves: bool, gone: bool) -> None:
         if leaves:
-            self.run.tell(hs.Released(client, gone))
+            self.run.tell(ev.Released(client, gone))
             if gone and self.last_writer == client:
                 self.last_writer = None
             if gone and self.list_client == client:
                 self.list = []
         elif may_write(self.run.state, client, self.run.now_s):
-            self.run.tell(hs.ClaimedBy(client))
+            self.run.tell(ev.ClaimedBy(client))
             assert not any(may_write(self.run.state, other, self.run.now_s) for other in {1, 2, 3} - {client})
 
     @invariant()
@@ -718,7 +720,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if hasattr(self, "run"):
             state = self.run.state
             lost = state.client_lost or not self.due()
-            self.run.tell(hs.Tick())
+            self.run.tell(ev.Tick())
             if lost:
                 self.list = []
             assert len(self.list) == hs.remaining(self.run.state)
@@ -727,7 +729,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
     def exactly_one_answer_for_each_accepted_command(self) -> None:
         if not hasattr(self, "run"):
             return
-        answers = Counter(e.ticket for e in self.run.effects if isinstance(e, hs.Answered))
+        answers = Counter(e.ticket for e in self.run.effects if isinstance(e, ev.Answered))
         still_open = {command.ticket for command in self.run.state.open}
         assert all(count == 1 for count in answers.values())
         assert len(set(self.accepted)) == len(self.accepted)
@@ -740,7 +742,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if not hasattr(self, "run") or self.written_at is None:
             return
         for effect in self.run.effects:
-            if isinstance(effect, hs.Answered) and effect.ticket == self.written_at:
+            if isinstance(effect, ev.Answered) and effect.ticket == self.written_at:
                 state = self.run.state
                 assert (self.written_at & 0xFFFF, effect.answer) == (state.done_sequence, state.answer)
 
@@ -755,13 +757,13 @@ def test_when_a_result_falls_by_time_alone_is_known_beforehand() -> None:
     """Valid until just before that moment, and not from it on; with a heartbeat it may be earlier."""
     run = Run()
     assert hs.valid_until_s(run.state, run.now_s) is None
-    run.tell(hs.SequenceWritten(7))
+    run.tell(ev.SequenceWritten(7))
     run.good(7)
     fallen_s = hs.valid_until_s(run.state, run.now_s)
     assert run.now_s + LIMITS.validity_s == fallen_s
     assert is_valid(run.state, fallen_s)
     assert not is_valid(run.state, fallen_s + 1e-6)
-    run.tell(hs.HeartbeatWritten(1))
+    run.tell(ev.HeartbeatWritten(1))
     run.now_s += LIMITS.heartbeat_s / 2
 
     assert min(fallen_s, 100.0 + LIMITS.heartbeat_s) == hs.valid_until_s(run.state, run.now_s)

@@ -16,6 +16,7 @@ from edged.domain.events import PLC_SOURCE
 from edged.loop.loaded import LoadedJob
 from edged.loop.queue import CommandQueue
 from edged.plc import handshake as hs
+from edged.plc import handshakeevents as ev
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +70,7 @@ def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.Monk
 
     def sticky(state: Any, event: Any, now_s: float) -> Any:
         new, effects = real(state, event, now_s)
-        if isinstance(event, hs.SequenceWritten):
+        if isinstance(event, ev.SequenceWritten):
             new = dataclasses.replace(new, result=state.result)
         return new, effects
 
@@ -83,7 +84,7 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
 
     def twice(state: Any, event: Any, now_s: float) -> Any:
         new, effects = real(state, event, now_s)
-        return new, (*effects, *(effect for effect in effects if isinstance(effect, hs.Answered)))
+        return new, (*effects, *(effect for effect in effects if isinstance(effect, ev.Answered)))
 
     monkeypatch.setattr(hs, "step", twice)
     assert any("second answer" in violation for violation in Soak(1).run(60.0).violations)
@@ -111,10 +112,10 @@ def test_a_cell_whose_lists_are_wrong_is_caught(
 
     def wrong(state: Any, event: Any, now_s: float) -> Any:
         new, effects = real(state, event, now_s)
-        is_next = isinstance(event, hs.SequenceWritten) and event.next_of is not None
+        is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
         if defect == "gives the same part again" and is_next and new.parts is not None:
             new = dataclasses.replace(new, parts=state.parts)
-        if defect == "keeps the list" and isinstance(event, hs.SequenceWritten) and not is_next:
+        if defect == "keeps the list" and isinstance(event, ev.SequenceWritten) and not is_next:
             new = dataclasses.replace(new, parts=state.parts)
         return new, effects
 
@@ -135,7 +136,7 @@ def test_a_cell_that_runs_the_first_number_after_a_start_is_caught(monkeypatch: 
     real = hs.step
 
     def eager(state: Any, event: Any, now_s: float) -> Any:
-        if isinstance(event, hs.SequenceWritten):
+        if isinstance(event, ev.SequenceWritten):
             state = dataclasses.replace(state, synchronised=event.client)
         return real(state, event, now_s)
 

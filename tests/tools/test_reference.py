@@ -25,7 +25,7 @@ from edged.domain.measurement import Reject, Status
 from edged.files.jobs.schema import JobFile
 from edged.files.rig import save_rig
 from edged.pictures.captions import REASONS
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.registers import BLOCKS, ROWS, Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig

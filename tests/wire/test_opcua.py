@@ -30,7 +30,7 @@ from edged.adapters.opcua.model import read_model
 from edged.domain.measurement import Reject
 from edged.errors import ListenError
 from edged.plc import registers as reg
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 
 VISION, CELL = 2, 3
 SYSTEM = "ns=3;s=VisionSystem"

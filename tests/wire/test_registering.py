@@ -13,8 +13,8 @@ from walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
 from edged.domain.events import CommandKind
 from edged.domain.registration import Method
 from edged.plc import registers as reg
+from edged.plc.answers import Reason
 from edged.plc.clients.cell_client import CommandRefused, EdgedCell
-from edged.plc.handshake import Reason
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
 from edged.vision.geometry.rigid import apply, transform
 

@@ -30,7 +30,7 @@ from edged.files.statefolder import state_folder
 from edged.files.users import User, UserFile
 from edged.passwords import hash_password
 from edged.plc import registers as reg
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.registers import StatusBit, Warn
 
 WAIT_S = 30.0  # what a loaded machine may need; nothing here sleeps for it

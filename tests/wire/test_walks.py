@@ -23,9 +23,9 @@ from walkedcell import (
     WalkedCell,
 )
 
+from edged.plc.answers import Reason
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
-from edged.plc.handshake import Reason
 from edged.plc.texts import render
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.vision.geometry.rigid import transform

@@ -9,7 +9,7 @@ from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject
 from edged.domain.registration import Method
 from edged.pictures.captions import REASONS
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
 from edged.plc.texts import render
 from edged.robot.orientations import Convention

@@ -35,7 +35,9 @@ from edged.domain.registration import Registration
 from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
 from edged.plc import handshake as hs
+from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
+from edged.plc.answers import Answer, Reason, Verdict
 from edged.plc.ladder import Ladder
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
@@ -53,10 +55,10 @@ STATES = {
 }
 
 VERDICTS = {
-    reg.ResultCode.OK: hs.Verdict.GOOD,
-    reg.ResultCode.VERIFIED: hs.Verdict.PASSED,
-    reg.ResultCode.GRABBED: hs.Verdict.DONE,
-    reg.ResultCode.CAPTURE_FAULT: hs.Verdict.FAULT,
+    reg.ResultCode.OK: Verdict.GOOD,
+    reg.ResultCode.VERIFIED: Verdict.PASSED,
+    reg.ResultCode.GRABBED: Verdict.DONE,
+    reg.ResultCode.CAPTURE_FAULT: Verdict.FAULT,
 }
 """What a result means for the handshake; every other code is a part that no robot may use."""
 
@@ -150,7 +152,7 @@ class CellRegisters:
     def _refresh(self) -> None:
         """Bring the picture up to date. Nothing else runs between this and the answer being encoded."""
         now_s = self._clock_s()
-        self._step(hs.Tick(), now_s)
+        self._step(ev.Tick(), now_s)
         valid = hs.is_valid(self._state, now_s)
         status = self._status_values(now_s, valid)
         self._place(reg.STATUS, status)
@@ -243,17 +245,17 @@ class CellRegisters:
         ready = cell is not None and cell.ready and len(state.open) < state.limits.queue
         busy = bool(state.open) or (cell is not None and cell.state is CellPhase.BUSY)
         verdict = state.result.verdict if state.result is not None else None
-        passed = verdict is hs.Verdict.PASSED and hs.is_fresh(state, now_s)
+        passed = verdict is Verdict.PASSED and hs.is_fresh(state, now_s)
         simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
         raised = (
             (reg.StatusBit.READY, ready),
-            (reg.StatusBit.ACK, state.answer is hs.Answer.ACK),
-            (reg.StatusBit.NACK, state.answer is hs.Answer.NACK),
+            (reg.StatusBit.ACK, state.answer is Answer.ACK),
+            (reg.StatusBit.NACK, state.answer is Answer.NACK),
             (reg.StatusBit.BUSY, busy),
             (reg.StatusBit.EXPOSURE_DONE, state.exposure_done),
             (reg.StatusBit.RESULT_VALID, valid),
             (reg.StatusBit.OK, valid or passed),
-            (reg.StatusBit.NOK, verdict in (hs.Verdict.BAD, hs.Verdict.FAULT)),
+            (reg.StatusBit.NOK, verdict in (Verdict.BAD, Verdict.FAULT)),
             (reg.StatusBit.ERROR, cell is not None and (cell.state is CellPhase.FAULT or bool(cell.error))),
             (reg.StatusBit.OVERRUN, state.overrun),
             (reg.StatusBit.DRIFT_WARN, cell is not None and cell.calibrated is not Calibrated.HOLDS),
@@ -280,11 +282,11 @@ class CellRegisters:
         if start < 0 or start + len(words) > reg.COMMAND.words:
             raise RequestRefused(ILLEGAL_ADDRESS)
         now_s = self._clock_s()
-        self._step(hs.Tick(), now_s)
+        self._step(ev.Tick(), now_s)
         written = range(start, start + len(words))
         if not hs.may_write(self._state, client, now_s):
             if _offset("CMD_SEQ") in written:
-                self._step(hs.Barred(client), now_s)
+                self._step(ev.Barred(client), now_s)
             raise RequestRefused(DEVICE_BUSY)
         new = [*self._command[:start], *words, *self._command[start + len(words) :]]
         options = new[_offset("OPTIONS")]
@@ -292,17 +294,17 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_VALUE)
         new[_offset("OPTIONS")] = 0
         self._command = new
-        self._step(hs.ClaimedBy(client), now_s)
+        self._step(ev.ClaimedBy(client), now_s)
         if _offset("CLIENT_HEARTBEAT") in written:
-            self._step(hs.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
+            self._step(ev.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
         if _offset("ACK_SEQ") in written:
-            self._step(hs.AckWritten(new[_offset("ACK_SEQ")]), now_s)
+            self._step(ev.AckWritten(new[_offset("ACK_SEQ")]), now_s)
         if _offset("AUTO_LOCK") in written:
             self._lock(client if new[_offset("AUTO_LOCK")] else None)
         if _offset("CMD_SEQ") in written:
             self._trigger(client, now_s, reg.Option(options), shown)
         if options & reg.Option.RELEASE:
-            self._step(hs.Released(client), now_s)
+            self._step(ev.Released(client), now_s)
         self._tell()
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
@@ -319,7 +321,7 @@ class CellRegisters:
         if self._locked_by == client:
             self._command[_offset("AUTO_LOCK")] = 0
             self._lock(None)
-        self._step(hs.Released(client, gone=True), self._clock_s())
+        self._step(ev.Released(client, gone=True), self._clock_s())
         self._tell()
 
     def _trigger(self, client: int, now_s: float, options: reg.Option, shown: tuple[float, ...]) -> None:
@@ -328,7 +330,7 @@ class CellRegisters:
         known = code in set(CommandKind)
         flange, written = self._taken_flange()
         self.ladder.writes(code, job, written)
-        event = hs.SequenceWritten(
+        event = ev.SequenceWritten(
             self._command[_offset("CMD_SEQ")],
             known,
             timeout_ms / 1000 if timeout_ms else None,
@@ -338,7 +340,7 @@ class CellRegisters:
             registers=code in REGISTERING,
         )
         for effect in self._step(event, now_s):
-            if isinstance(effect, hs.Submit):
+            if isinstance(effect, ev.Submit):
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
                 box = self._command[_offset("BOX")]
                 pose = shown or written
@@ -366,15 +368,15 @@ class CellRegisters:
 
     def _submit(self, command: Command) -> None:
         if self._commander is None:
-            self._step(hs.Declined(command.sequence), self._clock_s())
+            self._step(ev.Declined(command.sequence), self._clock_s())
             return
         self._submitted[command.sequence] = command
         try:
             self._commander.submit(command)
         except CommandRefused as refused:
             self._refusals.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
-            reason = hs.Reason.SETUP if isinstance(refused, BeingSetUp) else hs.Reason.REFUSED
-            self._step(hs.Declined(command.sequence, reason), self._clock_s())
+            reason = Reason.SETUP if isinstance(refused, BeingSetUp) else Reason.REFUSED
+            self._step(ev.Declined(command.sequence, reason), self._clock_s())
 
     # --- events of the cell --------------------------------------------------------------------
 
@@ -386,31 +388,31 @@ class CellRegisters:
                 self._take_snapshot(event, now_s)
             case ExposureDone(_, command):
                 self._exposures.note(event)
-                self._step(hs.Exposed(self._ticket(command)), now_s)
+                self._step(ev.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
                 ticket = self._ticket(command)
                 if ticket is not None:
-                    self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
+                    self._step(ev.Finished(ticket, 0, Verdict.DONE, now_s, None), now_s)
             case Registered():
                 self._take_registered(event, now_s)
             case CommandFailed(command, reason):
                 ticket = self._ticket(command)
                 if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
-                    self._step(hs.Failed(ticket), now_s)
+                    self._step(ev.Failed(ticket), now_s)
             case Reloaded():
                 self._are_jobs_placed = False
-                self._step(hs.Reloaded(), now_s)
+                self._step(ev.Reloaded(), now_s)
             case CellState():
                 if event.state is CellPhase.BUSY and (
                     self._cell is None or self._cell.state is not CellPhase.BUSY
                 ):
-                    self._step(hs.CycleBegun(), now_s)
+                    self._step(ev.CycleBegun(), now_s)
                 self._cell = event
                 if event.state is CellPhase.SETUP:
-                    self._step(hs.Suspended(event.setup is SetupSource.ROBOT), now_s)
+                    self._step(ev.Suspended(event.setup is SetupSource.ROBOT), now_s)
                 elif self._state.suspended and event.state is not CellPhase.STOPPING:
-                    self._step(hs.Resumed(), now_s)
+                    self._step(ev.Resumed(), now_s)
             case _:
                 pass
         self._tell()
@@ -423,29 +425,29 @@ class CellRegisters:
         if ticket is None or not is_mine:
             return
         if event.obstacle is None:
-            self._step(hs.Finished(ticket, 0, hs.Verdict.DONE, now_s, None), now_s)
+            self._step(ev.Finished(ticket, 0, Verdict.DONE, now_s, None), now_s)
         else:
-            self._step(hs.Declined(ticket, hs.Reason[event.obstacle.name]), now_s)
+            self._step(ev.Declined(ticket, Reason[event.obstacle.name]), now_s)
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)
         self._last = result
         self._counts = reg.counted(self._counts, snapshot)
         self._place(reg.COUNTERS, dict(self._counts))
-        verdict = VERDICTS.get(result.code, hs.Verdict.BAD)
+        verdict = VERDICTS.get(result.code, Verdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
-        rest = result.further() if verdict is hs.Verdict.GOOD else ()
+        rest = result.further() if verdict is Verdict.GOOD else ()
         self._step(
-            hs.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, snapshot.job_number), now_s
+            ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, snapshot.job_number), now_s
         )
 
-    def _step(self, event: hs.Event[reg.Measured], now_s: float) -> tuple[hs.Effect, ...]:
+    def _step(self, event: ev.Event[reg.Measured], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
         self._state, effects = hs.step(before, event, now_s)
         self.ladder.took(event, before, self._state, effects, now_s)
         for effect in effects:
-            if isinstance(effect, hs.Answered):
+            if isinstance(effect, ev.Answered):
                 self._submitted.pop(effect.ticket, None)
         return effects
 

@@ -33,8 +33,8 @@ from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
+from edged.plc.answers import Reason
 from edged.plc.frames import MAGIC, REQUEST, answer_frame, read_request
-from edged.plc.handshake import Reason
 from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform

@@ -32,7 +32,7 @@ from edged.adapters.opcua.structures import (
     text_of,
 )
 from edged.domain.events import CommandKind
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import INT32_MAX, UINT16_MAX, Number
 

@@ -23,7 +23,7 @@ from edged.adapters.opcua.settings import OpcUaSettings
 from edged.domain.events import Event, Snapshot
 from edged.errors import CommandRefused
 from edged.plc import registers as reg
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 
 TICK_S = 0.1
 """Of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""

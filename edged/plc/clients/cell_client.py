@@ -28,7 +28,7 @@ from pymodbus.exceptions import ModbusException
 
 # <map>
 from edged.domain.events import CommandKind
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, Option, ResultCode, StatusBit
 from edged.plc.registers import BLOCKS as _BLOCKS
 

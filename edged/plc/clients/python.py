@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from edged.domain.events import CommandKind
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.registers import (
     ADDRESS,
     BLOCKS,

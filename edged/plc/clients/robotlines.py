@@ -6,7 +6,7 @@ import enum
 import re
 import textwrap
 
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 from edged.plc.lines import LineStatus, answer_fields
 from edged.robot.orientations import Brand
 

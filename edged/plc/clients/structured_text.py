@@ -7,8 +7,8 @@ No global variables, no vendor library: the PLC's own Modbus client copies regis
 from __future__ import annotations
 
 from edged.domain.events import CommandKind
+from edged.plc.answers import Reason
 from edged.plc.clients.units import filled
-from edged.plc.handshake import Reason
 from edged.plc.registers import (
     ADDRESS,
     COMMAND,

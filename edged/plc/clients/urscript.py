@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 from edged.domain.events import CommandKind
+from edged.plc.answers import Reason
 from edged.plc.clients.units import filled
 from edged.plc.clients.walk import CODES, SETTLE_S, steps
-from edged.plc.handshake import Reason
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, Option, StatusBit
 
 REFRESH_HZ = 50

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from edged.domain.events import CommandKind
-from edged.plc.handshake import Reason
+from edged.plc.answers import Reason
 
 TURNS_DEG = ((0, 0, 0), (14, 0, 0), (-14, 0, 5), (0, 14, 0), (0, -14, -5),
              (8, 3, 20), (-10, 10, -20), (10, -10, 30), (-10, -10, -30), (0, 0, 40))  # fmt: skip
