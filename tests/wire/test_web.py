@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import itertools
 import json
 import math
@@ -23,6 +24,7 @@ import pytest
 from browsersession import browsing
 from cells import flange, frame_pair
 from livecell import GRASPS
+from rich.console import Console
 from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
@@ -31,12 +33,14 @@ from edged.adapters.web.assets import read_assets
 from edged.adapters.web.marks import outlines
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, picture
 from edged.adapters.web.server import FREE
+from edged.commands.status import status
 from edged.domain.cell import Calibrated, CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import ExposureDone, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
 from edged.errors import ListenError
 from edged.passwords import hash_password
+from edged.payload import said
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
 from edged.robot.grasping import best_grasp
@@ -541,6 +545,31 @@ def test_why_a_target_was_not_good_is_in_words() -> None:
     (why,) = page.status()["faults"][0]["why"]
     assert {"code": "SIGMA_LIMIT", "text": "sigma over its limit"} == why
     assert page.history()[0].get("position_mm") is None
+
+
+def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
+    """`edged status`: values as they are, sentences without their codes, several of them in one line."""
+    facts = {
+        "Cameras": {
+            "source": "gige",
+            "left": [said("temperature", "41.5 °C", value="41.5"), said("a", "b c")],
+        }
+    }
+    console = Console(file=io.StringIO(), width=200)
+
+    async def test() -> None:
+        async with served(asked=sources(facts)) as (web, _):
+            web.announce(READY)
+            bad = make_target(Reject.SIGMA_LIMIT | Reject.KEEP_OUT)
+            web.announce(make_snapshot(5, Status.LOW_QUALITY, (bad,)))
+            code = await asyncio.to_thread(status, f"http://127.0.0.1:{web.port}", False, console)
+            assert 0 == code
+
+    run(test)
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    assert "source gige, left 41.5 °C; b c" in told
+    assert "cycle 5: sigma over its limit. in a keep-out zone" in told
 
 
 def test_numbers_that_are_none_are_null() -> None:
