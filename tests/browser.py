@@ -48,18 +48,22 @@ class Browser:
                     raise Gone(message["error"]["message"])
                 return dict(message["result"])
 
+    async def resize(self, width: int, height: int, zoom: float = 1.0) -> None:
+        """The window, in CSS pixels as the page has them at this zoom."""
+        await self.ask(
+            "Emulation.setDeviceMetricsOverride",
+            width=round(width / zoom),
+            height=round(height / zoom),
+            deviceScaleFactor=zoom,
+            mobile=False,
+        )
+
     async def open(self, url: str, width: int, height: int) -> None:
         """Go to a page, in a window of this size."""
         await self.ask("Log.enable")
         await self.ask("Runtime.enable")
         await self.ask("Page.enable")
-        await self.ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        await self.resize(width, height)
         await self.ask("Page.navigate", url=url)
 
     async def value(self, expression: str) -> Any:
@@ -102,6 +106,12 @@ class Browser:
         x, y = await self.middle(selector)
         for kind in ("mousePressed", "mouseReleased"):
             await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    async def tap(self, selector: str) -> None:
+        """The same with a finger."""
+        x, y = await self.middle(selector)
+        await self.ask("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        await self.ask("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     async def wheel(self, selector: str, delta: float) -> None:
         """Turn the wheel over the middle of an element; negative: away from the person."""

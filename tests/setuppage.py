@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 from browser import Browser
 
+from edged.adapters.web.assets import read_assets
+
+STEPS = re.findall(r"\{ id: \"(\w+)\", load:", read_assets()["setup/steps.js"])
+"""All pages, on the way and beside it, as the table of them has it."""
 STATE = 'document.querySelector("#state").textContent.trim()'
 LEASE = 'document.querySelector(".lease").textContent'
 DIALOG = 'document.querySelector("dialog[open]")'
@@ -12,6 +18,22 @@ SMALL_TARGETS = """[...document.querySelectorAll("button, a, select, input, summ
   .filter((e) => e.checkVisibility() && !e.matches(".skip"))
   .map((e) => e.closest("label") ?? e)
   .filter((e) => e.getBoundingClientRect().height < 47.5).map((e) => e.outerHTML.slice(0, 80))"""
+CUT_OFF = """[...document.querySelectorAll("button, a, select, input, textarea, summary, [tabindex='0']")]
+  .filter((e) => e.checkVisibility() && !e.matches(".skip"))
+  .filter((e) => {
+    e.scrollIntoView({ block: "center", inline: "center" });
+    const { left, right, top, width, height } = e.getBoundingClientRect();
+    const hit = document.elementFromPoint(left + width / 2, top + height / 2);
+    const isFree = e.contains(hit) || e.closest("label")?.contains(hit);
+    const isCut = e.matches("button, .button, summary, nav a") && e.scrollWidth > e.clientWidth + 1;
+    return !isFree || isCut || left < -0.5 || right > innerWidth + 0.5;
+  }).map((e) => e.outerHTML.slice(0, 90))"""
+"""What a finger cannot hit in its middle, or nobody reads to its end."""
+TABBED = """(() => {
+  const all = "a[href], button, select, input, textarea, summary, [tabindex='0']";
+  return [...document.querySelectorAll(all)].filter((e) => e.checkVisibility() && !e.disabled
+    && !(e.type === "radio" && !e.checked && document.querySelector(`[name="${e.name}"]:checked`))); })()"""
+"""What the Tab key must come to: of radio buttons the one that is chosen."""
 UNTRANSLATED = """(() => {
   const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const found = [];

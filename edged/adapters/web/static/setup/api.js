@@ -26,6 +26,9 @@ async function send(path, request, isAgain) {
   }
 }
 
+// And back to this step: the fragment goes along with the form.
+export const logIn = () => location.assign(`/login?to=setup${location.hash}`);
+
 export async function ask(method, path, body) {
   const request = { method };
   if (method !== "GET") {
@@ -37,7 +40,7 @@ export async function ask(method, path, body) {
   const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
   const document = isJson ? await answer.json() : {};
   if (answer.ok) return document;
-  if (answer.status === 401) location.assign("/login?to=setup");
+  if (answer.status === 401) logIn();
   throw new Problem({ status: answer.status, code: `status_${answer.status}`, ...document });
 }
 
@@ -48,11 +51,12 @@ export function sentence(problem) {
   return t("problem-other", { detail: problem.detail || problem.message || problem.code });
 }
 
-// Do something, and show what went wrong; the answer, or undefined.
-export async function attempt(work) {
+// What went wrong meanwhile has not been read yet.
+async function tried(work, isOver) {
+  const before = trouble.peek();
   try {
     const answer = await work();
-    trouble.value = null;
+    if (trouble.peek() === before && isOver(before)) trouble.value = null;
     return answer;
   } catch (problem) {
     if (!(problem instanceof Problem)) throw problem;
@@ -60,3 +64,9 @@ export async function attempt(work) {
     return undefined;
   }
 }
+
+// Do something, and show what went wrong; the answer, or undefined.
+export const attempt = (work) => tried(work, () => true);
+
+// The same of what the page does by itself: what it reaches again is mended, what nobody has read yet stays.
+export const glance = (work) => tried(work, (problem) => problem?.status === 0);

@@ -1,6 +1,6 @@
 // What the cell is and does now: facts and pictures over one WebSocket, and the lease of whoever sets it up.
-import { batch, computed, effect, signal } from "../vendor/ui.js";
-import { ask, attempt, Problem, trouble } from "./api.js";
+import { batch, computed, effect, signal, useEffect } from "../vendor/ui.js";
+import { ask, attempt, glance, logIn, Problem, trouble } from "./api.js";
 
 const KEPT = "edged.lease";
 const LEASE_MS = 5000;
@@ -61,17 +61,30 @@ export const end = () =>
     await look();
   });
 
+let isRenewing = false;
 async function renew() {
-  if (!token.value) return;
+  const held = token.value;
+  if (!held || isRenewing) return;
+  isRenewing = true;
   try {
-    await ask("PUT", "setup/lease", { token: token.value });
+    await ask("PUT", "setup/lease", { token: held });
   } catch (problem) {
     if (!(problem instanceof Problem)) throw problem;
     if (problem.status !== 409 && problem.status !== 403) return; // not reached: the cell waits for a minute
+    adopt(); // another tab of this browser may have taken it
+    if (token.value !== held) return;
     keep("");
-    trouble.value = new Problem({ code: "lease_lost", detail: problem.detail });
+    trouble.value = new Problem({ status: problem.status, code: "lease_lost", detail: problem.detail });
+    glance(look); // whose it is now
+  } finally {
+    isRenewing = false;
   }
 }
+
+// All tabs of a browser have one lease.
+const adopt = () => {
+  token.value = localStorage.getItem(KEPT) ?? "";
+};
 
 // --- facts ---
 
@@ -92,7 +105,7 @@ async function search() {
   const found = await ask("GET", holds.value ? `cameras?token=${encodeURIComponent(token.value)}` : "cameras");
   cameras.value = before === settings ? found : { ...found, settings: cameras.value.settings };
 }
-export const lookAtCameras = () => attempt(search);
+export const lookAtCameras = () => glance(search);
 export function keepSettings(side, read) {
   settings += 1;
   const { configured, settings: known } = cameras.value;
@@ -102,29 +115,59 @@ export function keepSettings(side, read) {
 
 // --- the socket ---
 
-let socket = null;
+let socket = null; // the newest: what an older one says is not heard
+let retry = 0;
 let failures = 0;
+let opened = 0;
 const waiting = new Map();
 
 function open() {
-  const opened = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/ws`);
-  opened.binaryType = "arraybuffer";
-  opened.onopen = () => {
+  const made = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/ws`);
+  const ours = (work) => (event) => made === socket && work(event);
+  socket = made;
+  made.binaryType = "arraybuffer";
+  made.onopen = ours(() => {
     failures = 0;
-    batch(() => {
-      isConnected.value = true;
-      socket = opened;
-    });
+    isConnected.value = true;
+    if (opened++) catchUp();
     tellLive();
-  };
-  opened.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : see(data));
-  opened.onclose = ({ code }) => {
-    if (code === LOGGED_OUT) location.assign("/login?to=setup");
+  });
+  made.onmessage = ours(({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : see(data)));
+  made.onclose = ours(({ code }) => {
+    if (code === LOGGED_OUT) logIn();
     isConnected.value = false;
-    socket = null;
     waiting.clear();
-    setTimeout(open, AGAIN_MS[Math.min(failures++, AGAIN_MS.length - 1)]);
-  };
+    retry = setTimeout(open, AGAIN_MS[Math.min(failures++, AGAIN_MS.length - 1)]);
+  });
+}
+
+// What was told while nobody listened is told no more: it is asked for, by each page what it shows.
+const missed = signal(0);
+function catchUp() {
+  missed.value += 1;
+  glance(facts);
+}
+export const useFresh = (work, inputs = []) =>
+  useEffect(() => {
+    work();
+  }, [missed.value, ...inputs]);
+
+// A tab that slept may have a socket that nobody answers any more, and does not notice: it gets another.
+const SLEPT_MS = 15_000;
+let awake = Date.now();
+function rouse() {
+  if (document.visibilityState !== "visible") return;
+  const slept = Date.now() - awake;
+  awake = Date.now();
+  if (slept > SLEPT_MS) listenAnew();
+}
+function listenAnew() {
+  const old = socket;
+  clearTimeout(retry);
+  failures = 0;
+  open();
+  old?.close();
+  renew();
 }
 
 // What a page alone listens to: the newest message of a type, as "teaching"; null before the first.
@@ -146,7 +189,8 @@ function hear({ type, ...message }) {
   if (type === "cell") {
     const isOther = message.rig?.id !== cell.value?.rig?.id;
     cell.value = message;
-    if (isOther) attempt(lookAtCheck);
+    if (token.value && !message.setup?.yours) renew(); // says at once that it is lost
+    if (isOther) glance(lookAtCheck);
   } else if (type === "check") checked.value = message;
   else if (type === "draft") draft.value = message;
   else if (type === "task") task.value = message;
@@ -205,15 +249,27 @@ effect(() => {
 
 const tellLive = () => say(liveViews.value > 0 && holds.value ? { live: true, token: token.value } : { live: false });
 
-export async function start() {
+async function facts() {
   me.value = await ask("GET", "me");
   await look();
+  if (draft.peek()) draft.value = await ask("GET", `calibrations/${draft.peek().id}`);
+  if (offers("trials/still")) ask("GET", "trials/still").then(({ last }) => (told("still").value = last), () => {});
+  if (offers("cameras") && cameras.peek()) await search();
+}
+
+export async function start() {
+  await facts();
   if (token.value) await renew();
   open();
-  if (offers("trials/still")) ask("GET", "trials/still").then(({ last }) => (told("still").value ??= last), () => {});
   if (offers("cameras")) search().catch(() => {}); // their page says what went wrong
-  setInterval(renew, LEASE_MS);
+  setInterval(() => {
+    rouse();
+    renew();
+  }, LEASE_MS);
   for (const name of ["pointerdown", "keydown"]) addEventListener(name, sign, { passive: true });
+  for (const name of ["visibilitychange", "resume"]) document.addEventListener(name, rouse);
+  addEventListener("online", listenAnew);
+  addEventListener("storage", adopt);
   addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());
   effect(() => {
     void liveViews.value;

@@ -17,18 +17,30 @@ export const Shape = ({ is }) => html`<svg class="shape" viewBox="0 0 16 16" ari
 
 export const Chip = ({ kind, shape, children, ...rest }) => html`<span class="chip ${kind}" ...${rest}><${Shape} is=${shape} /> ${children}</span>`;
 
+// What is typed and not sent yet is there again for whoever comes back to a page, also after a reload. name : null: it is not.
+const TYPED = "edged.typed.";
+export function useKept(name, first) {
+  const [value, set] = useState(() => JSON.parse((name && sessionStorage.getItem(TYPED + name)) || "null") ?? first);
+  const put = (next) => {
+    if (name) sessionStorage.setItem(TYPED + name, JSON.stringify(next));
+    set(next);
+  };
+  return [value, put];
+}
+
 // A number that people type with comma or point; what is no number, or beyond the limits, is said and not sent.
+// onValue(number): what it begins, if anything, resolves to undefined where it failed, as `attempt` does.
 export function NumberField({ label, unit, value, digits = 1, low = -Infinity, high = Infinity, onValue, disabled, name }) {
   const [typed, setTyped] = useState(null);
   const shown = typed ?? (value === null || value === undefined ? "" : number(value, digits));
   const parsed = parseNumber(shown.replace(/\s/g, ""));
   const isWrong = typed !== null && !(parsed >= low && parsed <= high);
-  const end = () => {
-    if (typed === null) return;
-    if (!isWrong) {
-      onValue(parsed);
-      setTyped(null);
-    }
+  // what the cell did not take stays, to be typed on
+  const end = async () => {
+    if (typed === null || isWrong) return;
+    const answer = onValue(parsed);
+    if (answer instanceof Promise && (await answer) === undefined) return;
+    setTyped(null);
   };
   const limits = Number.isFinite(low) && Number.isFinite(high) ? t("field-limits", { low: number(low, digits), high: number(high, digits), unit }) : t("field-number");
   return html`<label class="field"

@@ -1,6 +1,6 @@
 // What stands around every page: whose cell it is, what state it is in, where one is, and what went wrong.
 import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
-import { ask, attempt, sentence, trouble } from "./api.js";
+import { ask, attempt, glance, sentence, trouble } from "./api.js";
 import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./live.js";
 import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
 import { Stage } from "./stage.js";
@@ -127,7 +127,10 @@ export function Shell() {
   const step = stepAt(here.value) ?? STEPS[0];
   const page = pageOf(step);
   useEffect(() => {
-    attempt(() => enter(step));
+    glance(() => enter(step));
+    return () => {
+      if (trouble.peek()?.code !== "lease_lost") trouble.value = null; // it was of that page
+    };
   }, [step.id]);
   useEffect(() => {
     // where one is now: another step may have been chosen while this one was drawn

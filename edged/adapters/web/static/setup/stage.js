@@ -1,7 +1,7 @@
 // In `edged demo --stage` alone: what hands do in a real cell, with the virtual one's board, part and lenses.
 import { html, signal, useEffect } from "../vendor/ui.js";
-import { ask, attempt } from "./api.js";
-import { draft, SIDES } from "./live.js";
+import { ask, attempt, glance } from "./api.js";
+import { draft, SIDES, useFresh } from "./live.js";
 import { Slider } from "./pieces.js";
 import { number, sign, t } from "./texts.js";
 
@@ -28,8 +28,8 @@ function Truth() {
 }
 
 export function Stage() {
+  useFresh(() => glance(async () => (stage.value = await ask("GET", "stage"))));
   useEffect(() => {
-    tell("GET", "stage");
     const timer = setInterval(compare, TRUTH_MS);
     return () => clearInterval(timer);
   }, []);

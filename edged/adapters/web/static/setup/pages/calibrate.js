@@ -1,11 +1,11 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
 import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
-import { ask, attempt, sentence } from "../api.js";
+import { ask, attempt, glance, sentence } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
-import { draft, holds, look, mayTake, newest, offers, sign, task, token } from "../live.js";
+import { draft, holds, look, mayTake, newest, offers, sign, task, token, useFresh } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
-import { NumberField, say, Shape } from "../pieces.js";
+import { NumberField, say, Shape, useKept } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { inWords, number, t } from "../texts.js";
 import { styled } from "./styles.js";
@@ -33,10 +33,10 @@ async function find() {
 // --- which board ---
 
 function Board() {
-  const [isStated, setStated] = useState(false);
-  const [mm, setMm] = useState(null);
-  const [goal, setGoal] = useState(GOAL_UM);
-  const [size, setSize] = useState(SIZE);
+  const [isStated, setStated] = useKept("calibrate-stated", false);
+  const [mm, setMm] = useKept("calibrate-mm", null);
+  const [goal, setGoal] = useKept("calibrate-goal", GOAL_UM);
+  const [size, setSize] = useKept("calibrate-size", SIZE);
   const begin = () =>
     attempt(async () => {
       draft.value = await newest(draft, ask("POST", "calibrations", { ...(isStated ? { boards: [specOf(size, mm)] } : { recognise: true, mm }), goal_um: goal }));
@@ -164,7 +164,7 @@ function Progress({ id, onDone }) {
   useEffect(() => {
     // pushed as well; asked for where a message was missed
     const timer = setInterval(async () => {
-      const told = await attempt(() => ask("GET", `tasks/${id}`));
+      const told = await glance(() => ask("GET", `tasks/${id}`));
       if (told) task.value = told;
     }, 2000);
     return () => clearInterval(timer);
@@ -190,7 +190,7 @@ function Solve() {
     });
   const done = async (state) => {
     setEnded(state);
-    await attempt(async () => {
+    await glance(async () => {
       draft.value = await newest(draft, ask("GET", place()));
     });
     say(t(`solve-${state.state}`));
@@ -234,9 +234,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
 }
 
 export default function Calibrate() {
-  useEffect(() => {
-    if (!draft.value || draft.value.active) attempt(find);
-  }, []);
+  useFresh(() => (!draft.value || draft.value.active) && glance(find));
   if (!draft.value) return html`<h1>${t("calibrate-title")}</h1><p class="lead">${t("calibrate-what")}</p><${Pair} /><${Board} />`;
   const { boards: specs } = draft.value;
   return html`<h1>${t("calibrate-title")}</h1>

@@ -1,7 +1,7 @@
 // Which camera is which: what was found on the wire, live pictures, a wave of the hand, and a test pair.
-import { html, useEffect, useState } from "../../vendor/ui.js";
+import { html, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { cameras, holds, lookAtCameras, SIDES, token } from "../live.js";
+import { cameras, holds, lookAtCameras, SIDES, token, useFresh } from "../live.js";
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { say, Shape } from "../pieces.js";
@@ -54,9 +54,7 @@ function Test() {
 }
 
 export default function Cameras() {
-  useEffect(() => {
-    lookAtCameras();
-  }, []);
+  useFresh(lookAtCameras, [holds.value]);
   const found = cameras.value?.found;
   return html`<h1>${t("cameras-title")}</h1>
     <p class="lead">${t("cameras-what")}</p>

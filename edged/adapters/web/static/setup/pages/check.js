@@ -1,10 +1,10 @@
 // The check: one fresh pair of a board of known size, and whether the calibration in use still holds.
 import { html, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, attempt, glance } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
 import { cell, checked, holds, lookAtCheck, sign, token } from "../live.js";
 import { Pair } from "./picture.js";
-import { NumberField, say, Shape } from "../pieces.js";
+import { NumberField, say, Shape, useKept } from "../pieces.js";
 import { inWords, moment, number, sign as signed, t } from "../texts.js";
 import { styled } from "./styles.js";
 
@@ -104,12 +104,12 @@ function Lengths({ part, known, onKnown }) {
 export default function Check() {
   const known = checked.value?.boards ?? [];
   const parts = (checked.value?.parts ?? []).filter(({ lengths }) => lengths.length);
-  const [chosen, setChosen] = useState(null); // null: the first that is known
-  const [size, setSize] = useState(SIZE);
-  const [mm, setMm] = useState(null);
-  const [lengths, setLengths] = useState({});
+  const [chosen, setChosen] = useKept("check-by", null); // null: the first that is known
+  const [size, setSize] = useKept("check-size", SIZE);
+  const [mm, setMm] = useKept("check-mm", null);
+  const [lengths, setLengths] = useKept("check-lengths", {});
   const [isMeasuring, setMeasuring] = useState(false);
-  const choice = chosen ?? known[0] ?? OTHER;
+  const choice = [...known, OTHER, ...parts.map(({ job }) => PART + job)].includes(chosen) ? chosen : (known[0] ?? OTHER);
   const part = parts.find(({ job }) => choice === PART + job);
   const board = choice === OTHER ? mm && specOf(size, mm) : choice;
   const by = part ? Object.keys(lengths).length > 0 && { job: part.job, lengths } : board && { board };
@@ -124,7 +124,7 @@ export default function Check() {
     setMeasuring(false);
     if (!last) return;
     setChosen(last.board ?? PART + last.job);
-    await attempt(lookAtCheck);
+    await glance(lookAtCheck);
     say(inWords("checked", last.verdict));
   };
   const head = html`<h1>${t("check-title")}</h1><p class="lead">${t("check-what")}</p>`;

@@ -1,7 +1,7 @@
 // Recorded cycles: what became of each, one beside the pair it should look like, and what would have helped.
 import { html, signal, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
-import { cell, mayTake, offers } from "../live.js";
+import { ask, attempt, glance } from "../api.js";
+import { cell, mayTake, offers, useFresh } from "../live.js";
 import { Shape } from "../pieces.js";
 import { dashed, learn, moment, number, t } from "../texts.js";
 import { Beside } from "./cyclepair.js";
@@ -23,7 +23,7 @@ const query = (more) => {
   return `cycles?${asked}`;
 };
 const find = () =>
-  attempt(async () => {
+  glance(async () => {
     listed.value = await ask("GET", query());
   });
 const older = () =>
@@ -119,8 +119,8 @@ function Cycle() {
 }
 
 export default function Cycles() {
+  useFresh(find);
   useEffect(() => {
-    find();
     if (kept() && !shown.value) open(kept());
   }, []);
   return html`<h1>${t("nav-cycles")}</h1>

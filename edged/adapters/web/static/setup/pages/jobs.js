@@ -1,7 +1,7 @@
 // The jobs of the cell: what each is called, how it did, and what can be done with it.
-import { html, signal, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
-import { cell, look, mayTake, me } from "../live.js";
+import { html, signal, useState } from "../../vendor/ui.js";
+import { ask, attempt, glance } from "../api.js";
+import { cell, look, mayTake, me, useFresh } from "../live.js";
 import { NumberField, say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { moment, number, t } from "../texts.js";
@@ -11,7 +11,7 @@ await styled("jobs");
 
 const jobs = signal(null);
 const find = () =>
-  attempt(async () => {
+  glance(async () => {
     ({ jobs: jobs.value } = await ask("GET", "jobs"));
   });
 const at = ({ folder }) => `jobs/${encodeURIComponent(folder)}`;
@@ -22,7 +22,7 @@ const KEPT = "edged.teaching";
 async function changed(said) {
   say(said);
   await find();
-  await look();
+  await glance(look);
 }
 const use = (job) =>
   attempt(async () => {
@@ -111,9 +111,7 @@ function Question({ what, job, onClose }) {
 
 export default function Jobs() {
   const [asked, setAsked] = useState(null);
-  useEffect(() => {
-    find();
-  }, [cell.value.jobs]);
+  useFresh(find, [cell.value.jobs]);
   const ask_ = (what, job) => setAsked({ what, job });
   return html`<h1>${t("jobs-title")}</h1>
     <p class="lead">${t("jobs-what")}</p>

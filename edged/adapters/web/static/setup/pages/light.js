@@ -1,7 +1,7 @@
 // Exposure, gain and focus of both lenses, while one looks at what they cost.
 import { html, signal, useEffect } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
-import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, token } from "../live.js";
+import { cameras, holds, keepSettings, lookAtCameras, quality, rawSize, SIDES, token, useFresh } from "../live.js";
 import { Keep } from "./keep.js";
 import { Pair } from "./picture.js";
 import { NumberField, Shape, Slider } from "../pieces.js";
@@ -47,15 +47,17 @@ const wanted = {};
 const isAsking = {};
 async function set(side, values) {
   wanted[side] = { ...wanted[side], ...values };
-  if (isAsking[side]) return;
+  if (isAsking[side]) return true;
   isAsking[side] = true;
+  let read = null;
   while (wanted[side]) {
     const asked = wanted[side];
     wanted[side] = null;
-    const read = await attempt(() => ask("PUT", `cameras/${side}`, { token: token.value, ...asked }));
+    read = await attempt(() => ask("PUT", `cameras/${side}`, { token: token.value, ...asked }));
     if (read) keepSettings(side, read);
   }
   isAsking[side] = false;
+  return read;
 }
 
 function Settings({ side }) {
@@ -130,9 +132,7 @@ function fields(side) {
 }
 
 export default function Light() {
-  useEffect(() => {
-    lookAtCameras(); // what they are set to is told to who has the cell
-  }, [holds.value]);
+  useFresh(lookAtCameras, [holds.value]); // what they are set to is told to who has the cell
   useEffect(hold, [quality.value]);
   const copy = () => {
     const { exposure_us, gain_db } = cameras.value.settings.left;

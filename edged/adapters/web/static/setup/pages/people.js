@@ -1,7 +1,7 @@
 // Who may come in, and who did what: for engineers.
-import { html, signal, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
-import { mayTake, me, offers } from "../live.js";
+import { html, signal, useState } from "../../vendor/ui.js";
+import { ask, attempt, glance } from "../api.js";
+import { mayTake, me, offers, useFresh } from "../live.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { moment, t } from "../texts.js";
 
@@ -12,11 +12,11 @@ const users = signal(null);
 const deeds = signal(null);
 
 const find = () =>
-  attempt(async () => {
+  glance(async () => {
     users.value = (await ask("GET", "users")).users;
   });
 const findDeeds = () =>
-  attempt(async () => {
+  glance(async () => {
     const { count } = await ask("GET", "audit?most=1");
     deeds.value = await ask("GET", `audit?after=${Math.max(0, count - SHOWN)}&most=${SHOWN}`);
   });
@@ -72,9 +72,7 @@ export function OwnPassword() {
 
 export function Users() {
   const [leaving, setLeaving] = useState(null);
-  useEffect(() => {
-    find();
-  }, []);
+  useFresh(find);
   const change = (name, role) =>
     attempt(async () => {
       await ask("PUT", `users/${encodeURIComponent(name)}`, { role });
@@ -107,9 +105,7 @@ export function Users() {
 }
 
 export function Audit() {
-  useEffect(() => {
-    findDeeds();
-  }, []);
+  useFresh(findDeeds);
   const { records, problem, first, count } = deeds.value ?? { records: [], problem: null, first: 1, count: 0 };
   return html`<section aria-labelledby="audit">
     <h2 id="audit">${t("audit-title")}</h2>

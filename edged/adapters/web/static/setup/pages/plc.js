@@ -1,6 +1,6 @@
 // PLC and go live: how a PLC reaches the cell, what both said last, a client's source; then what is missing, and READY.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, glance } from "../api.js";
 import { cell, holds, leave, mayTake } from "../live.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { isBuilt, STEPS, State } from "../steps.js";
@@ -106,7 +106,7 @@ export default function Plc() {
   useEffect(() => {
     let isHere = true;
     const look = async () => {
-      const told = await attempt(() => ask("GET", "plc"));
+      const told = await glance(() => ask("GET", "plc"));
       if (told && isHere) setPlc(told);
     };
     look();

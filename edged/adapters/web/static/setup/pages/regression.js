@@ -1,7 +1,7 @@
 // A new job or rig tried on all recorded cycles before it is used: what gets worse, worst first, with its pictures.
 import { html, signal, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
-import { look, mayTake, offers, task } from "../live.js";
+import { ask, attempt, glance } from "../api.js";
+import { look, mayTake, offers, task, useFresh } from "../live.js";
 import { say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { moment, number, sign, t } from "../texts.js";
@@ -14,13 +14,13 @@ const result = signal(null);
 const candidates = signal(null);
 
 const find = () =>
-  attempt(async () => {
+  glance(async () => {
     kept.value = (await ask("GET", "regressions")).regressions;
   });
 
 // What may be used next: rigs that were solved, drafts of jobs, older releases.
 const search = () =>
-  attempt(async () => {
+  glance(async () => {
     const lists = await Promise.all(["calibrations", "teachings", "releases"].map((one) => (offers(one) ? ask("GET", one) : {})));
     const [calibrations, teachings, releases] = lists.map((one, i) => one[["calibrations", "teachings", "releases"][i]] ?? []);
     candidates.value = [
@@ -109,7 +109,7 @@ function Use() {
   const done = async ({ number: made }) => {
     say(t("cycles-used", { number: made }));
     result.value = null;
-    await look();
+    await glance(look);
     await search();
   };
   return html`<div class="actions use"><button type="button" class=${passes ? "primary" : ""} onClick=${() => setAsked(true)}>${t("cycles-use")}</button></div>
@@ -139,10 +139,10 @@ function Result() {
 }
 
 export function Regressions() {
-  useEffect(() => {
+  useFresh(() => {
     find();
     search();
-  }, []);
+  });
   return html`<section aria-labelledby="regressions">
     <h2 id="regressions">${t("cycles-regressions")}</h2>
     <p class="hint">${t("cycles-regressions-what")}</p>

@@ -1,8 +1,8 @@
 // The robot: where the rig stands to it, by touched places or by poses of the flange; said after each, kept at the end.
 import { effect, html, useEffect, useState } from "../../vendor/ui.js";
-import { attempt, ask } from "../api.js";
-import { cell, checked, holds, look, mayTake, newest, sign, token } from "../live.js";
-import { NumberField, say, Shape } from "../pieces.js";
+import { ask, attempt, glance } from "../api.js";
+import { cell, checked, holds, look, mayTake, newest, sign, token, useFresh } from "../live.js";
+import { NumberField, say, Shape, useKept } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { dashed, number, t } from "../texts.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
@@ -25,12 +25,12 @@ const registered = () => ({ yes: ["tick", "robot-is-fixed"], on_flange: ["tick",
 const Choice = ({ name, value, chosen, onChoose, children }) => html`<label class="choice"><input type="radio" name=${name} value=${value} checked=${chosen === value} onChange=${() => onChoose(value)} /> <span>${children}</span></label>`;
 
 function Begin() {
-  const [mount, setMount] = useState("fixed");
-  const [way, setWay] = useState("touch");
-  const [brand, setBrand] = useState(current.brands.value[0]?.id ?? OTHER);
-  const [what, setWhat] = useState(null); // null: the first that is known
-  const [size, setSize] = useState(SIZE);
-  const [mm, setMm] = useState(null);
+  const [mount, setMount] = useKept("robot-mount", "fixed");
+  const [way, setWay] = useKept("robot-way", "touch");
+  const [brand, setBrand] = useKept("robot-brand", current.brands.value[0]?.id ?? OTHER);
+  const [what, setWhat] = useKept("robot-what", null); // null: the first that is known
+  const [size, setSize] = useKept("robot-size", SIZE);
+  const [mm, setMm] = useKept("robot-mm", null);
   const kind = mount === "flange" ? "poses" : way;
   const known = checked.value?.boards ?? [];
   const jobs = kind === "touch" ? (checked.value?.parts ?? []).map(({ job }) => PART + job) : [];
@@ -206,10 +206,8 @@ function GoThere() {
 }
 
 export default function Robot() {
-  useEffect(() => {
-    attempt(() => find(current.draft.value?.id));
-    return effect(hear);
-  }, []);
+  useFresh(() => glance(() => find(current.draft.value?.id)));
+  useEffect(() => effect(hear), []);
   const { draft } = current;
   const head = html`<h1>${t("robot-title")}</h1><p class="lead">${t("robot-lead")}</p>`;
   if (cell.value.missing.includes("rig")) return html`${head}<p><${Shape} is="gap" /> ${t("robot-no-rig")}</p><div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;

@@ -1,8 +1,8 @@
 // What the robot's pendant shows: typed by its own labels, or pasted in any form that robots and tables have.
-import { html, useLayoutEffect, useState } from "../../vendor/ui.js";
+import { html, useLayoutEffect } from "../../vendor/ui.js";
 import { ask, attempt } from "../api.js";
 import { cell, mayTake } from "../live.js";
-import { Shape } from "../pieces.js";
+import { Shape, useKept } from "../pieces.js";
 import { parseNumber, t } from "../texts.js";
 
 const SEVERAL = /\d[^\d]*[\s,;[{:=][^\d]*\d/; // more than one number: a whole pose that was copied
@@ -12,8 +12,9 @@ const WHOLE = /^\s*[-−+]?\d+[.,]?\d*\s*$/;
 export function Shown({ draft, onShown, onLines, point, first }) {
   const { labels, units, kind, brand, mount } = draft;
   const count = kind === "touch" ? 3 : labels.length;
-  const [typed, setTyped] = useState(first ?? []);
-  const [pasted, setPasted] = useState("");
+  const name = (what) => (first ? null : `${what}-${draft.id}`);
+  const [typed, setTyped] = useKept(name("shown"), first ?? []);
+  const [pasted, setPasted] = useKept(name("pasted"), "");
   const values = Array.from({ length: count }, (_, i) => parseNumber((typed[i] ?? "").replace(/\s/g, "")));
   const isEmpty = !pasted.trim() && !typed.some((one) => one?.trim());
   const isWhole = values.every(Number.isFinite);

@@ -1,7 +1,7 @@
 // What runs: the releases of this cell, newest first, and the way back to an older one.
-import { html, signal, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
-import { holds, look, mayTake, offers, token } from "../live.js";
+import { html, signal, useState } from "../../vendor/ui.js";
+import { ask, attempt, glance } from "../api.js";
+import { holds, look, mayTake, offers, token, useFresh } from "../live.js";
 import { People } from "./people.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { moment, t } from "../texts.js";
@@ -12,7 +12,7 @@ await styled("system");
 
 const releases = signal(null);
 const find = () =>
-  attempt(async () => {
+  glance(async () => {
     releases.value = (await ask("GET", "releases")).releases;
   });
 
@@ -40,9 +40,7 @@ function Release({ number, created, author, note, parent, rig, jobs, active, was
 function Releases() {
   const [wanted, setWanted] = useState(null);
   const [reason, setReason] = useState("");
-  useEffect(() => {
-    find();
-  }, []);
+  useFresh(find);
   const activate = async () => {
     const number = wanted;
     setWanted(null);

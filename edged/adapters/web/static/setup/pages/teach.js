@@ -1,14 +1,14 @@
 // Teaching a job: a pair of the part, what of it is measured by, what that promises, and its release.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt, sentence } from "../api.js";
-import { cell, holds, look, mayTake, newest, SIDES, sign, token } from "../live.js";
+import { ask, attempt, glance, sentence } from "../api.js";
+import { cell, holds, look, mayTake, newest, SIDES, sign, token, useFresh } from "../live.js";
 import { Pair } from "./picture.js";
 import { Dialog, say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { styled } from "./styles.js";
 import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
 import { Drawing } from "./teachdrawing.js";
-import { change, drafts, find, jobs, lit, open, pushed, see, teaching } from "./teaching.js";
+import { change, drafts, find, jobs, lit, lookAgain, open, pushed, see, teaching } from "./teaching.js";
 import { draws, Region, RegionTools, stroked, tapped, tool, TOOLS } from "./teachregion.js";
 import { Naming, Reference, Sizes } from "./teachsizes.js";
 import { box, lookAt, ZoomButtons, Zoomed } from "./zoom.js";
@@ -120,7 +120,7 @@ function Trouble() {
     if (!proposing) return undefined;
     // pushed as well; asked for where a message was missed
     const timer = setInterval(async () => {
-      const fresh = await attempt(() => newest(pushed, ask("GET", `teachings/${teaching.value.id}`)));
+      const fresh = await glance(() => newest(pushed, ask("GET", `teachings/${teaching.value.id}`)));
       if (fresh) see(fresh);
     }, 2000);
     return () => clearInterval(timer);
@@ -195,13 +195,11 @@ function Bar() {
 }
 function shut() {
   open(null);
-  attempt(find);
+  glance(find);
 }
 
 export default function Teach() {
-  useEffect(() => {
-    if (!teaching.value || teaching.value.active) attempt(find);
-  }, []);
+  useFresh(lookAgain);
   const id = teaching.value?.id;
   const isProposed = (teaching.value?.features.length ?? 0) > 0;
   useEffect(() => {

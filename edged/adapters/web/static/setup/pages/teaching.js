@@ -1,6 +1,6 @@
 // The draft of a job that is taught: what the cell keeps of it, and every change by way of the cell.
 import { effect, signal } from "../../vendor/ui.js";
-import { ask, attempt, Problem } from "../api.js";
+import { ask, attempt, glance, Problem } from "../api.js";
 import { newest, told } from "../live.js";
 
 const KEPT = "edged.teaching";
@@ -34,6 +34,20 @@ export async function find() {
   const last = drafts.value.find(({ id, active }) => id === localStorage.getItem(KEPT) && !active);
   if (last) open(await newest(pushed, ask("GET", `teachings/${last.id}`)));
 }
+
+// As the cell has it now; somebody else may have thrown it away.
+export const lookAgain = () =>
+  glance(async () => {
+    const { id, active } = teaching.value ?? {};
+    if (!id || active) return find();
+    try {
+      return see(await newest(pushed, ask("GET", `teachings/${id}`)));
+    } catch (problem) {
+      if (problem.status !== 404) throw problem;
+      open(null);
+      return find();
+    }
+  });
 
 // One change after the other, each to what the one before made: whoever taps quickly is not late by their own doing.
 let queue = Promise.resolve();

@@ -1,6 +1,6 @@
 // What is tried: the newest result of each live pair, and the map of what is to be expected.
 import { computed, signal } from "../../vendor/ui.js";
-import { ask, attempt } from "../api.js";
+import { ask, attempt, glance } from "../api.js";
 import { holds, told, token } from "../live.js";
 
 export const chosen = signal(""); // "job:NAME" or "teaching:ID"
@@ -17,8 +17,9 @@ const wish = () => {
 };
 
 export const look = () =>
-  attempt(async () => {
+  glance(async () => {
     loaded.value = await ask("GET", "trials");
+    pushed.value = null; // of before
     const { on, teaching, job } = loaded.value;
     if (on) chosen.value = teaching ? `teaching:${teaching}` : `job:${job}`;
   });

@@ -1,7 +1,7 @@
 // Trying a job: live, while the part is pushed around; where it will be how precise; and whether sigma is honest.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt, sentence } from "../api.js";
-import { cell, holds, rawSize, SIDES, sign, task, told, token } from "../live.js";
+import { ask, attempt, glance, sentence } from "../api.js";
+import { cell, holds, rawSize, SIDES, sign, task, token, told, useFresh } from "../live.js";
 import { say, Shape } from "../pieces.js";
 import { dashed, inWords, moment, number, t } from "../texts.js";
 import { Pair } from "./picture.js";
@@ -76,7 +76,7 @@ function Still() {
   const [failed, setFailed] = useState(null);
   const state = id && task.value?.id === id ? task.value : null;
   const findLast = () =>
-    attempt(async () => {
+    glance(async () => {
       ({ last: last.value } = await ask("GET", "trials/still"));
     });
   const begin = () =>
@@ -89,7 +89,7 @@ function Still() {
     if (!id) return undefined;
     // pushed as well; asked for where a message was missed
     const timer = setInterval(async () => {
-      const now = await attempt(() => ask("GET", `tasks/${id}`));
+      const now = await glance(() => ask("GET", `tasks/${id}`));
       if (now) task.value = now;
     }, 1000);
     return () => clearInterval(timer);
@@ -128,9 +128,7 @@ function StillResult(result) {
 
 function Choice() {
   const [drafts, setDrafts] = useState(null);
-  useEffect(() => {
-    attempt(async () => setDrafts((await ask("GET", "teachings")).teachings.filter(({ active }) => !active)));
-  }, []);
+  useFresh(() => glance(async () => setDrafts((await ask("GET", "teachings")).teachings.filter(({ active }) => !active))));
   const options = [...(drafts ?? []).map(({ id, name }) => [`teaching:${id}`, name, true]), ...cell.value.jobs.map(({ name, number: count }) => [`job:${name}`, `${count} ${name}`, false])];
   useEffect(() => {
     if (!drafts || options.some(([key]) => key === chosen.value)) return;
@@ -156,10 +154,8 @@ function Choice() {
 }
 
 export default function Try() {
-  useEffect(() => {
-    look();
-    return rest;
-  }, []);
+  useFresh(look);
+  useEffect(() => rest, []);
   useEffect(() => {
     findMap();
   }, [chosen.value]);

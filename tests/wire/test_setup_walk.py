@@ -1,0 +1,262 @@
+"""The way through all pages that set a cell up: nothing that was done is lost, and everybody can go it."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, replace
+
+import pytest
+from browser import Browser, browser
+from setuppage import (
+    CUT_OFF,
+    LEASE,
+    SMALL_TARGETS,
+    STEPS,
+    TABBED,
+    TOO_WIDE,
+    go,
+    log_in,
+    press,
+    said,
+    take_over,
+)
+from stagecell import PASSWORD, Newcomer, staged
+
+from edged.commands.stage import USER
+from edged.files.rig import save_rig
+from edged.sim.cell import demo_rig
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+SCREENS = [(360, 740, 1.0), (800, 480, 1.0), (1024, 768, 1.0), (1920, 1080, 1.0), (1024, 768, 2.0)]
+"""Width, height, and how much all is enlarged."""
+SPARE = 3
+"""Tab also stops at what scrolls."""
+BOARD = "chessboard:11x8:4"
+ENTERED = {
+    "cameras": 'document.querySelectorAll(".tile .shape").length === 2',
+    "light": 'document.querySelector("[name=left-exposure_us]")?.value === "2345"',
+    "calibrate": 'document.querySelectorAll(".strip li.unused").length === 1',
+    "check": said("The calibration holds."),
+    "teach": f"""{said("walked")} && document.querySelector(".region .rectangle")
+      && document.querySelectorAll(".features-list input:not(:checked)").length === 1""",
+    "try": 'document.querySelector("[name=which]")?.selectedOptions[0]?.text === "walked"',
+    "robot": said("Points and poses (1)"),
+    "plc": said("Modbus TCP 127.0.0.1:"),
+}
+"""What shows that the cell has kept what was done on a page; without a line here: its heading."""
+ALONE = {"light"}
+"""What a camera is set to is told to who has the cell."""
+HERE = """location.hash === "#/{step}" && document.querySelector('main[data-page="{step}"] h1')
+  && document.querySelector('[href="#/{step}"][aria-current]')"""
+
+LOST = f"""document.querySelector(".trouble")?.innerText.includes("The cell is no longer yours")
+  && {LEASE}.includes("me has the cell")"""
+ASLEEP = """
+  const [sockets, now] = [[], Date.now];
+  let late = 0;
+  Date.now = () => now() + late;
+  WebSocket = class extends WebSocket {
+    constructor(...what) {
+      super(...what);
+      sockets.push(this);
+      this.addEventListener("message", (event) => this.isDead && event.stopImmediatePropagation());
+    }
+    send(what) { if (!this.isDead) super.send(what); }
+  };
+  globalThis.cutOff = () => sockets.forEach((one) => { one.isDead = true; });
+  globalThis.skip = (ms) => { late += ms; };
+"""
+"""A network that fails without a word, and a clock that goes on, while a tablet is away."""
+
+
+def there(step: str) -> str:
+    """Whether a page is shown, with what was done on it."""
+    return f"{HERE.format(step=step)} && ({ENTERED.get(step, 'true')})"
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """A stage on which something was done at every step, and two people's browsers."""
+
+    runner: asyncio.Runner
+    newcomer: Newcomer
+    page: Browser
+    other: Browser
+
+    async def hold(self, page: Browser, step: str) -> None:
+        """Have the cell, and be at a step."""
+        await go(page, step)
+        if not await page.value('Boolean(document.querySelector(".lease.mine"))'):
+            await take_over(page)
+        await page.until(there(step))
+
+    def run(self, test: Callable[[], Awaitable[None]], refused: str = "no code") -> None:
+        """A test's coroutine, bounded; nothing may fail unseen. refused : a status that is part of it."""
+
+        async def bounded() -> None:
+            async with asyncio.timeout(60):
+                await test()
+                complaints = self.page.complaints + self.other.complaints
+                self.page.complaints.clear()
+                self.other.complaints.clear()
+                assert [] == [one for one in complaints if refused not in one]
+
+        self.runner.run(bounded())
+
+
+async def worked(newcomer: Newcomer) -> None:
+    """Do something at every step, as the pages would ask for it."""
+    ask, token = newcomer.ask, newcomer.token
+
+    newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
+    await ask("PUT", "stage", {"showing": "part"})
+    draft = f"teachings/{(await ask('POST', 'teachings', token, 201))['id']}"
+    while (taught := await ask("GET", draft))["proposing"]:  # noqa: ASYNC110  (nothing else tells)
+        await asyncio.sleep(0.02)
+    left_out = {"revision": taught["revision"], "features": {taught["features"][3]["key"]: False}}
+    taught = await ask("PUT", f"{draft}/features", left_out)
+    taught = await ask("PUT", draft, {"revision": taught["revision"], "name": "walked"})
+    box = {"kind": "rectangle", "add": False, "x": 10, "y": 20, "width": 40, "height": 30}
+    await ask("PUT", f"{draft}/region", {"revision": taught["revision"], "shapes": [*taught["shapes"], box]})
+
+    await ask("PUT", "stage", {"showing": "board", "still": True})
+    await ask("POST", "checks", {**token, "board": BOARD}, 201)
+    draft = f"calibrations/{(await ask('POST', 'calibrations', {'boards': [BOARD]}, 201))['id']}"
+    view = (await ask("POST", f"{draft}/views", token, 201))["views"][0]["name"]
+    await ask("DELETE", f"{draft}/views/{view}", {})
+    how = {"mount": "fixed", "kind": "touch", "brand": "fanuc", "board": BOARD}
+    draft = f"registrations/{(await ask('POST', 'registrations', how, 201))['id']}"
+    looked = await ask("POST", f"{draft}/looks", token, 201)
+    x, y = looked["places"][0]["left"]
+    shown = (await ask("GET", f"stage/robot?brand=fanuc&x={x}&y={y}"))["text"]
+    touched = {"revision": looked["revision"], "place": looked["places"][0]["key"], "text": shown}
+    await ask("POST", f"{draft}/samples", touched, 201)
+    await ask("PUT", "cameras/left", {**token, "exposure_us": 2345.0})
+    await ask("PUT", "stage", {"showing": "nothing"})  # its pictures are quicker
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
+    """One for all."""
+    folder = tmp_path_factory.mktemp("walk")
+    save_rig(folder / "rig.json", replace(demo_rig(), robot_from_rig=None), {"board": BOARD})
+
+    async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, Browser]:
+        newcomer = await stack.enter_async_context(staged(folder, gige=False))
+        pages = [await stack.enter_async_context(browser()) for _ in range(2)]
+        await worked(newcomer)
+        for page in pages:
+            await page.ask("Page.addScriptToEvaluateOnNewDocument", source=ASLEEP)
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await go(page, "teach")
+            await press(page, "Go on")
+        return newcomer, pages[0], pages[1]
+
+    with asyncio.Runner() as runner:
+        stack = AsyncExitStack()
+        newcomer, page, other = runner.run(ready(stack))
+        yield Walk(runner, newcomer, page, other)
+        runner.run(stack.aclose())
+
+
+@pytest.mark.parametrize(("before", "step"), [*zip(STEPS[-1:] + STEPS[:-1], STEPS, strict=True)])
+def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before: str, step: str) -> None:
+    """At every step: the same step, with what was done there; never an empty page."""
+
+    async def test() -> None:
+        page = walk.page
+        await walk.hold(page, before)
+        await go(page, step)
+        await page.until(there(step))
+        await page.ask("Page.reload")
+        await page.until(there(step))
+        await page.value("history.back()")
+        await page.until(there(before))
+        await page.value("history.forward()")
+        await page.until(there(step))
+
+    walk.run(test)
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: str) -> None:
+    """It says who has the cell; the first one is told at once that it has it no longer."""
+
+    async def test() -> None:
+        page, other = walk.page, walk.other
+        await walk.hold(page, step)
+        await go(other, step)
+        await other.until(f'{LEASE}.includes("me has the cell")')
+        await other.until(HERE.format(step=step) if step in ALONE else there(step))
+        await take_over(other)
+        await other.until(there(step))
+        await page.until(LOST)
+        await page.until(HERE.format(step=step))
+        await press(page, "Understood")
+
+    walk.run(test, "409 (Conflict)")
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
+    """Ten minutes without a network: live without a reload, and told that the cell has gone to another."""
+
+    async def test() -> None:
+        page, other = walk.page, walk.other
+        await walk.hold(page, step)
+        await page.value("cutOff()")
+        await page.ask("Emulation.setFocusEmulationEnabled", enabled=False)
+        await page.ask("Page.setWebLifecycleState", state="frozen")
+        await take_over(other)
+        await page.value("skip(600_000)")
+        await page.ask("Page.setWebLifecycleState", state="active")
+        await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)  # it is looked at again
+        await page.until(LOST)
+        await press(page, "Understood")
+
+    walk.run(test, "409 (Conflict)")
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
+    """All of a page fits and can be hit; Tab comes to all of it, and shows where; all comes from the cell."""
+
+    async def test() -> None:
+        page = walk.page
+        await walk.hold(page, step)
+        await page.value(
+            "import('/static/setup/live.js').then((m) => { m.liveViews.value = -1; })"
+        )  # quicker
+        for screen in SCREENS:
+            await page.resize(*screen)
+            assert (0, []) == (await page.value(TOO_WIDE), await page.value(CUT_OFF)), screen
+        await page.resize(*SCREENS[0])
+        assert ([], []) == (await page.violations(), await page.value(SMALL_TARGETS))
+        assert [] == await page.value(
+            'performance.getEntriesByType("resource").map((one) => one.name)'
+            ".filter((name) => new URL(name).origin !== location.origin)"
+        )
+        await page.value("""{ document.activeElement.blur(); scrollTo(0, 0); globalThis.tabbed = new Set();
+          addEventListener("focusin", ({target}) => getComputedStyle(target).outlineStyle !== "none"
+            && tabbed.add(target)); }""")
+        for _ in range(SPARE + await page.value(f"{TABBED}.length")):
+            await page.ask("Input.dispatchKeyEvent", type="rawKeyDown", key="Tab", windowsVirtualKeyCode=9)
+        assert [] == await page.value(
+            f"{TABBED}.filter((e) => !tabbed.has(e)).map((e) => e.outerHTML.slice(0, 90))"
+        )
+        await go(page, STEPS[STEPS.index(step) - 1])
+        await page.ask("Emulation.setTouchEmulationEnabled", enabled=True)
+        if await page.value(f"""!document.querySelector('header [href="#/{step}"]')"""):
+            await page.tap(".path summary")
+        await page.tap(f"""header [href="#/{step}"], details [href="#/{step}"]""")
+        await page.until(there(step))
+        await page.ask("Emulation.setTouchEmulationEnabled", enabled=False)
+        await page.resize(1280, 900)
+
+    walk.run(test)
