@@ -231,7 +231,7 @@ def test_an_engineer_says_who_may_come_in() -> None:
         await press(page, "Add")
         await page.until(f'{people}.includes("Rita")')
         assert await cell.comes_in("Rita")
-        await page.click("[aria-label='Take out Rita']")
+        await page.click("[aria-label='Remove Rita']")
         await page.until(DIALOG)
         await page.click("dialog[open] .primary")
         await page.until(f'!{people}.includes("Rita")')

@@ -102,7 +102,7 @@ def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back
             await take(page)
             await go(page, "plc")
             await page.until(said("How the PLC reaches the cell"))
-            assert await page.value(said("Only one thing is missing: you have the cell."))
+            assert await page.value(said("You have the cell: READY comes when you give it back."))
             await check_probes(page)
 
             await press(page, "Give the cell back: READY")

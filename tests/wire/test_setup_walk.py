@@ -260,3 +260,72 @@ def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
         await page.resize(1280, 900)
 
     walk.run(test)
+
+
+def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
+    """Somebody else was faster: a sentence says so, the newer state shows, what was typed can be sent."""
+    number = 'document.querySelector("[name=number]").value'
+
+    async def test() -> None:
+        page, ask = walk.page, walk.newcomer.ask
+        await walk.hold(page, "teach")
+        draft = await page.value('localStorage.getItem("edged.teaching")')
+        await page.value("cutOff()")
+        faster = {"revision": (await ask("GET", f"teachings/{draft}"))["revision"], "name": "faster"}
+        await ask("PUT", f"teachings/{draft}", faster)
+        await page.type("[name=number]", "17")
+        await page.until(said("Somebody else, or another screen, changed this meanwhile"))
+        assert ("17", "faster") == (
+            await page.value(number),
+            await page.value('document.querySelector(".draft-bar strong").textContent'),
+        )
+        await page.value('document.querySelector("[name=number]").focus()')
+        await page.ask("Input.dispatchKeyEvent", type="keyDown", key="Enter", windowsVirtualKeyCode=13)
+        await page.until('!document.querySelector(".trouble")')
+        assert 17 == (await ask("GET", f"teachings/{draft}"))["number"]
+
+    walk.run(test, "412 (Precondition Failed)")
+
+
+def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
+    """What another tab has taken or given back, this one has, too."""
+
+    async def test() -> None:
+        page = walk.page
+        await walk.hold(page, "welcome")
+        await page.value(
+            """(async () => {
+              const {ask} = await import("/static/setup/api.js");
+              const {token} = await ask("POST", "setup", {take_over: true});
+              document.body.append(document.createElement("iframe"));
+              globalThis.tab = document.querySelector("iframe").contentWindow.localStorage;
+              tab.setItem("edged.lease", token);
+              const live = await import("/static/setup/live.js");
+              while (live.token.value !== token) await new Promise((done) => setTimeout(done, 10)); })()"""
+        )
+        assert await page.value('Boolean(document.querySelector(".lease.mine"))')
+        await page.value('tab.removeItem("edged.lease")')
+        await page.until(f'{LEASE}.includes("You have the cell, on another screen")')
+        await page.ask("Page.reload")
+
+    walk.run(test, "409 (Conflict)")
+
+
+def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
+    """Also after a wrong password, which is said."""
+
+    async def test() -> None:
+        page = walk.other
+        await go(page, "robot")
+        await page.ask("Network.clearBrowserCookies")
+        await page.ask("Page.reload")
+        for password in ("wrong", PASSWORD):
+            await page.until('document.querySelector("#password")')
+            await page.type("#name", USER)
+            await page.type("#password", password)
+            await page.click("button")
+            if password == "wrong":
+                await page.until(said("This name or password is not right."))
+        await page.until(there("robot"))
+
+    walk.run(test, "")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Mapping
+from functools import partial
 from urllib.parse import parse_qs
 
 from aiohttp import web
@@ -23,6 +25,14 @@ COOKIE = "edged_session"
 FORM_S = 5.0
 NEXT = {"setup": "/setup"}
 """Where a form may lead, by what its address says; else to the status page."""
+WRONG = {True: "This name or password is not right.", False: "This password is not right."}
+"""By whether there are users."""
+REFUSED = {
+    "wrong": "This code is not right, or used up, or older than a day.",
+    "short": f"A name, please, and a password of {MIN_LENGTH} characters at least.",
+    "differ": "The two passwords differ.",
+}
+"""What a form says that was sent in vain, by what its address says."""
 _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
 
 
@@ -37,8 +47,10 @@ class LoginForms:
         self._auditor = auditor
         self._secure = secure
         self._users = users
-        self._login = render("login.html", __package__, cell=cell, users=users, one=not access.is_open)
-        self._invite = render("invite.html", __package__, cell=cell, min_length=MIN_LENGTH)
+        login = partial(render, "login.html", __package__, cell=cell, users=users, one=not access.is_open)
+        invite = partial(render, "invite.html", __package__, cell=cell, min_length=MIN_LENGTH)
+        self._login = {why: login(why=text) for why, text in {"": "", "wrong": WRONG[users]}.items()}
+        self._invite = {why: invite(why=text) for why, text in {"": "", **REFUSED}.items()}
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the routes."""
@@ -49,11 +61,11 @@ class LoginForms:
             router.add_get("/invite", self._invite_form)
             router.add_post("/invite", self._redeem)
 
-    async def _login_form(self, _request: web.Request) -> web.Response:
-        return web.Response(text=self._login, content_type="text/html", charset="utf-8")
+    async def _login_form(self, request: web.Request) -> web.Response:
+        return _form(request, self._login)
 
-    async def _invite_form(self, _request: web.Request) -> web.Response:
-        return web.Response(text=self._invite, content_type="text/html", charset="utf-8")
+    async def _invite_form(self, request: web.Request) -> web.Response:
+        return _form(request, self._invite)
 
     async def _log_in(self, request: web.Request) -> web.Response:
         form = await _fields(request)
@@ -114,6 +126,12 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
             log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
             return
         log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
+
+
+def _form(request: web.Request, texts: Mapping[str, str]) -> web.Response:
+    """With what was wrong the last time."""
+    why = next((one for one in texts if one in request.query), "")
+    return web.Response(text=texts[why], content_type="text/html", charset="utf-8")
 
 
 async def _fields(request: web.Request) -> dict[str, str]:

@@ -147,7 +147,7 @@ function Capture() {
     ${suggestion &&
     html`<label class="meter"><span>${t("ghost-share", { percent: number(share) })}</span><progress max="100" value=${share}></progress></label>
       ${suggestion.text_code && html`<p class="hint">${t("ghost-where")} ${placed(suggestion.text_code)}.</p>`}`}
-    <p class="verdict small"><${Shape} is=${waits || !still ? "none" : "tick"} /> ${auto && waits ? inWords("waits", waits) : t(still ? "board-still" : "board-moves")}</p>
+    <p class="verdict small"><${Shape} is=${(auto && waits) || !still ? "none" : "tick"} /> ${auto && waits ? inWords("waits", waits) : t(still ? "board-still" : "board-moves")}</p>
     <div class="actions">
       <button type="button" class=${auto ? "" : "primary"} aria-pressed=${Boolean(auto)} disabled=${!holds.value} onClick=${() => change("PUT", "/auto", { token: token.value, on: !auto })}>${t(auto ? "auto-stop" : "auto-start")}</button>
       <button type="button" disabled=${!holds.value} onClick=${() => change("POST", "/views", { token: token.value })}>${t("view-take")}</button>

@@ -67,7 +67,7 @@ export default function Cameras() {
           ({ vendor, model, serial, address, trouble, side }) =>
             html`<li class="tile">
               <h3 translate=${false}>${vendor} ${model}</h3>
-              <p class="muted" translate=${false}>${serial} · ${address}</p>
+              <p class="muted" translate=${false}>${[serial, address].filter(Boolean).join(" · ")}</p>
               <p>${side ? html`<${Shape} is="tick" /> ${t(`is-${side}`)}` : html`<${Shape} is="none" /> ${t("is-neither")}`}</p>
               ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
             </li>`,
