@@ -34,6 +34,8 @@ MODEL = {
     "made": "edged",
 }
 
+FORM = {"t": lambda name, **_values: name, "problem": ""}
+
 
 @given(st.text(st.characters(codec="utf-8", exclude_categories=("Cc",)), min_size=1))
 def test_a_text_comes_out_as_it_is(text: str) -> None:
@@ -69,9 +71,9 @@ def test_a_value_that_is_missing_is_an_error() -> None:
     [
         ("index.html", {"setup": False, "modules": []}),
         ("index.html", {"setup": True, "modules": ["run/run.js"]}),
-        ("invite.html", {"min_length": 8}),
-        ("login.html", {"users": False, "one": True}),
-        ("login.html", {"users": True, "one": False}),
+        ("invite.html", {**FORM, "least": 8, "command": "edged"}),
+        ("login.html", {**FORM, "users": False, "one": True}),
+        ("login.html", {**FORM, "users": True, "one": False, "problem": "wrong"}),
         ("nomanual.html", {}),
         ("setup.html", {"modules": ["/static/setup/main.js"], "offers": ["cell"]}),
     ],

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from edged.adapters.web.texts import Texts
 from edged.app import status
 from edged.app.cameras import camera_facts
 from edged.app.status import facts
@@ -24,12 +25,16 @@ SETUP, RUN = WEB / "static" / "setup", WEB / "static" / "run"
 SCRIPTS = {path.stem: path.read_text() for path in sorted([*SETUP.rglob("*.js"), *RUN.rglob("*.js")])}
 FRAME = (WEB / "templates" / "index.html").read_text()
 """Of the Run page: its texts are named there."""
-ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME])
+FORMS = [WEB / "login.py", *(WEB / "templates" / f"{name}.html" for name in ("login", "invite"))]
+"""What the cell writes itself: its texts are named there."""
+ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME, *(path.read_text() for path in FORMS)])
 ENTRY = re.compile(r"^([a-z][a-z0-9-]*) =(.*(?:\n[ }].*)*)", re.MULTILINE)
 VALUE = re.compile(r"\$(\w+)")
 PAGES = sorted({path.name.split(".")[0] for path in (SETUP / "pages").glob("*.ftl")})
-PARTS = ["", "run", "registers", *PAGES]
-"""Files of texts: around the pages that set a cell up, of the Run page, its map, and of each of them."""
+PARTS = ["", "login", "run", "registers", *PAGES]
+"""Files of texts: around the pages that set a cell up, of the forms to log in, of the Run page, its map, and
+of each of them.
+"""
 
 
 def families(script: str) -> set[str]:
@@ -44,6 +49,7 @@ FAMILIES = families(ALL_SCRIPTS)
 def entries(part: str, language: str) -> list[tuple[str, str]]:
     """Ids and texts of a file, in its order."""
     folder = SETUP / "pages" if part in PAGES else RUN if part else SETUP
+    folder = WEB / "static" if part == "login" else folder
     path = folder / (f"{part}.{language}.ftl" if part else f"{language}.ftl")
     return [(name, text) for name, text in ENTRY.findall(path.read_text())]
 
@@ -173,6 +179,23 @@ def test_every_text_around_the_pages_is_there() -> None:
     for script in scripts_of("main"):
         for name in re.findall(r"\bt\(\s*\"([^\"]+)\"", SCRIPTS[script]):
             assert name in ENGLISH[""], script
+
+
+def test_the_cell_can_read_the_texts_of_its_forms() -> None:
+    """Each on one line, with values only, and named in a template or beside it; a browser reads the same."""
+    texts = Texts("login")
+    named = {name for path in FORMS for name in re.findall(r'"((?:login|invite)-[a-z-]+)"', path.read_text())}
+    for tag, entries_of in (("en", ENGLISH["login"]), ("de", GERMAN["login"])):
+        say = texts.in_language(tag)
+        for name, text in entries_of.items():
+            values = {value: f"<{value}>" for value in VALUE.findall(text)}
+            told = re.sub(r"\{ \$(\w+) \}", r"<\1>", text.strip())
+            assert told == say(name, **values).unescape()
+            assert "<" not in say(name, **values)
+            assert "{" not in told
+
+    assert {"en", "de"} == set(texts.languages)
+    assert set(ENGLISH["login"]) == named
 
 
 def test_every_text_is_used() -> None:

@@ -453,7 +453,7 @@ def test_the_log_in_names_the_cell() -> None:
             served(WebSettings(port=0, password_hash=HASH)) as (_, session),
             session.get("/login") as answer,
         ):
-            assert "<h1>cell&lt;1&gt;</h1>" in await answer.text()
+            assert '<h1 translate="no">cell&lt;1&gt;</h1>' in await answer.text()
 
     run(test)
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
-from functools import partial
+import math
 from urllib.parse import parse_qs
 
 from aiohttp import web
+from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
-from edged.adapters.web.access import Access
+from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.people import MIN_LENGTH, Password
+from edged.adapters.web.texts import Texts, language_of
 from edged.errors import FileFormatError
 from edged.files.invite import Invite
 from edged.files.users import UserFile, UserName
@@ -25,14 +26,9 @@ COOKIE = "edged_session"
 FORM_S = 5.0
 NEXT = {"setup": "/setup"}
 """Where a form may lead, by what its address says; else to the status page."""
-WRONG = {True: "This name or password is not right.", False: "This password is not right."}
-"""By whether there are users."""
-REFUSED = {
-    "wrong": "This code is not right, or used up, or older than a day.",
-    "short": f"A name, please, and a password of {MIN_LENGTH} characters at least.",
-    "differ": "The two passwords differ.",
-}
-"""What a form says that was sent in vain, by what its address says."""
+REFUSED = {"wrong": "invite-wrong", "differ": "invite-differ", "short": "invite-short"}
+"""What the form for a code tells, by what its address says."""
+COMMAND = Markup('<code translate="no">edged web invite</code>')
 _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
 
 
@@ -43,14 +39,12 @@ class LoginForms:
     """
 
     def __init__(self, cell: str, access: Access, auditor: Auditor, *, users: bool, secure: bool) -> None:
+        self._cell = cell
         self._access = access
         self._auditor = auditor
         self._secure = secure
         self._users = users
-        login = partial(render, "login.html", __package__, cell=cell, users=users, one=not access.is_open)
-        invite = partial(render, "invite.html", __package__, cell=cell, min_length=MIN_LENGTH)
-        self._login = {why: login(why=text) for why, text in {"": "", "wrong": WRONG[users]}.items()}
-        self._invite = {why: invite(why=text) for why, text in {"": "", **REFUSED}.items()}
+        self._texts = Texts("login")
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the routes."""
@@ -62,17 +56,48 @@ class LoginForms:
             router.add_post("/invite", self._redeem)
 
     async def _login_form(self, request: web.Request) -> web.Response:
-        return _form(request, self._login)
+        wrong = "login-wrong" if self._users else "login-wrong-password"
+        return self._page(request, "login.html", wrong if "wrong" in request.query else "")
 
     async def _invite_form(self, request: web.Request) -> web.Response:
-        return _form(request, self._invite)
+        refused = next((text for code, text in REFUSED.items() if code in request.query), "")
+        return self._page(request, "invite.html", refused)
+
+    def _page(
+        self, request: web.Request, form: str, problem: str = "", status: int = 200, **values: object
+    ) -> web.Response:
+        """A form in the language of whoever asks. problem : a text, with its values; "" : there is none."""
+        language = language_of(request, self._texts.languages)
+        say = self._texts.in_language(language)
+        told = {"command": COMMAND, "least": MIN_LENGTH}
+        text = render(
+            form,
+            __package__,
+            language=language,
+            t=say,
+            cell=self._cell,
+            problem=say(problem, **told, **values) if problem else "",
+            users=self._users,
+            one=not self._access.is_open,
+            **told,
+        )
+        return web.Response(text=text, status=status, content_type="text/html", charset="utf-8")
+
+    def _wait(self, request: web.Request, form: str, error: TooManyAttempts) -> web.Response:
+        wait_s = math.ceil(error.wait_s)
+        answer = self._page(request, form, "login-wait", 429, wait_s=wait_s)
+        answer.headers["Retry-After"] = f"{wait_s}"
+        return answer
 
     async def _log_in(self, request: web.Request) -> web.Response:
         form = await _fields(request)
         name, password = form.get("name", "").strip(), form.get("password", "")
         is_known = bool(password) and (self._users or not name)
         address = request.remote or ""
-        cookie = await self._access.log_in(address, password, name) if is_known else None
+        try:
+            cookie = await self._access.log_in(address, password, name) if is_known else None
+        except TooManyAttempts as error:
+            return self._wait(request, "login.html", error)
         to = request.query.get("to", "")
         if self._users:
             await self._auditor.note_login(request, name, "log in", "password" if cookie is None else "ok")
@@ -92,9 +117,11 @@ class LoginForms:
             raise web.HTTPSeeOther("/invite?differ")
         try:
             cookie = await self._access.redeem(request.remote or "", form.get("code", ""), name, password)
+        except TooManyAttempts as error:
+            return self._wait(request, "invite.html", error)
         except (FileFormatError, OSError) as error:
             log.error("%s cannot be made an engineer: %s", name, error)  # noqa: TRY400  (it says where)
-            raise web.HTTPInternalServerError(text=f"{error}\n") from error
+            return self._page(request, "invite.html", "invite-storage", 500, detail=error)
         outcome = "code" if cookie is None else "ok"
         await self._auditor.note_login(request, name, "come in by a code", outcome)
         if cookie is None:
@@ -126,12 +153,6 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
             log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
             return
         log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
-
-
-def _form(request: web.Request, texts: Mapping[str, str]) -> web.Response:
-    """With what was wrong the last time."""
-    why = next((one for one in texts if one in request.query), "")
-    return web.Response(text=texts[why], content_type="text/html", charset="utf-8")
 
 
 async def _fields(request: web.Request) -> dict[str, str]:

@@ -3,7 +3,8 @@ import { computed, FluentBundle, FluentResource, signal } from "../vendor/ui.js"
 
 export const LANGUAGES = { en: "English", de: "Deutsch" };
 const PSEUDO = new URLSearchParams(location.search).has("pseudo");
-const KEPT = "edged.language";
+const KEPT = /(?:^|; )edged_language=(\w+)/; // a cookie: the form to log in, which the cell writes, is in it too
+const YEAR_S = 365 * 24 * 3600;
 const parts = new Set(["setup/"]); // what is spoken: around the pages, and of each page that was entered
 const resources = new Map(); // of a file's path
 const path = (part, tag) => `/static/${part}${part.endsWith("/") ? "" : "."}${tag}.ftl`;
@@ -49,12 +50,12 @@ export async function speak(tag) {
 }
 
 export async function choose(tag) {
-  localStorage.setItem(KEPT, tag);
+  document.cookie = `edged_language=${tag}; path=/; max-age=${YEAR_S}; samesite=lax`;
   await speak(tag);
 }
 
 // What was chosen here, what the user's record says, what the browser would like.
-export const preferred = (users) => [localStorage.getItem(KEPT), users, ...navigator.languages.map((tag) => tag.split("-")[0])].find((tag) => tag in LANGUAGES) ?? "en";
+export const preferred = (users) => [KEPT.exec(document.cookie)?.[1], users, ...navigator.languages.map((tag) => tag.split("-")[0])].find((tag) => tag in LANGUAGES) ?? "en";
 
 export const has = (id) => bundle.value.hasMessage(id);
 export function t(id, values) {
