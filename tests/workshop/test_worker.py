@@ -55,7 +55,7 @@ def wait_for_end(pid: int) -> None:
 
 
 def test_it_stands_back_and_stays_for_the_next_task() -> None:
-    """Only where a processor is idle, first to go, on as many processors as it may use; one process for all."""
+    """It runs where a processor is idle, is the first to go, and is one process for all tasks."""
 
     async def test(worker: Worker) -> None:
         first, second = await worker.run("about"), await worker.run("about")
