@@ -12,11 +12,10 @@ from edged.errors import CalibrationError
 
 
 def about(_progress: Progress) -> dict[str, int]:
-    """The process: its niceness, its turn, its score where memory runs out, its processors and threads."""
+    """The process: its niceness, its score where memory runs out, its processors and threads."""
     return {
         "pid": os.getpid(),
         "nice": os.nice(0),
-        "policy": os.sched_getscheduler(0),
         "oom": int(Path("/proc/self/oom_score_adj").read_text()),
         "cpus": len(os.sched_getaffinity(0)),
         "threads": threading.active_count(),

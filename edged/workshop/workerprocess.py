@@ -122,9 +122,6 @@ def _stay_on(cpus: list[int]) -> None:
 def _stand_back() -> None:
     """Last in turn, first to go."""
     os.nice(NICENESS)
-    # niceness still lets it finish its slice before a cycle that becomes ready; this does not
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     score = Path("/proc/self/oom_score_adj")
     with contextlib.suppress(OSError):
         score.write_text(str(min(1000, int(score.read_text()) + OOM_SCORE)))

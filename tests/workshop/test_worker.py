@@ -55,13 +55,12 @@ def wait_for_end(pid: int) -> None:
 
 
 def test_it_stands_back_and_stays_for_the_next_task() -> None:
-    """It runs where a processor is idle, is the first to go, and is one process for all tasks."""
+    """Nicer than who started it, first to go, on as many processors as it may use; one process for all."""
 
     async def test(worker: Worker) -> None:
         first, second = await worker.run("about"), await worker.run("about")
         assert first["pid"] == second["pid"] == worker.pid != os.getpid()
         assert min(19, os.nice(0) + NICENESS) == first["nice"]
-        assert os.SCHED_IDLE == first["policy"]
         assert min(1000, own_oom_score() + OOM_SCORE) == first["oom"]
         assert 1 == first["cpus"]
 
