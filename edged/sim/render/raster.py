@@ -347,15 +347,16 @@ def render_radiance(
                                 rays, y, x, layers, n, pixel_mm[n], shapes, states,
                                 vertices, textures, radiance[y, x], corners, cells,
                             )  # fmt: skip
+                            if painted == DIVIDED:
+                                tile_cells[y - top, x - left] = cells
                             if painted != BEHIND:
                                 is_divided[y - top, x - left] = painted == DIVIDED
-                                tile_cells[y - top, x - left] = cells
             if spread.shape[1]:
                 for y in range(y0, box[1]):
                     for x in range(x0, box[3]):
                         if is_divided[y - top, x - left]:
-                            cells[:] = tile_cells[y - top, x - left]
-                            _spread_cells(cells, radiance[y, x], y, x, spread, of_rows, detail)
+                            divided = tile_cells[y - top, x - left]
+                            _spread_cells(divided, radiance[y, x], y, x, spread, of_rows, detail)
 
 
 @kernel("void(f4[:, ::1], u2[:, ::1], f4[::1], f8, f8, f8, f8, u1[:, ::1])")
