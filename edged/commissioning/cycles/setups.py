@@ -49,11 +49,9 @@ class MeasuredBy:
     job_digests: Mapping[int, str]
 
     def number_for(self, snapshot: Json) -> int:
-        """Of the job that a recorded cycle is of: by its name, which stays when the number changes, else by
-        its number. There may be none.
-        """
-        named = (number for number, job in self.jobs.items() if job.name == snapshot["job"])
-        return next(named, int(snapshot["job_number"]))
+        """Of the job that a recorded cycle is of. There may be none."""
+        names = {number: job.name for number, job in self.jobs.items()}
+        return _number_of_cycle(names, snapshot["job"], int(snapshot["job_number"]))
 
     def job_for(self, number: int, snapshot: Json) -> Job | None:
         """A job, bounded as the command of a recorded cycle wanted; None: there is none."""
@@ -114,10 +112,18 @@ def facts_of_jobs(contents: Contents) -> list[JobFacts]:
 
 
 def job_of_cycle(jobs: Iterable[JobFacts], name: str, number: int) -> JobFacts | None:
-    """The job that a recorded cycle is of, as `MeasuredBy.number_for` has it."""
-    jobs = list(jobs)
-    fitting = [one for one in jobs if one.name == name] or [one for one in jobs if one.number == number]
-    return next(iter(fitting), None)
+    """The job that a recorded cycle is of."""
+    by_number = {one.number: one for one in jobs}
+    names = {one.number: one.name for one in by_number.values()}
+    return by_number.get(_number_of_cycle(names, name, number))
+
+
+def _number_of_cycle(names: Mapping[int, str], name: str, number: int) -> int:
+    """Of a recorded cycle's job: by its name, which stays when the number changes, else by its number.
+
+    names : of the jobs, by their numbers.
+    """
+    return next((own for own, called in names.items() if called == name), number)
 
 
 def successors(active: Contents, candidate: Contents) -> dict[int, int]:
